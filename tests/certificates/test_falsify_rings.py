@@ -166,7 +166,7 @@ def test_joint_spectral_radii_of_the_literature_scaled_above_one_are_refuted(nam
     matrices, radius = RADII[name]
     short = largest(matrices, 6 if len(matrices) > 2 else 12)
     radius = short if radius is None else radius
-    assert short == pytest.approx(radius, rel=2e-4)  # matrices and number are those printed
+    assert (1.0 - 5e-4) * radius < short < (1.0 + 1e-5) * radius  # both as printed
     worst = dt.falsify(*as_plant(matrices, radius), STEP, STEP)
     assert worst.proven
     assert worst.growth_rate * STEP > 0.98 * math.log(1.05)

@@ -79,6 +79,11 @@ def longest_mode_lags(
     from deadtime.margins import longest_mode_lag
     from deadtime.reports.tables.certificates import left_out
 
+    if asked.chatter > 1:
+        raise ArgumentError(
+            "--longest-mode-lag is asked of a dwell time, not of an average one: give "
+            "--dwell-time and --chatter 1."
+        )
     names, brackets = list(problem.laws) if law is None else [law], dict[str, Bracket]()
     laws = [problem.law(name) for name in names]
     with progress_bar(len(names), quiet=json_output) as advance:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
+from deadtime.cli.asked_signals import (
+    delays_from,
+    kept_by_search,
+    signals_and_step,
+    times_from,
+    with_step,
+)
 from deadtime.cli.brackets import about, for_json, least_dwell_times, longest_mode_lags
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
-from deadtime.cli.problems import numbers_of, problem_of
+from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
     from deadtime.certificates import Verification
@@ -108,7 +115,7 @@ def certify(
     from deadtime.certificates.certificate import require_json
     from deadtime.reports.tables.certificates import certificate_record, judge
 
-    chosen = _with_step(problem_of(problem), step)
+    chosen = with_step(problem_of(problem), step)
     if least_dwell_time:
         one = dwell_time is not None and "," not in dwell_time and mode is None
         given = uncertain or any(option is not None for option in (decay_rate, delays, out))
@@ -118,7 +125,7 @@ def certify(
                 "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
-        signals = _kept(chosen, dwell_time, maximum_dwell, mode, chatter)
+        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter)
         return least_dwell_times(chosen, law, signals, json_output)
     if mode is not None:
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
@@ -129,12 +136,7 @@ def certify(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
-    asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
-    if longest_mode_lag and asked.chatter > 1:
-        raise ArgumentError(
-            "--longest-mode-lag is asked of a dwell time, not of an average one: give "
-            "--dwell-time and --chatter 1."
-        )
+    asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
     if longest_mode_lag:
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
@@ -142,7 +144,7 @@ def certify(
         require_json("--out", out)  # before the search, which may take minutes
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
-        ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))
+        ranges = None if delays is None else (delays_from(delays[0]), delays_from(delays[1]))
         judged = judge(
             chosen,
             step=period,
@@ -235,7 +237,7 @@ def verify(
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
         if uncertain:
             raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
-        times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
+        times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
         least, most = (one_or_all(one) for one in times)
         result = check(
             certificate,
@@ -247,9 +249,9 @@ def verify(
             lost_samples=lost_samples,
         )
     else:
-        chosen = _with_step(problem_of(problem), step)
+        chosen = with_step(problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
+        asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
         dwell = asked.dwell.value
         only = None if law is None else laws[law]
         late = {"mode_lag": mode_lag or 0, "lost_samples": lost_samples}
@@ -277,77 +279,6 @@ def verify(
                 f"{' = '.join(matches['laws'])}."
             )
     return 0 if result.proven else 1
-
-
-def _with_step(problem: Problem, step: float | None) -> Problem:
-    from deadtime.base.checks import positive
-
-    return problem if step is None else replace(problem, step=positive("step", step))
-
-
-def _delays(text: str) -> float | list[float] | list[list[float]]:
-    """Delays as a problem file writes them: a number, or lists in brackets."""
-    import json
-
-    try:
-        value = json.loads(text)
-    except ValueError:
-        value = None
-    if isinstance(value, bool) or not isinstance(value, (int, float, list)):
-        raise ArgumentError(
-            f"--delays must be two numbers, or two lists such as [0.3,0.1], got {text!r}: leave "
-            "out spaces, or quote each list."
-        )
-    return value
-
-
-def _times(name: str, text: str | None) -> list[float] | None:
-    """Seconds with commas between them."""
-    return None if text is None else numbers_of(name, text)
-
-
-def _signals_and_step(
-    problem: Problem, dwell_time: str | None, maximum_dwell: str | None, chatter: int | None
-) -> tuple[Signals, float]:
-    """The signals and the period, in seconds, that a problem asks about."""
-    from deadtime.problems.asked import signals_of, step_of
-
-    promised = problem.dwell_time is not None or problem.average_dwell_time is not None
-    if dwell_time is None and not promised and problem.switching is not None:
-        raise ArgumentError(
-            f"the problem {problem.name!r} has a model of its switching, which promises no dwell "
-            "time, and no [signal] that does: the shortest sojourn of one drawn signal says "
-            "nothing of others. Give --dwell-time."
-        )
-    times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
-    return signals_of(problem, problem.signal, *times, chatter), step_of(problem)
-
-
-def _kept(
-    problem: Problem,
-    dwell_time: str | None,
-    maximum_dwell: str | None,
-    mode: int | None,
-    chatter: int | None,
-) -> dict[str, Any]:
-    """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
-    from deadtime.problems.asked import one_or_all, signals_of
-
-    times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
-    if mode is not None or dwell_time is not None:
-        found = signals_of(problem, problem.signal, *times, chatter).options
-        return found if mode is None else found | {"mode": mode}
-    found = {} if problem.constraint is None else problem.constraint.options
-    if not isinstance(found.get("dwell_time"), tuple):
-        found.pop("dwell_time", None)  # one for all modes says nothing of their proportions
-    if times[1] is not None:
-        found["maximum_dwell"] = one_or_all(times[1])
-    average = problem.average_dwell_time
-    if chatter is None and average is not None:
-        chatter = average[1]
-    if chatter is not None:
-        found["chatter"] = chatter
-    return found
 
 
 def _recorded(asked: Signals) -> dict[str, object]:
