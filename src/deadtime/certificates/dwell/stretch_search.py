@@ -82,7 +82,8 @@ class StretchSearch:
         if setting.axes is not None or (graph.modes == 1 and not graph.losses):
             return False
         if graph.bucket is not None:
-            return setting.order <= whole(setting) and graph.at_any_level <= MOST_STEPS
+            steps = len(setting.F) * graph.modes * graph.places
+            return setting.order <= whole(setting) and steps <= MOST_STEPS
         if graph.lag > graph.first or (graph.lag and _unknown(setting)):
             return False  # at a node it would matter what was before
         d, most = setting.order, whole(setting)

@@ -199,13 +199,6 @@ class Transitions:
         each = zip(self.clocks, self.following, strict=True)
         return sum(len(after) * (clock.last - clock.first + 1) for clock, after in each)
 
-    @property
-    def at_any_level(self) -> int:
-        """How many steps there are that differ in more than the level of a bucket."""
-        return sum(
-            1 + len(after) for i, after in enumerate(self.following) for _ in self._told(i, 0)
-        )
-
     def knots_of(self, mode: int, knots: tuple[int, ...]) -> tuple[int, ...]:
         """Those of some ages that a mode comes to."""
         return tuple(age for age in knots if age <= self.clocks[mode].last)
@@ -344,10 +337,9 @@ class Transitions:
         stretches = []
         if self.bucket is not None:  # a node for each mode, whatever the level
             full = ((i, clock.last) for i, clock in enumerate(self.clocks))
-            each = [
-                step for at in full for told in self._told(*at) for step in self._steps(*at, *told)
-            ]
-            return [Stretch(0, 0, replace(step, age=0, next_age=0), 0, 0) for step in each]
+            told = ((*at, *one) for at in full for one in self._told(*at))
+            steps = (step for at in told for step in self._steps(*at))
+            return [Stretch(0, 0, replace(step, age=0, next_age=0), 0, 0) for step in steps]
         if self.losses:  # every age is a knot, and every stretch a period
             each = self.all(tuple(range(self.last + 1)))
             return [Stretch(step.age, 0, step, 0, step.next_age) for step in each]

@@ -217,7 +217,8 @@ def _stretches(evidence: StretchEvidence) -> str:
     if graph.bucket is not None:
         if knots != (0,):
             return "knots are not 0 alone, as an average dwell time has them"
-        return "there are too many rows" if graph.at_any_level > MOST_STRETCHES else ""
+        many = len(setting.F) * graph.modes * graph.places > MOST_STRETCHES
+        return "there are too many rows" if many else ""
     if evidence.mu != 1.0:
         return "mu is not 1, without an average dwell time"
     if setting.mode_lag > knots[0]:
