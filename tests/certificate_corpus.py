@@ -132,6 +132,12 @@ def through(gain=0.1):
     return plant, dt.DelayedStateFeedback(plant, gains, allow_unstable=True)
 
 
+def aged_pair():
+    """Modes that turn differently, under rows by mode and age."""
+    plant = dt.SwitchedSystem(TURNS[[0, 2]], [[[0.3], [0.0]], [[0.2], [0.1]]], 0.1)
+    return plant, dt.AveragedPredictor(plant, np.full((2, 1, 2), -0.02), dwell_time=0.4)
+
+
 OF_INPUTS = [0.15, 0.234]  # s
 
 
@@ -178,6 +184,8 @@ CASES: dict[str, Case] = {
         *(0.1634, 0.1, {"maximum_dwell": 0.5}),
     ),
     "average-free": (lambda: free(ellipses(4.0, 0.8)), 4.0, 0.1, {"chatter": 2}),
+    "average-turning": (lambda: free(TURNS[[0, 2]]), 6.0, 0.1, {"chatter": 3}),
+    "average-aged": (lambda: aged_pair(), 9.0, 0.1, {"chatter": 2}),
     "average": (lambda: designed(PAPER.apart(0.6)), 0.2, 0.1, {"chatter": 3}),
     "average-dwell": (lambda: of("averaged, dwell-aware"), 0.3, 0.1, {"chatter": 2}),
     "range": (lambda: (MILD, DELAYED), 0.3, 0.1, {"delays": (0.2, 0.29)}),

@@ -69,6 +69,7 @@ def without(key):
 
 
 AGED, AVERAGE, LONGEST = "every-age", "average-free", "maximum-free"
+JUMPS = "average-turning"
 FAR, PAIR, PIECES = "paper-far", "rate", "stretches-every-age"
 FREER = [[0, 1, 1], [1, 0, 0], [1, 1, 0]]  # all but one
 DWELL, UNTIL = "stretches-dwell", "stretches-maximum-free"
@@ -93,6 +94,12 @@ FALSE = [
     ("maximum", put("signals.maximum_dwell", None)),
     *((AVERAGE, put("signals.chatter", count)) for count in (10**400, 10**9)),
     (AVERAGE, put("signals.chatter", 6)),
+    *((JUMPS, put("lyapunov.mu", lambda mu, part=part: part * mu)) for part in (0.9, 1.5)),
+    (JUMPS, put("lyapunov.mu", 1.0)),
+    (JUMPS, put("lyapunov.knots", [1])),
+    *((JUMPS, put("signals.dwell_time", average)) for average in (5.0, 1.0)),
+    *((JUMPS, put("rho", 0.99)), (JUMPS, put("decay_rate", 1.0))),
+    (JUMPS, entries("lyapunov.P", lambda P: P[::-1])),
     (AVERAGE, put("signals.dwell_time", 2.0)),
     (AVERAGE, put("signals.dwell_time", 0.5)),
     *((name, put("rho", lambda rho: 0.97 * rho)) for name in (PAIR, AGED, LONGEST, PIECES, UNTIL)),
@@ -244,6 +251,8 @@ MALFORMED = [
     *((FAR, put("lyapunov.knots", knots)) for knots in ([1, 0], [0, 0], [0], [0, 1.5], [1, 2], 0)),
     (PIECES, put("lyapunov.knots", [-1, 2])),
     *((PAIR, put("signals.chatter", chatter)) for chatter in (0, True, 1.5, -1)),
+    *((JUMPS, put("lyapunov.mu", mu)) for mu in (0.99, None, True, "2", 1e101, HUGE)),
+    *((JUMPS, put("signals.chatter", 1)), (PIECES, put("lyapunov.mu", 1.0))),
     (LONGEST, put("signals.chatter", 2)),
     (LONGEST, put("signals.maximum_dwell", 0.5)),
     *((LONGEST, put("signals.maximum_dwell", T)) for T in (math.inf, math.nan, HUGE, "9")),

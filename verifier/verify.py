@@ -45,6 +45,9 @@ implies the others, as it does for V ≻ 0.
 **Rounding.** P, Ψ, S, F, G, ρ are exact; V and up to order 16 its leading minors are rational.
 A, B, delays, the period are balls of half a unit in the last place; ages come from quotients of
 decimals. All else is in Arb's balls at 160 bits: a comparison is true only if it is for all of one.
+
+**An average dwell time**, "stretches": over a period V falls by ρ² μ^(−1/r), times μ where it
+switches. Of k periods at most N₀ + k/r do: together V falls by ρ^(2k) μ^N₀.
 """
 
 import argparse
@@ -175,9 +178,12 @@ def certificate(content):
     fits = all(c.follow[i] or c.maximum[i] is None or c.modes == 1 for i in range(c.modes))
     need(fits, "transitions lead nowhere from a mode that has to be left")
     c.linear = lyapunov["kind"] == "linear"
-    kind, knots, P, *rest = take(lyapunov, "lyapunov", "kind knots P" + " Psi S" * c.linear)
-    fits = c.linear or (kind == "stretches" and c.chatter == 1)
-    need(fits, "lyapunov.kind is neither 'linear' nor 'stretches' with chatter 1")
+    c.averaged = not c.linear and c.chatter > 1 and c.modes > 1
+    keys = "kind knots P" + " Psi S" * c.linear + " mu" * c.averaged
+    kind, knots, P, *rest = take(lyapunov, "lyapunov", keys)
+    need(c.linear or kind == "stretches", "lyapunov.kind is neither 'linear' nor 'stretches'")
+    c.mu = real(rest[0], "mu") if c.averaged else 1.0
+    need(1 <= c.mu <= 1e100, "mu is not in 1 to 1e100")
     c.knots = [whole(k, "knots", 0) for k in knots]
     fits = c.knots and c.knots == sorted(set(c.knots)) and c.knots[0] * c.linear == 0
     need(fits, "knots do not ascend, or not from 0 where they have to")
@@ -799,6 +805,15 @@ def steps_from(loop, i, ages):
                 prove(loop, f"the switch {i} to {j}{at}", here, there, row, (i, j), a)
 
 
+def averaged(loop):
+    need(loop.c.knots == [0], "knots are not 0 alone, as an average dwell time has them")
+    mu, r = arb(loop.c.mu), fraction(loop.shortest[0])
+    for i in loop.modes:
+        for (row, lost, then), j in itertools.product(loop.told(i, 0), {i} | loop.c.follow[i]):
+            V, scale = (loop.V(i, 0, lost), loop.V(j, 0, then)), mu ** ((j != i) - 1 / r)
+            prove(loop, f"mode {i}, then {j}", *V, row, (i, j), scale=scale)
+
+
 def stretches(loop):
     knots, c, highest = loop.c.knots, loop.c, max(loop.last)
     need(knots[-1] <= highest, f"the last knot is past the last age, {highest}")
@@ -832,9 +847,10 @@ def stretches_from(loop, i, start, end):
             prove(loop, name, V(i, start), V(i, min(end, last)), row, (i, i), a, L, before)
 
 
-def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=None):
+def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=None, scale=1):
     """Inequality (1) of a link from V to W, for all parameters; None stands for I."""
-    n, d, k, g, (Y, U) = loop.n, loop.d, loop.k, arb(loop.c.rho) ** (2 * periods), loop.table(row)
+    n, d, k, (Y, U) = loop.n, loop.d, loop.k, loop.table(row)
+    g = arb(loop.c.rho) ** (2 * periods) * scale
     Y, U = (Y * before, U * before) if before is not None else (Y, U)
     W = after.transpose() * W * after if after is not None else W
     a, b, c = part(W, 0, n, 0, n), part(W, n, d, 0, n), part(W, n, d, n, d)
@@ -920,7 +936,8 @@ def main():
             c = certificate(content)
             about = f": {summary(c)}; sha256 {digest[:16]}"
             need(arb(c.rate) * ball(c.step) <= -arb(c.rho).log(), "decay_rate is above −ln ρ/h")
-            (linear if c.linear else stretches)(Loop(c, start + arguments.limit))
+            kind = averaged if c.averaged else linear if c.linear else stretches
+            kind(Loop(c, start + arguments.limit))
         except Exception as error:  # whatever a foreign file brings about
             code, verdict = (1, "NOT PROVED: ") if c else (2, "UNREADABLE: ")
             verdict += f"{error}" if type(error) is ValueError else repr(error)

@@ -30,7 +30,7 @@ class Sampled:
         self.law, self.signals = content["law"], content["signals"]
         V, plant = content["lyapunov"], content["plant"]
         self.knots, self.linear = V["knots"], V["kind"] == "linear"
-        self.rho = content["rho"]
+        self.rho, self.mu = content["rho"], V.get("mu")
         self.P = forgeries.unpacked(V["P"])
         if self.linear:
             self.Psi, self.S = (forgeries.unpacked(V[name]) for name in ("Psi", "S"))
@@ -105,6 +105,9 @@ class Sampled:
 
     def walks(self, count, rng):
         """(before, after, M, periods): steps, or for few knots the stretches between them."""
+        if self.mu is not None:
+            yield from self.jumps(count, rng)
+            return
         once = self.signals["chatter"] == 1
         first = self.knots[0] if not self.linear else 0
         starts = [(i, a) for i in range(self.modes) for a in range(self.ages(i)[1] + 1)]
@@ -130,6 +133,18 @@ class Sampled:
                 if self.linear or following in self.knots:
                     yield (i, start), (i, following), M, age - start + 1
                     break
+
+    def jumps(self, count, rng):
+        """Steps of one V per mode, with what it may rise by at a switch taken from the matrix."""
+        per_switch = self.signals["dwell_time"] * (1.0 - self.signals["clock_tolerance"])
+        lasting = self.mu ** (0.5 * self.law["step"] / per_switch)
+        for loop, i, age in itertools.product(
+            self.loops, range(self.modes), range(self.law["ages"])
+        ):
+            yield (i, 0), (i, 0), self.step(loop, i, age) * lasting, 1
+            for j, s in itertools.product(self.after(i), self.instants(i, age, count, rng)):
+                M = self.step(loop, i, age, j, s) * lasting / self.mu**0.5
+                yield (i, 0), (j, 0), M, 1
 
     def least(self, count=1, seed=0):
         """The least eigenvalue of V − MᵀV₊M/ρ^(2L) along them all, scaled to a diagonal of 1."""
@@ -158,6 +173,8 @@ def test_the_inequality_of_every_step_holds_at_sampled_instants(name):
         ("stretches-maximum-free", forgeries.put("signals.maximum_dwell", 6.0)),
         ("paper-far", forgeries.entries("law.F", forgeries.scaled((0, 0, 0), 1.02))),
         ("range", forgeries.put("rho", lambda rho: 0.97 * rho)),
+        ("average-turning", forgeries.put("lyapunov.mu", lambda mu: 0.5 * mu)),
+        ("average-turning", forgeries.put("signals.dwell_time", 4.0)),
         ("ways", forgeries.put("signals.dwell_time", [0.3, 0.31, 0.3])),
         *(
             (name, forgeries.put("signals.transitions", forgeries.FREER))

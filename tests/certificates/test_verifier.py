@@ -58,7 +58,7 @@ BOXES = [f for f in FILES if f.stem in ("ranges-inputs", "ranges-one", "ranges-p
 # One of every kind of plant, law, signals and period.
 KINDS = (
     *("alike", "average", "averaged-dwell", "delayed", "delays-both", "ellipsoid", "every-age"),
-    "expected",
+    *("average-turning", "expected"),
     *("free-rate-0", "generic-averaged", "late-delays", "late-mode", "maximum", "mean", "one-mode"),
     *("lost-observed", "lost-tracking", "polytope", "range", "ranges-modes", "rate", "short-delay"),
     *("stretches-generic", "stretches-late", "stretches-ways", "tolerant", "ways", "ways-late"),

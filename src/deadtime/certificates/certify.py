@@ -47,7 +47,8 @@ from deadtime.spectrum import GROWS, aged_row, constant_growth, with_memory
 from deadtime.switching.constraint import PerMode as Times
 
 LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
-REMEMBERED_LEVELS = (Level(0), None, Level(2), Level(4))  # filters of left eigenvectors are rounded
+# Where filters of left eigenvectors are rounded, or the levels of a bucket are many.
+EARLY_LEVELS = (Level(0), None, Level(2), Level(4))
 AGE_LEVELS = (Level(0), None, Level(2, 3))  # where the rows change with the age, V must, too
 FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
@@ -301,13 +302,14 @@ def _rate(rho: float, setting: Setting) -> str:
 def _levels(setting: Setting) -> list[Level | None]:
     """What to try, quickest first; None: along stretches."""
     remembers = setting.memory or setting.lost_samples
-    levels: tuple[Level | None, ...] = REMEMBERED_LEVELS if remembers else LEVELS
+    early = remembers or setting.chatter > 1
+    levels: tuple[Level | None, ...] = EARLY_LEVELS if early else LEVELS
     if setting.context == "mode_age":
         last = setting.transitions.last
         every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
         levels = AGE_LEVELS + every
     along = StretchSearch.suits(setting)
-    if along and setting.order <= whole(setting):  # V of the others would be found there
+    if along and setting.order <= whole(setting) and setting.chatter == 1:  # V of others is there
         quick = setting.inputs and not remembers
         levels = (*levels[: levels.index(None)], None) if quick else (None,)
     many = setting.order > LARGE or setting.family.ranges or setting.lost_samples

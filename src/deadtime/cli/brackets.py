@@ -79,6 +79,11 @@ def longest_mode_lags(
     from deadtime.margins import longest_mode_lag
     from deadtime.reports.tables.certificates import left_out
 
+    if asked.chatter > 1:
+        raise ArgumentError(
+            "--longest-mode-lag is asked of a dwell time, not of an average one: give "
+            "--dwell-time and --chatter 1."
+        )
     names, brackets = list(problem.laws) if law is None else [law], dict[str, Bracket]()
     laws = [problem.law(name) for name in names]
     with progress_bar(len(names), quiet=json_output) as advance:
@@ -118,6 +123,11 @@ def _limits(signals: Mapping[str, Any]) -> list[str]:
         found.append(f"Dwell times of the modes stay in proportion to {times} s.")
     elif signals.get("mode") is not None:
         found.append(f"The dwell time of mode {signals['mode']} moves; the others stay.")
+    if signals.get("chatter", 1) > 1:
+        found.append(
+            f"Dwell times τ are averages: {signals['chatter']} + T/τ switches in any T seconds at "
+            "most, one in a period."
+        )
     if signals.get("maximum_dwell") is not None:
         found.append("No sojourn is longer than the maximum dwell time of its mode.")
     if signals.get("transitions") is not None:

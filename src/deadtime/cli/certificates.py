@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
+from deadtime.cli.asked_signals import (
+    delays_from,
+    kept_by_search,
+    signals_and_step,
+    times_from,
+    with_step,
+)
 from deadtime.cli.brackets import about, for_json, least_dwell_times, longest_mode_lags
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
-from deadtime.cli.problems import numbers_of, problem_of
+from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
     from deadtime.certificates import Verification
@@ -31,6 +38,7 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml --law expected --mode-lag 3",
         "deadtime certify problem.toml --law expected --longest-mode-lag",
         "deadtime certify problem.toml --lost-samples 2",
+        "deadtime certify problem.toml --law averaged --dwell-time 2 --chatter 3",
         "deadtime certify identified.toml --uncertain",
     ),
 )
@@ -40,6 +48,7 @@ def certify(
     law: str | None = None,
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
+    chatter: int | None = None,
     step: float | None = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
@@ -64,11 +73,15 @@ def certify(
         One law of the problem, by its name; all by default.
     dwell_time
         Dwell time in seconds, or one per mode with commas between them, such as 0.2,0.5,0.1; by
-        default what the problem promises, else that of its signal, in whole periods.
+        default what the problem promises, else that of its signal, in whole periods. With a chatter
+        above 1 it is an average dwell time.
     maximum_dwell
         Longest sojourn in seconds, or one per mode, inf for none; what the problem promises by
         default. Which mode may follow which is said by the problem: in its [signal], else by the
         zeros of its [switching].
+    chatter
+        N: any T seconds may hold N + T/τ switches, one in a period at most, τ the dwell time; 1 for
+        a dwell time of every sojourn. That of the problem's average dwell time by default, else 1.
     step
         Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     decay_rate
@@ -102,7 +115,7 @@ def certify(
     from deadtime.certificates.certificate import require_json
     from deadtime.reports.tables.certificates import certificate_record, judge
 
-    chosen = _with_step(problem_of(problem), step)
+    chosen = with_step(problem_of(problem), step)
     if least_dwell_time:
         one = dwell_time is not None and "," not in dwell_time and mode is None
         given = uncertain or any(option is not None for option in (decay_rate, delays, out))
@@ -112,7 +125,7 @@ def certify(
                 "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
-        signals = _kept(chosen, dwell_time, maximum_dwell, mode)
+        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter)
         return least_dwell_times(chosen, law, signals, json_output)
     if mode is not None:
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
@@ -123,7 +136,7 @@ def certify(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
-    asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
+    asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
     if longest_mode_lag:
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
@@ -131,7 +144,7 @@ def certify(
         require_json("--out", out)  # before the search, which may take minutes
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
-        ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))
+        ranges = None if delays is None else (delays_from(delays[0]), delays_from(delays[1]))
         judged = judge(
             chosen,
             step=period,
@@ -175,6 +188,7 @@ def verify(
     law: str | None = None,
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
+    chatter: int | None = None,
     step: float | None = None,
     mode_lag: int | None = None,
     lost_samples: int | None = None,
@@ -199,6 +213,8 @@ def verify(
         default that of `certify` for the problem.
     maximum_dwell
         The longest sojourns that it must cover; with a problem as `certify` takes them.
+    chatter
+        The chatter of an average dwell time that it must cover; with a problem as `certify` has it.
     step
         The sampling period in seconds that it must have; by default that of the problem.
     mode_lag
@@ -221,20 +237,21 @@ def verify(
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
         if uncertain:
             raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
-        times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
+        times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
         least, most = (one_or_all(one) for one in times)
         result = check(
             certificate,
             dwell_time=least,
             maximum_dwell=most,
+            chatter=chatter,
             step=step,
             mode_lag=mode_lag,
             lost_samples=lost_samples,
         )
     else:
-        chosen = _with_step(problem_of(problem), step)
+        chosen = with_step(problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
+        asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
         dwell = asked.dwell.value
         only = None if law is None else laws[law]
         late = {"mode_lag": mode_lag or 0, "lost_samples": lost_samples}
@@ -243,6 +260,7 @@ def verify(
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
+            matches |= {"chatter": asked.chatter} if asked.chatter > 1 else {}
         elif result.proven:
             why = "Rejected: the certificate is about a table of none of the problem's laws."
             result = replace(result, proven=False, message=why)
@@ -253,72 +271,14 @@ def verify(
     else:
         _print_verification(result)
         if matches is not None:
+            of = matches.get("chatter", 1)
+            with_chatter = f" on average (chatter {of})" if of > 1 else ""
             print(
                 f"Matches {matches['problem']}: its plant, period {matches['step']:g} s, dwell "
-                f"time {matches['dwell_time']:g} s, and its law {' = '.join(matches['laws'])}."
+                f"time {matches['dwell_time']:g} s{with_chatter}, and its law "
+                f"{' = '.join(matches['laws'])}."
             )
     return 0 if result.proven else 1
-
-
-def _with_step(problem: Problem, step: float | None) -> Problem:
-    from deadtime.base.checks import positive
-
-    return problem if step is None else replace(problem, step=positive("step", step))
-
-
-def _delays(text: str) -> float | list[float] | list[list[float]]:
-    """Delays as a problem file writes them: a number, or lists in brackets."""
-    import json
-
-    try:
-        value = json.loads(text)
-    except ValueError:
-        value = None
-    if isinstance(value, bool) or not isinstance(value, (int, float, list)):
-        raise ArgumentError(
-            f"--delays must be two numbers, or two lists such as [0.3,0.1], got {text!r}: leave "
-            "out spaces, or quote each list."
-        )
-    return value
-
-
-def _times(name: str, text: str | None) -> list[float] | None:
-    """Seconds with commas between them."""
-    return None if text is None else numbers_of(name, text)
-
-
-def _signals_and_step(
-    problem: Problem, dwell_time: str | None, maximum_dwell: str | None
-) -> tuple[Signals, float]:
-    """The signals and the period, in seconds, that a problem asks about."""
-    from deadtime.problems.asked import signals_of, step_of
-
-    if dwell_time is None and problem.dwell_time is None and problem.switching is not None:
-        raise ArgumentError(
-            f"the problem {problem.name!r} has a model of its switching, which promises no dwell "
-            "time, and no [signal] that does: the shortest sojourn of one drawn signal says "
-            "nothing of others. Give --dwell-time."
-        )
-    times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
-    return signals_of(problem, problem.signal, *times), step_of(problem)
-
-
-def _kept(
-    problem: Problem, dwell_time: str | None, maximum_dwell: str | None, mode: int | None
-) -> dict[str, Any]:
-    """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
-    from deadtime.problems.asked import one_or_all, signals_of
-
-    times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
-    if mode is not None or dwell_time is not None:
-        found = signals_of(problem, problem.signal, *times).options
-        return found if mode is None else found | {"mode": mode}
-    found = {} if problem.constraint is None else problem.constraint.options
-    if not isinstance(found.get("dwell_time"), tuple):
-        found.pop("dwell_time", None)  # one for all modes says nothing of their proportions
-    if times[1] is not None:
-        found["maximum_dwell"] = one_or_all(times[1])
-    return found
 
 
 def _recorded(asked: Signals) -> dict[str, object]:
@@ -372,7 +332,7 @@ def _print_judged(
     console, (step, lag, lost) = Terminal(), sampled
     late = f"; laws are told the mode {number_of(lag, 'period')} late" if lag else ""
     late += f"; up to {number_of(lost, 'sample')} in a row may be lost" if lost else ""
-    stays, switches = asked.constraint.in_words()
+    stays, switches = asked.in_words()
     console.print(problem.title, style="bold", markup=False)
     console.print(
         f"Every signal that {stays} ({asked.dwell.source}), {switches}; "

@@ -247,7 +247,8 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Se
     from deadtime.switching.models.sojourns import ShiftedExponential
 
     if _is_limited(problem):
-        asked = [sojourn.dwell.value] if sojourn.dwell.source == AS_ASKED else None
+        averaged = problem.average_dwell_time is not None  # whose own is no shortest sojourn
+        asked = [sojourn.dwell.value] if averaged or sojourn.dwell.source == AS_ASKED else None
         allowed = signals_of(problem, problem.signal, asked).constraint
         mean = problem.mean_sojourn if mean_sojourn is None else mean_sojourn
         short = mean is not None and mean <= max(allowed.dwell_time)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import index
+from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
 
@@ -28,6 +28,8 @@ class DwellShape:
         The longest sojourns, the switches, and the dwell times that are fixed.
     mode : int or None
         The mode that moves alone.
+    chatter : int
+        Above 1, T is an average dwell time; then one for all modes.
 
     Examples
     --------
@@ -41,6 +43,7 @@ class DwellShape:
     weights: tuple[float, ...]
     limits: SwitchingConstraint
     mode: int | None = None
+    chatter: int = 1
 
     @classmethod
     def of(
@@ -50,13 +53,20 @@ class DwellShape:
         maximum_dwell: PerMode | None = None,
         transitions: ArrayLike | None = None,
         mode: int | None = None,
+        chatter: int = 1,
     ) -> DwellShape:
         """From the arguments of `least_dwell_time`."""
         limits = SwitchingConstraint.of(modes, dwell_time, maximum_dwell, transitions)
+        several = mode is not None or len(set(limits.dwell_time)) > 1
+        if count("chatter", chatter) > 1 and (several or len(limits.lasting) < modes):
+            raise ArgumentError(
+                "chatter above 1 asks about one average dwell time for all modes: leave out mode, "
+                "maximum_dwell and dwell times of their own."
+            )
         if mode is None:
             least = min(limits.dwell_time)
             each = (time / least if least else 1.0 for time in limits.dwell_time)
-            return cls(tuple(each), limits)
+            return cls(tuple(each), limits, None, chatter)
         mode = index("mode", mode, modes)
         if dwell_time is None:
             raise ArgumentError(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -88,6 +88,7 @@ def least_dwell_time(
     maximum_dwell: PerMode | None = None,
     transitions: ArrayLike | None = None,
     mode: int | None = None,
+    chatter: int = 1,
 ) -> LeastDwellTime:
     """Bracket the least dwell time with which a loop is stable under every admissible signal.
 
@@ -112,6 +113,9 @@ def least_dwell_time(
         Whether the signal may switch from mode i (row) to mode j (column); all by default.
     mode : int, optional
         Search the dwell time of this mode alone; the others keep theirs of `dwell_time`.
+    chatter : int
+        N₀: above 1 the least *average* dwell time τ_a is sought, with N₀ + T/τ_a switches in any
+        T s at most, one in a period. Signals that keep τ_a in every sojourn refute it.
 
     Raises
     ------
@@ -153,7 +157,7 @@ def least_dwell_time(
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")
-    shape = DwellShape.of(plant.modes, dwell_time, maximum_dwell, transitions, mode)
+    shape = DwellShape.of(plant.modes, dwell_time, maximum_dwell, transitions, mode, chatter)
     shortest = SHORTEST * step
     if shape.longest <= shortest:
         raise ArgumentError(
@@ -186,7 +190,7 @@ def _searched(
     if grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    most = min(shape.longest, LAID_OUT * step / max(shape.weights))
+    most = min(shape.longest, LAID_OUT * step / max(shape.weights) / shape.chatter)
     first = min(_calm(step, slowest) if rates else 0.5 * most, most)
     longest = _certified_dwell_time(questions, first, most)
     if longest is None:
@@ -201,7 +205,8 @@ def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) 
 
     @cache
     def proof(frequency: float) -> Certificate:
-        options = shape.signals(1.0 / frequency).options
+        options: dict[str, Any] = shape.signals(1.0 / frequency).options
+        options["chatter"] = shape.chatter
         return certify(plant, law, step=step, decay_rate=0.0, search_signals=False, **options)
 
     known: list[WorstCase] = []
@@ -255,7 +260,7 @@ def _without_proof(questions: Questions, worst: WorstCase, shape: DwellShape) ->
 def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> LeastDwellTime:
     certified, refuted = 1.0 / found.certified, None
     proved = _each(certified, shape, up=True)
-    text = f"Proved stable for every signal with a {_of(shape)} of {proved} s or more"
+    text = f"Proved stable for every signal with {_of(shape, 'a')} of {proved} s or more"
     if found.witness is not None:
         refuted = shape.admits(found.witness)
         text += f"; with {_each(refuted, shape)} s a growing signal is known."
@@ -279,11 +284,14 @@ def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> Leas
     )
 
 
-def _of(shape: DwellShape) -> str:
+def _of(shape: DwellShape, article: str = "") -> str:
     """What moves, in words."""
+    if shape.chatter > 1:
+        return f"{article and article + 'n '}average dwell time"
+    article = article and article + " "
     if shape.mode is not None:
-        return f"dwell time in mode {shape.mode}"
-    return "dwell time" if shape.alike else "dwell time in each mode"
+        return f"{article}dwell time in mode {shape.mode}"
+    return f"{article}dwell time" + ("" if shape.alike else " in each mode")
 
 
 def _each(time: float, shape: DwellShape, *, up: bool = False) -> str:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from deadtime.base.checks import number
+from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
 from deadtime.switching import Rule, SemiMarkov, SwitchingSignal
@@ -30,15 +30,33 @@ class Given(NamedTuple):
 
 
 class Signals(NamedTuple):
-    """The signals that a problem is asked about; `dwell` is the shortest dwell time of a mode."""
+    """The signals that a problem is asked about; `dwell` is the shortest dwell time of a mode.
+
+    With a `chatter` N₀ above 1 it is an average dwell time: N₀ + T/τ_a switches in any T seconds.
+    """
 
     dwell: Given
     constraint: SwitchingConstraint
+    chatter: int = 1
 
     @property
     def options(self) -> dict[str, Any]:
-        """What `certify` and `falsify` take of them; nothing where there is no limit."""
-        return self.constraint.options
+        """What `certify` and `verify` take of them; nothing where there is no limit."""
+        return self.constraint.options | ({"chatter": self.chatter} if self.chatter > 1 else {})
+
+    def in_words(self) -> tuple[str, str]:
+        """What signals do, after "that": how long they stay or how often they switch, and how.
+
+        Examples
+        --------
+        >>> Signals(Given(2.5, AS_ASKED), SwitchingConstraint.of(2, 2.5), 3).in_words()[0]
+        'switches at most 3 + T/(2.5 s) times in any T seconds'
+        """
+        stays, switches = self.constraint.in_words()
+        if self.chatter == 1:
+            return stays, switches
+        often = f"switches at most {self.chatter} + T/({self.dwell.value:.4g} s) times in any T"
+        return f"{often} seconds", f"{switches}, once in a period at most"
 
 
 def step_of(problem: Problem) -> float:
@@ -82,7 +100,7 @@ def dwell_time_of(
     step = step_of(problem)
     periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
-    if problem.switching is not None:
+    if problem.switching is not None or problem.average_dwell_time is not None:
         return Given(dwell, "the shortest sojourn of the one signal drawn; others may have shorter")
     return Given(dwell, "the shortest sojourn of its signal")
 
@@ -92,11 +110,12 @@ def signals_of(
     signal: SwitchingSignal | Rule,
     dwell_time: Sequence[float] | None = None,
     maximum_dwell: Sequence[float] | None = None,
+    chatter: int | None = None,
 ) -> Signals:
     """The signals that a problem is about: its dwell time, and what else it promises of them.
 
     `dwell_time` and `maximum_dwell` are what somebody wanted instead, seconds: one, or one per
-    mode.
+    mode. With a `chatter` above 1, the problem's by default, `dwell_time` is an average one.
 
     Examples
     --------
@@ -105,7 +124,13 @@ def signals_of(
     >>> signals_of(problem, problem.signal, maximum_dwell=[1.5]).options
     {'dwell_time': 0.2, 'maximum_dwell': 1.5}
     """
-    given = dwell_time_of(problem, signal, min(dwell_time) if dwell_time else None)
+    average, wanted = problem.average_dwell_time, min(dwell_time) if dwell_time else None
+    if chatter is None:
+        chatter = 1 if average is None else average[1]
+    if wanted is None and average is not None:
+        given = Given(average[0], "the problem's average dwell time")
+    else:
+        given = dwell_time_of(problem, signal, wanted)
     own, modes = problem.constraint, problem.plant.modes
     least: object = dwell_time
     if least is None:
@@ -115,7 +140,8 @@ def signals_of(
     if most is None and own is not None and len(own.lasting) < modes:
         most = own.maximum_dwell
     ways = None if own is None else own.transitions
-    return Signals(given, SwitchingConstraint.of(modes, one_or_all(least), one_or_all(most), ways))
+    constraint = SwitchingConstraint.of(modes, one_or_all(least), one_or_all(most), ways)
+    return Signals(given, constraint, count("chatter", chatter))
 
 
 def one_or_all(values: Any) -> Any:

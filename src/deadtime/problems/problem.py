@@ -67,6 +67,9 @@ class Problem(Frozen):
     constraint : SwitchingConstraint or None
         All that its signals are promised: dwell times mode by mode, of which `dwell_time` is the
         shortest, longest sojourns, and the switches that are allowed; None: no more than that.
+    average_dwell_time : (float, int) or None
+        An average dwell time τ_a, seconds, and N₀: any T seconds hold N₀ + T/τ_a switches at most,
+        which certificates ask for; None where none is promised.
     mean_sojourn : float or None
         The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
     switching : Markov, SemiMarkov or None
@@ -113,6 +116,7 @@ class Problem(Frozen):
     constraint: SwitchingConstraint | None = None
     uncertain: UncertainPlant | None = None
     operating_point: OperatingPoint | None = None
+    average_dwell_time: tuple[float, int] | None = None
 
     def __post_init__(self) -> None:
         if not self.states:

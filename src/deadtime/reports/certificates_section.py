@@ -68,8 +68,8 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
     dwell, source = signals.dwell
     judged = judge(problem, step=step, progress=progress, **signals.options)
     sentences = [*left_out(problem), *certificate_sentences(judged)]
-    if not signals.constraint.is_plain:
-        stays, switches = signals.constraint.in_words()
+    if signals.chatter > 1 or not signals.constraint.is_plain:
+        stays, switches = signals.in_words()
         sentences.insert(0, f"Certificates are about every signal that {stays}, and {switches}.")
     figures = []
     reach = _tightness_figure(problem, dwell, step, progress)

@@ -39,9 +39,13 @@ class Leap:
         place = self.setting.transitions.place(step.after, step.next_lost)
         return place, self.stretch.next_knot
 
-    def in_units(self, rho: float, units: np.ndarray) -> np.ndarray:
-        """M in other units of ξ, divided by ρ to the number of periods."""
-        return units[:, None] * self.M / units * rho**-self.stretch.periods
+    def in_units(self, rho: float, units: np.ndarray, mu: float = 1.0) -> np.ndarray:
+        """M in other units of ξ, divided by ρ to the number of periods; V may rise by μ."""
+        factor = rho**-self.stretch.periods
+        periods = self.setting.periods_per_switch
+        if periods is not None:
+            factor *= mu ** (0.5 * float(1 / periods - self.stretch.step.switches))
+        return units[:, None] * self.M / units * factor
 
 
 class Leaps:

@@ -1,12 +1,15 @@
 """The search for evidence along stretches: matrices, program, directions, check.
 
 The nodes are few: the first age at which a mode may be left and the last that is told apart, two
-between them where the order is small. Where steps are not known (a range of delays, a polytope
-of plants, samples that may be lost) no stretch has one matrix, so every age is a node.
+between them where the order is small. Of an average dwell time there is one per mode, and the
+factor μ by which V may rise at a switch is tried at parts of what the slowest mode allows. Where
+steps are not known (a range of delays, a polytope of plants, samples that may be lost) no stretch
+has one matrix, so every age is a node.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +29,11 @@ ENOUGH = 0.05  # of the margin: what must be left in all directions
 PIECES = 3  # between the first and the last age, where the order is small
 AT_FIRST = 6  # ages per pair of modes and node that the program starts from
 WORST = 12  # leaps added in a round
+MOST_STEPS = 400  # of an average dwell time
 MOST_WORK = 4e8  # leaps times order³
 MOST_UNKNOWNS, MOST_AFTER_LOSSES = 1500, 2400
+MOST_RISE = 60.0  # ln μ
+RISES = (0.75, 0.93, 0.55, 0.97, 0.86, 0.35, 0.99, 0.998, 0.15)  # of ln μ that a held mode allows
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +53,8 @@ class Loops:
 def knots_of(setting: Setting) -> tuple[int, ...]:
     """The ages of the nodes."""
     graph = setting.transitions
+    if graph.bucket is not None:
+        return (0,)
     if _unknown(setting):
         return tuple(range(graph.last + 1))
     pieces = PIECES if setting.order <= whole(setting) else 1
@@ -71,10 +79,11 @@ class StretchSearch:
     def suits(setting: Setting) -> bool:
         """Whether there are stretches, and not too much of them."""
         graph = setting.transitions
-        if graph.bucket is not None or (graph.modes == 1 and not graph.losses):
+        if setting.axes is not None or (graph.modes == 1 and not graph.losses):
             return False
-        if setting.axes is not None:
-            return False
+        if graph.bucket is not None:
+            steps = len(setting.F) * graph.modes * graph.places
+            return setting.order <= whole(setting) and steps <= MOST_STEPS
         if graph.lag > graph.first or (graph.lag and _unknown(setting)):
             return False  # at a node it would matter what was before
         d, most = setting.order, whole(setting)
@@ -88,7 +97,25 @@ class StretchSearch:
 
     def propose(self, rho: float) -> StretchEvidence | None:
         """V at the nodes with a margin at all leaps known, or None."""
-        loops = self._loops(rho)
+        proposals = (self._propose(rho, mu) for mu in self._rises(rho))
+        return next((one for one in proposals if one is not None), None)
+
+    def _rises(self, rho: float) -> list[float]:
+        """What μ may be: 1, but with an average dwell time.
+
+        Held in a mode V has to fall by μ^{1/r}/ρ² in each period, so ln μ is below 2 r (ln ρ −
+        ln ρ_i), ρ_i the radius of the mode; and at that a mode that grows leaves none.
+        """
+        periods = self.setting.periods_per_switch
+        if periods is None:
+            return [1.0]
+        held = [leap.M for leap in self.known if leap.here[0] == leap.there[0]]
+        radius = max(float(np.abs(np.linalg.eigvals(M)).max()) for M in held)
+        most = 2.0 * float(periods) * math.log(rho / max(radius, 1e-9))
+        return [math.exp(part * min(most, MOST_RISE)) for part in RISES if most > 0.0]
+
+    def _propose(self, rho: float, mu: float) -> StretchEvidence | None:
+        loops = self._loops(rho, mu)
         if loops is None:
             return None
         looked = self._to_begin_with(loops)
@@ -99,7 +126,7 @@ class StretchSearch:
             margin, V = answer[0], loops.shape.values(answer[1])
             wanting = self._lacks_margin(loops, V, margin, looked)
             if not wanting:
-                return self._evidence(loops, V, rho)
+                return self._evidence(loops, V, rho, mu)
         return None
 
     def glance(self, rho: float) -> StretchEvidence | None:
@@ -112,20 +139,20 @@ class StretchSearch:
         for _ in range(REPAIRS):
             if outcome.proven or outcome.failed is None or not self._add(*outcome.failed):
                 break
-            again = self.propose(proposal.rho)
+            again = self._propose(proposal.rho, proposal.mu)
             if again is None:
                 return None, outcome
             proposal = again
             outcome = check(proposal)
         return proposal, outcome
 
-    def _loops(self, rho: float) -> Loops | None:
-        """The leaps at one ρ; None where a constant mode grows."""
+    def _loops(self, rho: float, mu: float) -> Loops | None:
+        """The leaps at one ρ and μ; None where a constant mode grows."""
         graph = self.setting.transitions
         lasts = [clock.last for clock in graph.clocks]
         periods = [self.leaps.full(i, last, last + 1) for i, last in enumerate(lasts)]
         units = balancing_units(periods)
-        leaps = [(leap.here, leap.there, leap.in_units(rho, units)) for leap in self.known]
+        leaps = [(leap.here, leap.there, leap.in_units(rho, units, mu)) for leap in self.known]
         lasting = [M for here, there, M in leaps if here == there]
         T = metric(lasting, leaps)
         back = np.linalg.inv(T)
@@ -138,7 +165,8 @@ class StretchSearch:
             for place in range(graph.places)
             for k in range(len(graph.knots_of(place % graph.modes, self.knots)))
         )
-        if _unknown(self.setting):
+        held = [here for here, there, _ in staying if here == there]
+        if _unknown(self.setting) or len(held) > len(set(held)):  # or several rows may act
             shape, moving = Shape.of(H, {}, {}, nodes), leaps
         else:
             loops = {here: M for here, there, M in staying if here == there}
@@ -176,13 +204,16 @@ class StretchSearch:
                 looked[k].widen(vectors)
         return bool(low)
 
-    def _evidence(self, loops: Loops, V: dict[Node, np.ndarray], rho: float) -> StretchEvidence:
+    def _evidence(
+        self, loops: Loops, V: dict[Node, np.ndarray], rho: float, mu: float
+    ) -> StretchEvidence:
         places, d = self.setting.transitions.places, self.setting.order
         P = np.zeros((places, len(self.knots), d, d))
         for (place, knot), X in sorted(V.items(), key=lambda item: item[0]):
             P[place, knot:] = loops.frame.T @ X @ loops.frame  # past a mode's last age it is unused
         P = P / np.trace(P[0, 0])
-        return StretchEvidence(self.setting, 0.5 * (P + np.swapaxes(P, -1, -2)), self.knots, rho)
+        P = 0.5 * (P + np.swapaxes(P, -1, -2))
+        return StretchEvidence(self.setting, P, self.knots, rho, mu)
 
     def _add(self, failed: Transition, instant: float) -> bool:
         """Look at a step at this instant, too; False if that is done already."""

@@ -43,7 +43,7 @@ KEYS = {
     "law": "context ages step F G mode_lag memory lost_samples",
     "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions",
 }
-LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P"}
+LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P mu"}
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,8 @@ def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
     """V, and what only this package's check of it uses."""
     if isinstance(evidence, StretchEvidence):
         V = {"kind": "stretches", "knots": evidence.knots, "P": _pack(evidence.P)}
-        return {"lyapunov": V, "hints": {}}
+        averaged = evidence.setting.transitions.bucket is not None
+        return {"lyapunov": V | ({"mu": evidence.mu} if averaged else {}), "hints": {}}
     centre = evidence.centre
     arrays = {"P": evidence.P, "Psi": centre.Psi, "S": evidence.S}
     hints = {name: _pack(getattr(centre, name)) for name in HINTS}
@@ -212,7 +213,9 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":
-        return StretchEvidence(setting, _array(V["P"]), knots, rho)
+        if ("mu" in V) != (setting.chatter > 1 and setting.A.shape[1] > 1):
+            raise ValueError("lyapunov.mu goes with an average dwell time, and only with it")
+        return StretchEvidence(setting, _array(V["P"]), knots, rho, _float(V.get("mu", 1.0)))
     hints = {name: _array(content["hints"][name]) for name in HINTS}
     centre = Centre(Psi=_array(V["Psi"]), **hints)
     Pi = _array(content["hints"]["Pi"])

@@ -25,6 +25,7 @@ then adding the two up gives V_{j,b}(ξ⁺) < ρ² V_{i,a}(ξ) along every admis
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.certificates.clock import CLOCK_TOLERANCE
 from deadtime.certificates.proof.box import Box, family_of
 from deadtime.certificates.proof.family import Delays, Family
+from deadtime.certificates.proof.sojourns import least_periods
 from deadtime.certificates.proof.transitions import (
     Following,
     PerMode,
@@ -135,6 +137,13 @@ class Setting(Frozen):
     def longest(self) -> tuple[float | None, ...]:
         """The longest sojourn in every mode, seconds; None for those without end."""
         return per_mode(self.maximum_dwell, self.A.shape[1])
+
+    @cached_property
+    def periods_per_switch(self) -> Fraction | None:
+        """r of an average dwell time: k periods have N₀ + k/r switches at most; else None."""
+        if self.transitions.bucket is None:
+            return None
+        return least_periods(self.shortest[0], self.step, self.clock_tolerance)
 
     @property
     def longest_delay(self) -> float:

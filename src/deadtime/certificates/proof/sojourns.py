@@ -17,6 +17,12 @@ def decimal(value: float) -> Fraction:
     return Fraction(repr(float(value)))
 
 
+def least_periods(dwell_time: float, step: float, tolerance: float) -> Fraction:
+    """r: how many periods a dwell time has by the controller's clock, at the least."""
+    part = (1 - decimal(tolerance)) * (1 - READINGS)
+    return part * decimal(dwell_time) / decimal(step)
+
+
 def shortest(dwell_time: float, step: float, tolerance: float) -> tuple[int, float]:
     """(the fewest full steps of a sojourn, the earliest s'/h there), rounded down.
 
@@ -27,8 +33,7 @@ def shortest(dwell_time: float, step: float, tolerance: float) -> tuple[int, flo
     >>> shortest(0.2, 0.1, 1e-5), shortest(0.25, 0.1, 1e-5)
     ((0, 0.9999799999999981), (1, 0.4999749999999977))
     """
-    part = (1 - decimal(tolerance)) * (1 - READINGS)
-    periods = part * decimal(dwell_time) / decimal(step)
+    periods = least_periods(dwell_time, step, tolerance)
     whole = math.floor(periods)
     return whole - 1, max(0.0, math.nextafter(float(periods - whole), 0.0))
 

@@ -118,7 +118,11 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
     when = "over a period"
-    if isinstance(evidence, StretchEvidence):
+    if isinstance(evidence, StretchEvidence) and setting.transitions.bucket is not None:
+        when = "over any number of periods"
+        falls = f"per period {falls}" if rate else falls
+        falls += f", but for one factor of at most {evidence.mu!r} to the power {setting.chatter}"
+    elif isinstance(evidence, StretchEvidence):
         ages = ", ".join(map(str, evidence.knots))
         when = f"from one node (a mode at one of the ages {ages}) to the next"
         falls = f"per period {falls}" if rate else falls
@@ -144,7 +148,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         kept = f" What decays does so where {_measured(setting)}."
     kind, parts = _how(evidence)
     how = (
-        f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
+        f"Proved by machine: a {kind}, of order {setting.order}, {parts}{cells} inequalities in "
         "ball arithmetic of 128 bits that cover every instant of a switch within a period: "
         f"{when} the Lyapunov function falls {falls}."
     )
@@ -186,6 +190,8 @@ def _measured(setting: Setting) -> str:
 
 def _how(evidence: Evidence | StretchEvidence) -> tuple[str, str]:
     """The kind of Lyapunov function, and what else was checked but inequalities in balls."""
+    if isinstance(evidence, StretchEvidence) and evidence.setting.transitions.bucket is not None:
+        return "Lyapunov function of the mode, which may rise at a switch", ""
     if isinstance(evidence, StretchEvidence):
         return "Lyapunov function of mode and age, followed along whole stretches of periods", ""
     split = "one factorisation with a rigorous error bound, and "

@@ -19,6 +19,13 @@ With M the product of the matrices of the L periods of a stretch, what is proved
 so V falls by ρ^{2L} from node to node. In between V is what it will be at the next node, nothing is
 lost: for a plant without input these are the inequalities e^{A_iᵀτ} P_j e^{A_iτ} ≺ P_i [Geromel and
 Colaneri, SIAM J. Control Optim. 45 (2006) 1915], at whole periods.
+
+Of an average dwell time the nodes are the modes, every stretch is one period, and V may rise at a
+switch [Hespanha and Morse, CDC 1999]. With r periods per switch on average what is proved is
+
+    P_i − Mᵀ P_i M μ^{1/r}/ρ² ≻ 0,    P_i − Mᵀ P_j M μ^{1/r − 1}/ρ² ≻ 0    where it switches.
+
+k periods with s ≤ N₀ + k/r switches multiply V by less than ρ^{2k} μ^{s − k/r} ≤ μ^{N₀} ρ^{2k}.
 """
 
 from __future__ import annotations
@@ -53,18 +60,24 @@ class StretchEvidence(Frozen):
         Ages of the nodes, ascending.
     rho : float
         ρ, the decay over a period.
+    mu : float
+        μ ≥ 1, by which V may rise at a switch, of an average dwell time; else 1.
     """
 
     setting: Setting
     P: Float[np.ndarray, "place knot order order"]
     knots: tuple[int, ...]
     rho: float
+    mu: float = 1.0
 
     def lyapunov(self, mode: int, age: int, lost: int = 0) -> Float[np.ndarray, "order order"]:
         """V_{mode,age}, in floats: what it will be at the next node if the mode lasts so long.
 
         Between nodes it may be singular, and need not fall over a period with a switch.
         """
+        place = self.setting.transitions.place(mode, lost)
+        if self.setting.transitions.bucket is not None:
+            return self.P[place, 0]
         knots = self.setting.transitions.knots_of(mode, self.knots)
         knot = bisect_left(knots, age)
         if age < self.setting.mode_lag:
@@ -80,7 +93,6 @@ class StretchEvidence(Frozen):
         with precision():
             ahead = StretchInequalities(self).full(mode, age, self.knots[knot])
         M, periods = balls.middle(ahead), self.knots[knot] - age
-        place = self.setting.transitions.place(mode, lost)
         return M.T @ self.P[place, knot] @ M / self.rho ** (2 * periods)
 
 
@@ -148,7 +160,7 @@ class StretchInequalities:
         place = self.setting.transitions.place
         here = balls.exact(P[place(step.mode, step.lost), stretch.knot])
         there = balls.exact(P[place(step.after, step.next_lost), stretch.next_knot])
-        there = there * self.rho ** (-2 * stretch.periods)
+        there = there * self.rho ** (-2 * stretch.periods) * self._rise(step)
         Q = after.transpose() * there * after
         seen, rest = period.seen * before, period.rest * before
         top = balls.top(Q, n)
@@ -156,6 +168,16 @@ class StretchInequalities:
         ww = balls.top(top.transpose(), n) * -1
         form = Form.of(vv, top * rest * -1, ww, balls.zeros(n, seen.nrows()), seen)
         return self.covering.holds(form, step, [])
+
+    def _rise(self, step: Transition) -> Any:
+        """μ to the power of 1/r, less 1 at a switch: what V may rise by is taken from its fall."""
+        from flint import arb, fmpq
+
+        periods = self.setting.periods_per_switch
+        if periods is None:
+            return arb(1)
+        power = 1 / periods - step.switches
+        return arb(self.evidence.mu) ** arb(fmpq(power.numerator, power.denominator))
 
     def full(self, mode: int, start: int, end: int) -> Any:
         """The product of the full steps from one age to another.

@@ -25,7 +25,7 @@ a mixed step leads to the modes that may follow, all others unless the class of 
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
 the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
 takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
-switch per period is not described.
+switch per period is not described. In `stretches` V may rise at a switch, and has no level.
 
 A law that is told the mode of L samples ago acts at (i, a) by (i, a − L) where a ≥ L. Else it goes
 by what was seen b = L − a samples before i was. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
@@ -320,10 +320,9 @@ class Transitions:
 
     def _steps(self, mode: int, age: int, row: int, lost: int, next_lost: int) -> list[Transition]:
         """A step without a switch, where the mode may last, and those with one."""
-        clock, steps = self.clocks[mode], []
+        clock, steps = self.clocks[mode], self.switches(mode, age, row)
         if age < clock.last or not clock.ends:
-            steps.append(Transition(mode, age, row, mode, min(age + 1, clock.last)))
-        steps += self.switches(mode, age, row)
+            steps = [Transition(mode, age, row, mode, min(age + 1, clock.last)), *steps]
         if not self.losses:
             return steps
         return [replace(step, lost=lost, next_lost=next_lost) for step in steps]
@@ -336,6 +335,11 @@ class Transitions:
     def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
         stretches = []
+        if self.bucket is not None:  # a node for each mode, whatever the level
+            full = ((i, clock.last) for i, clock in enumerate(self.clocks))
+            told = ((*at, *one) for at in full for one in self._told(*at))
+            steps = (step for at in told for step in self._steps(*at))
+            return [Stretch(0, 0, replace(step, age=0, next_age=0), 0, 0) for step in steps]
         if self.losses:  # every age is a knot, and every stretch a period
             each = self.all(tuple(range(self.last + 1)))
             return [Stretch(step.age, 0, step, 0, step.next_age) for step in each]

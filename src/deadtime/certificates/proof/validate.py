@@ -212,8 +212,15 @@ def _stretches(evidence: StretchEvidence) -> str:
         return sizes
     if not np.array_equal(evidence.P, np.swapaxes(evidence.P, -1, -2)):
         return "P is not symmetric"
+    if not (isinstance(evidence.mu, float) and 1.0 <= evidence.mu <= LARGEST):
+        return f"mu is not in [1, {LARGEST:g}]"
     if graph.bucket is not None:
-        return "an average dwell time has no stretches"
+        if knots != (0,):
+            return "knots are not 0 alone, as an average dwell time has them"
+        many = len(setting.F) * graph.modes * graph.places > MOST_STRETCHES
+        return "there are too many rows" if many else ""
+    if evidence.mu != 1.0:
+        return "mu is not 1, without an average dwell time"
     if setting.mode_lag > knots[0]:
         return f"knots must begin at the lag of the mode, {setting.mode_lag}, or later"
     if knots[0] > graph.first or knots[-1] > graph.last:

@@ -1,5 +1,9 @@
 """Cycles worth evaluating: from branch and bound and from random cycles, all of them climbed.
 
+Besides them short rings: two to four modes in turn, each at about its shortest sojourn, over one
+to five rounds, for their own length need be no whole number of periods. Where sojourns last between
+one period and two, no word on the grid is near them. They are evaluated on the loop itself.
+
 Switches fall on samples; for a law that knows the mode also right after samples, where it sees
 them a period late (`kinds`), which is often worse.
 """
@@ -10,7 +14,7 @@ import cmath
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, islice, product
 
 import numpy as np
 from jaxtyping import Int
@@ -18,6 +22,7 @@ from jaxtyping import Int
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.certificates.worst_case.instants import COARSE
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.products import Sojourns, compress
@@ -34,13 +39,22 @@ SLOWEST = 2000.0  # samples; slower motions do not make sojourns any longer
 TIGHT = 6  # cycles that are tried over the shortest length, too
 TURNS = 40  # cycles without a grid: how many sojourns at most
 WORDS = 30  # of modes, there
+RING = 4  # sojourns of a short ring, at most
+RINGS = 40  # of them
+ROUNDS = 5
+LONGEST = 60  # periods of all rounds together; a longer ring is near one on the grid
+PHASES = (0.0, 0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Cycles, the most promising first; see `WorstCase` for the rest."""
+    """Cycles, the most promising first, and short rings with their growth, the best first.
+
+    See `WorstCase` for the rest.
+    """
 
     cycles: list[Cycle]
+    rings: list[tuple[Cycle, Growth]]
     upper_estimate: float | None
     evaluated: int
 
@@ -49,9 +63,9 @@ def candidates(
     loop: SampledLoop, constants: list[tuple[Cycle, Growth]], signals: Admissible, budget: int
 ) -> Candidates:
     """Cycles that are worth evaluating; `constants` are the constant modes and their growth."""
-    lengths = _lengths(loop, constants, signals)
+    lengths, (rings, turned) = _lengths(loop, constants, signals), _rings(loop, signals)
     if lengths.size == 0:
-        return Candidates(list(_without_grid(signals)), None, 0)
+        return Candidates(list(_without_grid(signals)), rings, None, turned)
     step, modes = loop.step, loop.plant.modes
     known = [constants[mode][1].rate for mode in signals.lasting]
     floor = (max(known) - loop.shift) * step if known else -math.inf
@@ -75,7 +89,25 @@ def candidates(
     best = sorted(rates, key=lambda cycle: -rates[cycle])
     upper = None if searched.bound is None else loop.shift + searched.bound / step
     tried = [*_tight(best[:TIGHT], signals), *best]
-    return Candidates(tried, upper, searched.evaluated + climbing)
+    return Candidates(tried, rings, upper, searched.evaluated + climbing + turned)
+
+
+def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[tuple[Cycle, Growth]], int]:
+    """The short rings near the shortest sojourns, the best first; how many were looked at."""
+    words = chain.from_iterable(signals.cycles(count) for count in range(2, RING + 1))
+    rated: dict[Cycle, Growth | None] = {}
+    for word, rounds in product(islice(words, RINGS), range(1, ROUNDS + 1)):
+        modes = word * rounds
+        totals = signals.totals(modes)
+        if totals is None or totals[0] > LONGEST:
+            continue
+        gaps = tuple(signals.near(signals.least(modes), totals[0], modes).tolist())
+        for phase in PHASES:
+            cycle = Cycle(modes, gaps, phase).reduce()
+            if cycle not in rated:
+                rated[cycle] = loop.growth(cycle, COARSE)
+    known = [(cycle, growth) for cycle, growth in rated.items() if growth is not None]
+    return sorted(known, key=lambda pair: -pair[1].rate), len(rated)
 
 
 def _lengths(

@@ -138,7 +138,7 @@ def falsify(
     if signals.recurring:
         tried = candidates(loop, constants, signals, budget)
         floor = max((growth.rate for _, growth in known), default=-math.inf)
-        better, looked = improve(loop, signals, tried.cycles, floor)
+        better, looked = improve(loop, signals, tried.cycles, tried.rings, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
         known = [*known, *better]
     if lost_samples:

@@ -13,6 +13,7 @@ from deadtime.certificates.worst_case.loop import Growing, Growth, SampledLoop
 
 TRIED = 12  # cycles evaluated on the loop itself
 POLISHED = 3  # of them, cycles whose switches leave the grid
+RINGS = 3  # short rings improved besides
 SHORT = 20  # periods: in so short a cycle the offset matters much
 OFFSETS = (0.25, 0.5, 0.75)
 MOVES = 80  # cycles looked at to improve one, per sojourn
@@ -24,9 +25,13 @@ Rated = tuple[Cycle, Growth]
 
 
 def improve(
-    loop: SampledLoop, signals: Admissible, cycles: list[Cycle], floor: float
+    loop: SampledLoop,
+    signals: Admissible,
+    cycles: list[Cycle],
+    rings: list[Rated],
+    floor: float,
 ) -> tuple[list[Rated], int]:
-    """The cycles with their growth, the best of them improved off the grid.
+    """The cycles with their growth, the best of them and of the rings improved off the grid.
 
     `floor` is a growth rate, 1/s, that is known; little is spent on cycles below it.
     """
@@ -39,7 +44,11 @@ def improve(
             rated.append((cycle, growth))
     starts, more = _starts(rated, loop)
     evaluated += more
-    for cycle, growth in starts:
+    best: dict[tuple, Rated] = {}
+    for ring in rings:
+        best.setdefault(ring[0].modes, ring)
+    rated += rings[:RINGS]
+    for cycle, growth in [*starts, *list(best.values())[:RINGS]]:
         most, longest = MOVES * len(cycle.modes), math.inf
         if growth.rate < floor:  # it would grow longer and longer, towards the constant signal
             most, longest = most // 4, LONGER * cycle.periods

@@ -21,6 +21,7 @@ from deadtime.problems.file.laws import Laws, change_plant
 from deadtime.problems.file.observer import add_observers, names_of
 from deadtime.problems.file.servo import FileServo
 from deadtime.problems.file.switching import (
+    average_of,
     build_model,
     build_rule,
     build_signal,
@@ -91,6 +92,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         switching=model,
         dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
         constraint=promise,
+        average_dwell_time=average_of(file.signal),
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
         uncertain=_uncertain(file, plant),
         operating_point=_operating_point(file, plant),

@@ -89,6 +89,13 @@ def promise_of(
     return SwitchingConstraint.of(modes, *stated)
 
 
+def average_of(section: schema.Signal) -> tuple[float, int] | None:
+    """The average dwell time of [signal], seconds, and its chatter; None where there is none."""
+    if not isinstance(section, schema.RandomSignal) or section.average_dwell_time is None:
+        return None
+    return section.average_dwell_time, section.chatter
+
+
 def build_rule(section: schema.Signal) -> Rule | None:
     """The rule by which the state switches the mode, or None where a signal does."""
     match section:

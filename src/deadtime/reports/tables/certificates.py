@@ -79,6 +79,7 @@ def judge(
     transitions: ArrayLike | None = None,
     lost_samples: int = 0,
     uncertain: bool = False,
+    chatter: int = 1,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -101,8 +102,8 @@ def judge(
     trying : callable
         Called with a few words whenever something else is tried for one of the laws, from the
         thread that tries it.
-    maximum_dwell, transitions
-        As `certify` takes them.
+    maximum_dwell, transitions, chatter
+        As `certify` takes them. Worst signals keep an average dwell time in every sojourn.
     lost_samples : int
         How many samples in a row may be lost.
     uncertain : bool
@@ -126,6 +127,7 @@ def judge(
     count("mode_lag", mode_lag, 0)
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
+    averaged: dict[str, Any] = {"chatter": chatter} if count("chatter", chatter) > 1 else {}
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
@@ -140,6 +142,7 @@ def judge(
                 dwell_time,
                 step,
                 **signals,
+                **averaged,
                 decay_rate=decay_rate,
                 delays=delays,
                 mode_lag=mode_lag,
