@@ -75,8 +75,8 @@ HEAD = "time,mode\n0,0\n"
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
-        ("t,mode\n0,0\n", {}, "must have the columns time and mode, got ['t', 'mode']"),
-        ("", {}, "must have the columns time and mode, got []"),
+        ("s,mode\n0,0\n", {}, "must have the columns t (or time) and mode, got ['s', 'mode']"),
+        ("", {}, "must have the columns t (or time) and mode, got []"),
         ("time,mode\n", {}, "must hold at least one row, got none."),
         (HEAD + "soon,1\n", {}, "line 3: time must be a number, got 'soon'."),
         (HEAD + "\n\nsoon,1\n", {}, "line 5: time must be a number"),

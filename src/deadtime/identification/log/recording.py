@@ -12,13 +12,8 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.mode_columns import absent_modes, label, labels_of, mode_column
-from deadtime.identification.log.tables import (
-    TIMES,
-    Table,
-    chosen_columns,
-    numeric_column,
-    table_of,
-)
+from deadtime.identification.log.tables import Table, chosen_columns, numeric_column, table_of
+from deadtime.switching.log import TIMES
 
 ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
 _NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")

@@ -8,7 +8,7 @@ from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise_intervals import sensor_intervals
-from deadtime.identification.untold import counts_whole, reasons
+from deadtime.identification.untold import counts_milliseconds, reasons
 
 _EDGE = 1e-6  # of the range searched
 _AWAY = 3.0  # standard deviations: a column whose mean is so far from 0 may rest elsewhere
@@ -58,7 +58,7 @@ def _delays(found: Estimate, recording: Recording) -> list[str]:
             why = reasons(recording, place % len(recording.inputs), high - low)
             advice = "" if why else ": move the input more, or log for longer"
             said += [f"{told}{advice}{_beyond(right, high, margin)}.", *why]
-        elif edge and counts_whole(recording):
+        elif edge and counts_milliseconds(recording):
             said += reasons(recording, place % len(recording.inputs), high - low)
     return said
 
