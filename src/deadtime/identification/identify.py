@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
+from deadtime.identification.closed_loop import estimate_in_loop, fed_back
 from deadtime.identification.exact import estimate_exactly
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
@@ -163,7 +164,11 @@ def identify(
         said = hidden.sentences
     progress(f"looking for the delay between {low:g} and {high:g} s")
     found = estimate_exactly(direct, layout, bounds, within)
-    if C is not None or noise or (noise is None and not found.tests.white):
+    sure = C is not None or bool(noise)
+    if noise is not False and fed_back(recording).any():
+        progress("taking sensors for noisy, as inputs follow them")
+        found = estimate_in_loop(recording, sensors, found, within, bounds, sure)
+    elif sure or (noise is None and not found.tests.white):
         progress("taking sensors for noisy")
         found = estimate_with_noise(recording, sensors, found, within, bounds)
     model, why = fit_switching(recording)

@@ -30,12 +30,14 @@ class Start(NamedTuple):
 
     theta : of the `Layout`; cells : of each of its delays
     scanned : (delays, cells), log likelihood, the others in their cells, from cell `first` on
+    vectors : (delays, cells, size), where it is so large, if a maximum was sought in each cell
     """
 
     theta: Float[np.ndarray, " size"]
     cells: Int[np.ndarray, " delay"]
     first: int
     scanned: Float[np.ndarray, "delay cell"]
+    vectors: Float[np.ndarray, "delay cell unknown"] | None = None
 
 
 def start_of(

@@ -24,7 +24,6 @@ from deadtime.plant import SwitchedSystem
 
 _ENOUGH = 10_000  # samples that tell which of two beginnings is the better one
 _STRETCHES = 10
-_UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
 
 
@@ -91,16 +90,27 @@ def estimate_with_noise(
     bounds: tuple[float, float],
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
-    expect_many_calls()
-    layout, W = exact.log.layout, exact.disturbance.mean(axis=0)
-    log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
-    starts = [log.join(exact.best.theta, noise) for noise in first_noises(W, C, recording.step)]
+    log, starts = begun_with_noise(recording, C, exact, within, bounds)
     lag = recording.lag(exact.window[1])
     some = replace(log, recording=stretches(recording, _ENOUGH, lag))
     tried = [maximise(some, start, window=exact.window) for start in starts]
     theta = max(tried, key=lambda one: one[0].found.value)[0].theta
     best, window = maximise(log, theta)
     return estimated_of(log, best, window, exact.start, exact.spare)
+
+
+def begun_with_noise(
+    recording: Recording,
+    C: Float[np.ndarray, "p n"],
+    exact: Estimate,
+    within: bool,
+    bounds: tuple[float, float],
+) -> tuple[NoisyLog, list[Float[np.ndarray, " size"]]]:
+    """The likelihood with noisy sensors, and vectors to climb from."""
+    expect_many_calls()
+    log = NoisyLog(recording, exact.log.layout, C, within, bounds, exact.log.nodes)
+    noises = first_noises(exact.disturbance.mean(axis=0), C, recording.step)
+    return log, [log.join(exact.best.theta, noise) for noise in noises]
 
 
 def estimated_of(
@@ -120,7 +130,8 @@ def estimated_of(
     A, B, delays = layout.split(theta[: layout.size])
     noise = log.noise(theta)
     white = noisy_residuals(log, theta, starts)
-    spent = None if log.embedding is None else 2 * layout.n * len(log.C)
+    chained = log.embedding is not None
+    spent = 2 * layout.n * len(log.C) if chained else None
     return Estimate(
         log=log,
         best=best._replace(theta=theta),
@@ -135,7 +146,7 @@ def estimated_of(
         spare=np.full(layout.modes, beyond) if spare is None else spare,
         tests=judge_residuals(white, recording, float(delays.max()), spent),
         white=tuple(white),
-        ends=ends_over_peaks(log, best, spread, start) if log.embedding is None else None,
+        ends=None if chained else ends_over_peaks(log, best, spread, start),
     )
 
 
@@ -146,9 +157,8 @@ def _spread(
 
     What is known has no variance, noise that the log does not tell any.
     """
-    F, names, size = best.found.information, log.layout.names(), log.layout.size
-    free, told = log.free, log.unit(best.theta) ** 2 * np.diagonal(F) > _UNTOLD
-    seen = free[(free < size) | told[free]]
+    F, names, size, free = best.found.information, log.layout.names(), log.layout.size, log.free
+    seen = log.told(best.theta, F)
     own, named = np.ix_(seen, seen), [names[a] for a in seen if a < size]
     require_seen(F[own], named)
     less = restricted(log, some, best, window, most)

@@ -53,7 +53,7 @@ def identify_outputs(
     request = Request(recording, layout, given, zeros, bounds, within, progress)
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
-    names = state_names(recording.outputs, given, shape.zeros)
+    names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
     said = order_too_high(request, chosen) if hardly_tells(found, shape) else []
     found, others = with_others(found)
     said = said or others or zeros_in_doubt(chosen, recording.inputs)

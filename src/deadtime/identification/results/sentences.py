@@ -148,10 +148,16 @@ def _states(found: Estimate, recording: Recording) -> list[str]:
             f"The states are {' and '.join(named)}, less what inputs add to these: they act on all "
             "of them."
         ]
-    if found.plant.modes > 1:
+    if shape.jumps:
+        said.append(
+            f"So they are in mode {recording.modes[0]!r}; in other modes derivatives are sums of "
+            "them, so that an output's derivative jumps at a switch. The log asks for that."
+        )
+    elif found.plant.modes > 1:
+        tested = "" if found.log.within else ": the log does not say otherwise"
         said.append(
             "They are taken to be the same in all modes, and not to jump at a switch, as position "
-            "and speed do not."
+            f"and speed do not{tested}."
         )
     return said
 
