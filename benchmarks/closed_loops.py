@@ -72,7 +72,9 @@ def drawn(law, rng):
         Phi, whole = over(A, B, H)
         new = over(A, B, N * H - D)[1]
         M = loop_matrix(Phi, whole - new, new, N, k, k_i)
-        radius = np.abs(np.linalg.eigvals(M if k_i else np.delete(np.delete(M, A.shape[0], 0), A.shape[0], 1)))
+        radius = np.abs(
+            np.linalg.eigvals(M if k_i else np.delete(np.delete(M, A.shape[0], 0), A.shape[0], 1))
+        )
         if radius.max() < 0.99:
             return A, B, D, k, k_i, (Phi, whole - new, new, N)
 
@@ -103,7 +105,7 @@ def made(law, added, count, rng):
 
 
 def judged(log, truth):
-    """"refused", "open", "wrong" or "right", and whether the delay lies in its interval."""
+    """ "refused", "open", "wrong" or "right", and whether the delay lies in its interval."""
     B, D = truth
     try:
         fit = dt.identify(log, modes=None, delay=(0.0, LONGEST))
@@ -130,15 +132,22 @@ def main():
     parser.add_argument("--law", nargs="*", choices=["P", "PI", "PD"], default=["P", "PI", "PD"])
     parser.add_argument("--added", choices=["nothing", "steps", "dither"], default="nothing")
     given = parser.parse_args()
-    print(f"{given.samples} samples, h = {H} s, {given.draws} loops of each kind: {given.added} added")
-    print("law | answered | delay inside | hardly told | inside | refused | silently wrong | s a log")
+    print(
+        f"{given.samples} samples, h = {H} s, {given.draws} loops of each kind: {given.added} added"
+    )
+    print(
+        "law | answered | delay inside | hardly told | inside | refused | silently wrong | s a log"
+    )
     for law in given.law:
         found, began = [], time.process_time()
         for seed in range(given.first, given.first + given.draws):
             log, truth = made(law, given.added, given.samples, np.random.default_rng(seed))
             found.append(judged(log, truth))
         took = (time.process_time() - began) / given.draws
-        count = {kind: sum(one == kind for one, _ in found) for kind in ("right", "wrong", "open", "refused")}
+        count = {
+            kind: sum(one == kind for one, _ in found)
+            for kind in ("right", "wrong", "open", "refused")
+        }
         held = sum(inside for kind, inside in found if kind in ("right", "wrong"))
         open_held = sum(inside for kind, inside in found if kind == "open")
         answered = count["right"] + count["wrong"]

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from deadtime.identification.closed_loop import estimate_in_loop, fed_back
+from deadtime.identification.closed_loop import estimate_in_loop
 from deadtime.identification.exact import estimate_exactly
+from deadtime.identification.fed_back import fed_back
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.identification import Identification
@@ -146,7 +147,9 @@ def identify(
         require_logged(C, noise, numbers is not None)
         of = identify_outputs(recording, order, zeros, per_mode, bounds, within, progress)
         fit = Identification.of(of.estimate, recording, of.model, of.why, of.C, of.states)
-        return replace(fit, sentences=(*fit.sentences, *of.sentences))
+        return replace(
+            fit, sentences=(*fit.sentences, *of.sentences), doubts=(*fit.doubts, *of.doubts)
+        )
     require_order_for(zeros, outputs, C)
     sensors = sensors_of(C, recording)
     direct = as_states(recording, sensors)

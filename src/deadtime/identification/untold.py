@@ -7,6 +7,7 @@ from jaxtyping import Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
+from deadtime.identification.fed_back import fed_back
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
 
@@ -32,11 +33,15 @@ def reasons(recording: Recording, j: int, longest: float) -> list[str]:
             "explain the log: send an input that does not repeat itself, or narrow "
             f"delay=(low, high), --delay LOW HIGH, to less than {time:.4g} s."
         )
+    of = ""
     if _follows(recording, j):
+        of = "is a function of the states of its row, as of a law u = K x and nothing else"
+    elif fed_back(recording)[j]:
+        of = "follows from what was measured in its row and before, as in a loop that regulates"
+    if of:
         said.append(
-            f"{name} is a function of the states of its row, as of a law u = K x and nothing else: "
-            "the log tells A + B K rather than A and B. Add steps or noise to what the law asks "
-            "for."
+            f"{name} {of}: the log tells A + B K rather than A and B. Add steps or noise to what "
+            "the law asks for."
         )
     others = [recording.inputs[i] for i in _alike(recording, j)]
     if others:

@@ -94,7 +94,9 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     if layout.modes > 1 and not within:
         progress("trying states that are an output's derivatives in one mode alone")
         free = replace(log, embedding=replace(shape, jumps=True))
-        chosen = _better(simple, Chosen(free, *_searched(free, [_climbed(free, simple.best.theta)])))
+        chosen = _better(
+            simple, Chosen(free, *_searched(free, [_climbed(free, simple.best.theta)]))
+        )
     if zeros is not None:
         return chosen
     progress("trying inputs that act on all states")

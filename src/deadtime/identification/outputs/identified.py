@@ -35,6 +35,7 @@ class FromOutputs(NamedTuple):
     C: Float[np.ndarray, "p n"]
     states: tuple[str, ...]
     sentences: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def identify_outputs(
@@ -54,10 +55,13 @@ def identify_outputs(
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
     names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
-    said = order_too_high(request, chosen) if hardly_tells(found, shape) else []
+    high = order_too_high(request, chosen) if hardly_tells(found, shape) else []
     found, others = with_others(found)
-    said = said or others or zeros_in_doubt(chosen, recording.inputs)
-    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said))
+    zeros = [] if high or others else zeros_in_doubt(chosen, recording.inputs)
+    said = high or others or zeros
+    doubts = ("a smaller order explains the log better",) if high else ()
+    doubts += ("the log hardly tells on which states inputs act",) if zeros else ()
+    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said), doubts)
 
 
 def _require_moving(recording: Recording) -> None:
