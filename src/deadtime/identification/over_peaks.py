@@ -30,7 +30,7 @@ _GAIN = 1e-3  # of log likelihood, that a cell's maximum may be short of
 def ends_over_peaks(
     log: Likelihood, best: Maximum, spread: Spread, start: Start
 ) -> Float[np.ndarray, "unknown 2"] | None:
-    """Of all entries of A and B, the ends of intervals over all cells of a delay that are plausible.
+    """Of entries of A and B, the ends of intervals over all cells of a delay that are plausible.
 
     None where no delay has several peaks. Of several delays that have, the others stay in their
     cells, and intervals are joined.

@@ -79,8 +79,8 @@ def read_log(
     for before, row, late in zip(rows, rows[1:], times[1:] <= times[:-1], strict=False):
         if late:
             raise ArgumentError(
-                f"{source}, line {row.line}: {clocked} must be later than in line {before.line}: sort "
-                "the log and keep one row per instant."
+                f"{source}, line {row.line}: {clocked} must be later than in line {before.line}: "
+                "sort the log and keep one row per instant."
             )
     known_until = np.inf
     if end is not None:
