@@ -57,10 +57,10 @@ def identify_outputs(
     names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
     high = order_too_high(request, chosen) if hardly_tells(found, shape) else []
     found, others = with_others(found)
-    zeros = [] if high or others else zeros_in_doubt(chosen, recording.inputs)
-    said = high or others or zeros
+    unsure = [] if high or others else zeros_in_doubt(chosen, recording.inputs)
+    said = high or others or unsure
     doubts = ("a smaller order explains the log better",) if high else ()
-    doubts += ("the log hardly tells on which states inputs act",) if zeros else ()
+    doubts += ("the log hardly tells on which states inputs act",) if unsure else ()
     return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said), doubts)
 
 
