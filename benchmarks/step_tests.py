@@ -1,4 +1,4 @@
-"""Step tests as plants get them: `dt.identify` with default options, on plants of one and two states.
+"""Step tests as plants get them: `dt.identify` as it is, on plants of one and two states.
 
     python benchmarks/step_tests.py --draws 100 --kind fopdt states position
 
@@ -48,7 +48,9 @@ def made(kind, rng):
     for edge, step in zip(edges, size, strict=True):
         u += step * (t >= edge - 1e-9)
         late = np.flatnonzero(t > edge + D)
-        x[late] += step * np.array([(expm(A * (s - edge - D)) - np.eye(len(A))) @ steady for s in t[late]])
+        x[late] += step * np.array(
+            [(expm(A * (s - edge - D)) - np.eye(len(A))) @ steady for s in t[late]]
+        )
     noise = np.exp(rng.uniform(np.log(1e-3), np.log(5e-2))) * np.ptp(x, axis=0)
     y = x + noise * rng.standard_normal(x.shape)
     if rng.random() < 0.5:
@@ -61,7 +63,7 @@ def made(kind, rng):
 
 
 def tried(kind, seed):
-    """Of one log: how far off the delay is, whether its interval and the sign are right, seconds."""
+    """Of one log: how far off the delay is, whether interval and sign are right, seconds."""
     log, D, gain = made(kind, np.random.default_rng(seed))
     began = time.perf_counter()
     options = {"order": 2} if kind == "position" else {}
@@ -84,7 +86,9 @@ def main():
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--each", action="store_true", help="print logs whose interval misses")
     given = parser.parse_args()
-    print("| kind | logs | refused | delay inside | outside its interval | wrong sign | width | s |")
+    print(
+        "| kind | logs | refused | delay inside | outside its interval | wrong sign | width | s |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     for kind in given.kind:
         every = []

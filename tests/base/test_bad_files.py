@@ -117,7 +117,7 @@ LOGS = {
     "a time of many letters": ("time,mode\n" + "x" * 5000 + ",0", "line 2: time must be a number"),
     "no finite time": ("time,mode\nsNaN,0", "time must be finite"),
     "a time beyond all": ("time,mode\n1e999999,0", "time must be finite, got 1e999999"),
-    "many columns": (",".join(["a"] * 5000), "must have the columns time and mode"),
+    "many columns": (",".join(["a"] * 5000), "must have the columns t (or time) and mode"),
 }
 
 

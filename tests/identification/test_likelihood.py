@@ -18,6 +18,7 @@ from deadtime.identification.regression import (
     stacked,
 )
 from deadtime.identification.scoring import Evaluation, climb, climb_cells
+from deadtime.identification.transition import transitions_of
 from deadtime.identification.uneven import nodes_for, uneven_terms
 from synthetic_logs import Plant, oscillator
 
@@ -206,3 +207,9 @@ def test_scoring_crosses_kinks_to_the_larger_side_and_stays_at_one_that_is_the_t
     )
     assert done.theta[0] == 2.0
     assert done.bound.all()
+
+
+@pytest.mark.parametrize("A", [[[1e4]], [[0.0, 1.0], [0.0, 9e4]], [[1e3, -1e5], [1e5, 1e3]]])
+def test_a_trial_far_out_overflows_without_a_warning_and_is_no_maximum(A):
+    over = transitions_of(np.array(A), np.array([0.1, 1.0]))
+    assert not np.isfinite(over.Phi).all()

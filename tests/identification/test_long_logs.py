@@ -6,7 +6,6 @@ import pytest
 
 import deadtime as dt
 from deadtime.identification.log.recording import Part, Recording
-
 from synthetic_logs import Plant
 
 H = 0.05

@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification.log.recording import read_recording
+from deadtime.identification.untold import counts_milliseconds
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -87,6 +89,23 @@ def test_a_clock_of_milliseconds_is_said_where_a_wide_range_hides_it():
     assert "t counts whole numbers, a row every 50: if these are milliseconds" in fit.message
     slow = dt.identify(scaled(FIRST, "t", 1e3), delay=(0.0, 1000.0))  # as of a plant so slow
     assert "whole numbers" not in slow.message
+
+
+@pytest.mark.parametrize(
+    ("step", "jitter", "said"),
+    [
+        *[(step, 0, False) for step in (1, 2, 5, 10, 20, 60, 300)],
+        *[(step, 0, True) for step in (25, 50, 100, 250, 1000)],
+        *[(step, 1, True) for step in (20, 60)],
+        *[(step, 0.25, False) for step in (1, 10, 50)],
+    ],
+)
+def test_milliseconds_are_said_of_stamps_that_no_clock_of_seconds_makes(step, jitter, said):
+    rng = np.random.default_rng(1)
+    t = step * np.arange(300.0) + jitter * rng.integers(-1, 2, 300)
+    x, u = rng.standard_normal((2, 300))
+    record = read_recording(pd.DataFrame({"t": t, "x": x, "u": u}), None)
+    assert counts_milliseconds(record) == said
 
 
 def test_rows_may_be_further_apart_than_the_longest_delay():

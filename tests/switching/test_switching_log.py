@@ -69,14 +69,25 @@ def test_a_declared_dwell_time_is_checked(log):
         log(text, dwell_time=0.25)
 
 
+@pytest.mark.parametrize("name", ["t", " t", "time", "time,t"])
+def test_times_are_in_a_column_t_as_in_logs_of_a_plant(log, name):
+    """Where both are there t is meant, as `identify` takes it."""
+    more = "9," if "," in name else ""
+    signal = log(f"x1,{name},mode\n0.5,{more}0,0\n0.7,{more}0.3,1\n0.6,{more}0.5,1\n")
+    assert signal.times.tolist() == [0.0, 0.3]
+    assert signal.end == 0.5
+    with pytest.raises(dt.ArgumentError, match=r"line 3: time must be a number|line 3: t must be"):
+        log(f"{name},mode\n{more}0,0\n{more}soon,1\n")
+
+
 HEAD = "time,mode\n0,0\n"
 
 
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
-        ("t,mode\n0,0\n", {}, "must have the columns time and mode, got ['t', 'mode']"),
-        ("", {}, "must have the columns time and mode, got []"),
+        ("s,mode\n0,0\n", {}, "must have the columns t (or time) and mode, got ['s', 'mode']"),
+        ("", {}, "must have the columns t (or time) and mode, got []"),
         ("time,mode\n", {}, "must hold at least one row, got none."),
         (HEAD + "soon,1\n", {}, "line 3: time must be a number, got 'soon'."),
         (HEAD + "\n\nsoon,1\n", {}, "line 5: time must be a number"),

@@ -35,7 +35,7 @@ def fit(
     Parameters
     ----------
     logs
-        CSV files with the columns time and mode.
+        CSV files with the columns t (or time) and mode, as for identify.
     family
         Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
         lognormal, fixed; auto takes the best.
@@ -44,7 +44,7 @@ def fit(
     labels
         Mode of each text in the logs, such as --labels.idle 0 --labels.busy 1.
     unit
-        Of the column time; s by default.
+        Of the times; s by default.
     dwell_time
         The shortest sojourn, seconds, where it is known, or one per mode with commas between them:
         families are fitted as truncated there.

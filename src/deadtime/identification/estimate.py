@@ -28,7 +28,7 @@ class Estimate(Frozen):
     disturbance : (modes, n, n), W of each mode, x² per second
     noise : (p,), standard deviations of the sensors
     spare : (modes,), how many periods each W rests on beyond those that the matrices cost
-    ends : (size, 2), of intervals of all unknowns where delays are open; None elsewhere
+    ends : (unknowns, 2), of intervals of A and B where delays are open; None elsewhere
     white : of every log, the whitened residuals, NaN where there are none
     """
 
@@ -45,7 +45,7 @@ class Estimate(Frozen):
     spare: Int[np.ndarray, " mode"]
     tests: ResidualTests
     white: tuple[Float[np.ndarray, "sample p"], ...]
-    ends: Float[np.ndarray, "size 2"] | None = None
+    ends: Float[np.ndarray, "unknown 2"] | None = None
 
     @property
     def of_outputs(self) -> NoisyLog | None:

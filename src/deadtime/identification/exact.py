@@ -29,10 +29,10 @@ def estimate_exactly(
     nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)
-    log, theta = without_level(log, best.theta, best.found.information, np.eye(layout.n))
-    if log.layout is not layout:
+    log, kept = without_level(log, best.theta, best.found.information, np.eye(layout.n))
+    if kept.size < layout.size:
         layout, recording = log.layout, log.recording
-        best, window = maximise(log, theta)
+        best, window = maximise(log, best.theta[kept])
     terms = log.terms_in(*window)(log.cells(best.theta))(best.theta)
     F, covariances = concentrated(terms, layout.size)
     counts = np.array([term.periods for term in terms])

@@ -20,7 +20,7 @@ from deadtime.identification.levels import Rest, rest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.results.sentences import sentences_of
+from deadtime.identification.results.sentences import doubts_of, sentences_of
 from deadtime.identification.unknowns import Unknowns
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
@@ -62,6 +62,8 @@ class Identification(Frozen):
         Of modes that were not logged: which was active when, and how sure that is.
     sentences : tuple of str
         What there is to say, in words.
+    doubts : tuple of str
+        Why intervals of delays may not hold them; then no verdict is "enough".
 
     Examples
     --------
@@ -85,6 +87,7 @@ class Identification(Frozen):
     _recording: Recording = field(repr=False)
     _C: Float[np.ndarray, "p n"] = field(repr=False)
     hidden: HiddenModes | None = None
+    doubts: tuple[str, ...] = ()
     _rest: Rest | None = field(default=None, repr=False)
 
     @classmethod
@@ -117,6 +120,7 @@ class Identification(Frozen):
             recording,
             C,
             _rest=rest,
+            doubts=doubts_of(found, recording),
         )
 
     @classmethod
@@ -211,7 +215,8 @@ class Identification(Frozen):
         A margin is of delays that all err alike. Of several delays it is "enough" only where the
         law is given, too: then each input's delay alone is held against its margin, and the loop
         must decay in every mode, held, at all corners of the box of intervals (up to 4 inputs).
-        Delays between corners, and different errors while modes switch, are not looked at. Of a law
+        Delays between corners, and different errors while modes switch, are not looked at. Nothing
+        is enough while intervals are in doubt: see `doubts`. Of a law
         that is given it also says on how many plants, drawn from all that the log leaves open
         (`uncertain`), every mode held decays.
 

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from numpy.typing import ArrayLike
 
+from deadtime.identification.closed_loop import estimate_in_loop
 from deadtime.identification.exact import estimate_exactly
+from deadtime.identification.fed_back import fed_back
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.identification import Identification
@@ -170,7 +172,7 @@ def identify(
 
 
 class _Asked(NamedTuple):
-    """What is asked of a recording: see `identify`. numbers : of hidden modes; bounds : of delays"""
+    """What is asked: see `identify`. numbers : of hidden modes; bounds : of delays."""
 
     C: ArrayLike | None
     numbers: tuple[int, ...] | None
@@ -192,7 +194,9 @@ def _identified(recording: Recording, asked: _Asked) -> Identification:
         fit = Identification.of(
             of.estimate, of.estimate.log.recording, of.model, of.why, of.C, of.states
         )
-        return replace(fit, sentences=(*fit.sentences, *of.sentences))
+        return replace(
+            fit, sentences=(*fit.sentences, *of.sentences), doubts=(*fit.doubts, *of.doubts)
+        )
     sensors = sensors_of(C, recording)
     count = sensors.shape[1]
     named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
@@ -210,7 +214,11 @@ def _identified(recording: Recording, asked: _Asked) -> Identification:
     progress(f"looking for the delay between {bounds[0]:g} and {bounds[1]:g} s")
     direct = as_states(about, sensors)
     found = estimate_exactly(direct, replace(layout, constant=True), bounds, within)
-    if C is not None or noise or (noise is None and not found.tests.white):
+    sure = C is not None or bool(noise)
+    if noise is not False and fed_back(recording).any():
+        progress("taking sensors for noisy, as inputs follow them")
+        found = estimate_in_loop(about, sensors, found, within, bounds, sure)
+    elif sure or (noise is None and not found.tests.white):
         progress("taking sensors for noisy")
         found = estimate_with_noise(about, sensors, found, within, bounds)
     model, why = fit_switching(recording)

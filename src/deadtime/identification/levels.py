@@ -4,8 +4,8 @@
 
 A log is taken about a level of its own, (x̄, ū), where it rests or its mean, and there each mode has
 a constant term c̃ of its own. About 0 that is c = c̃ − A x̄ − B ū. Where all c are 0 as far as the log
-tells (Wald's test), the log is about 0 and terms are left out. Else an operating point is what every
-mode rests at,
+tells (Wald's test), the log is about 0 and terms are left out. Else an operating point is what
+every mode rests at,
 
     A_i x₀ + B_i u₀ = A_i x̄ + B_i ū − c̃_i    for all i,
 
@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from deadtime.identification.intervals import inverse
 from deadtime.identification.log.recording import Level, Recording
@@ -90,20 +90,19 @@ def without_level(
     theta: Float[np.ndarray, " size"],
     information: Float[np.ndarray, "size size"],
     back: Float[np.ndarray, "n p"],
-) -> tuple[_Log, Float[np.ndarray, " smaller"]]:
-    """The likelihood, and where to climb on, without constant terms if the log does not ask for them.
+) -> tuple[_Log, Int[np.ndarray, " kept"]]:
+    """The likelihood without constant terms, if the log does not ask for them; and what it keeps.
 
     information : of a vector at which the likelihood is largest
     """
     layout, level = log.layout, log.recording.level
     if level is None or not layout.constant:
-        return log, theta
+        return log, np.arange(theta.size)
     if _needs_level(layout, theta, information, log.recording, back):
-        return log, theta
+        return log, np.arange(theta.size)
     smaller, kept = layout.without_constant()
-    own = np.concatenate((kept, np.arange(layout.size, theta.size)))
     plain = replace(log, recording=log.recording.absolute(), layout=smaller)
-    return plain, theta[own]
+    return plain, np.append(kept, np.arange(layout.size, theta.size))
 
 
 def _needs_level(

@@ -8,7 +8,8 @@ log L_c and information F_c, and what is known of an unknown is the mixture
     Σ_c w_c t_ν((θ − θ_c)/σ_c),    w_c ∝ L_c |F_c|^{−½},    σ_c² = (F_c⁻¹)_aa,
 
 Laplace's approximation of what the log says where before it all delays were as likely. F_c is with
-12/h² for the delay, what is known of one that is anywhere in a cell of length h.
+12/h² for the delay, what is known of one that is anywhere in a cell of length h. With noisy sensors
+|F_c|^{−½} is that of A, B and the delay, whatever the noise is.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _GAIN = 1e-3  # of log likelihood, that a cell's maximum may be short of
 
 def ends_over_peaks(
     log: Likelihood, best: Maximum, spread: Spread, start: Start
-) -> Float[np.ndarray, "size 2"] | None:
-    """Of every unknown, the ends of its interval over all cells of a delay that are plausible.
+) -> Float[np.ndarray, "unknown 2"] | None:
+    """Of entries of A and B, the ends of intervals over all cells of a delay that are plausible.
 
     None where no delay has several peaks. Of several delays that have, the others stay in their
     cells, and intervals are joined.
@@ -42,41 +43,51 @@ def ends_over_peaks(
         level = curve.max() - plausible_fall(log, curve.size, float(spread.inflation[place[row]]))
         top = int(curve.argmax())
         if any(fresh_rise(side, level) is not None for side in (curve[top::-1], curve[top:])):
-            cells = start.first + np.flatnonzero(curve >= level)
-            found.append(_mixed(log, best, spread, row, cells))
+            near = np.flatnonzero(curve >= level)
+            begins = None if start.vectors is None else start.vectors[row][near]
+            found.append(_mixed(log, best, spread, row, start.first + near, begins))
     if not found:
         return None
     return np.column_stack((np.min(found, axis=0)[:, 0], np.max(found, axis=0)[:, 1]))
 
 
 def _mixed(
-    log: ExactLog | NoisyLog, best: Maximum, spread: Spread, row: int, cells: np.ndarray
+    log: ExactLog | NoisyLog,
+    best: Maximum,
+    spread: Spread,
+    row: int,
+    cells: np.ndarray,
+    begins: np.ndarray | None,
 ) -> Float[np.ndarray, "size 2"]:
     """The ends of all intervals over cells of one delay."""
     evaluate_in, h = log.evaluate_in(*log.bounds), log.recording.step
-    place = np.arange(log.layout.size)[log.layout.at_delays]
-    centre, width, weight = [], [], []
-    for cell in cells:
+    size, place = log.layout.size, np.arange(log.layout.size)[log.layout.at_delays]
+    inflation, centre, width, weight = spread.inflation[:size], [], [], []
+    for k, cell in enumerate(cells):
         low, high = log.limits
         own, theta = log.cells(best.theta), best.theta.copy()
         own[row], theta[place[row]] = cell, (cell - 0.5) * h
+        theta = theta if begins is None else begins[k]
         low[place] = np.maximum((own - 1) * h, log.bounds[0])
         high[place] = np.minimum(own * h, log.bounds[1])
         found = climb(evaluate_in(own), theta, low, high, gain=_GAIN)
         F = found.found.information.copy()
         F[place[row], place[row]] += 12.0 / h**2
+        told = np.arange(size) if isinstance(log, ExactLog) else log.told(found.theta, F)
         try:
-            variance = np.diagonal(inverse(F)) * spread.inflation
+            covariance = inverse(F[np.ix_(told, told)])[:size, :size]
         except np.linalg.LinAlgError:
             continue
+        variance = np.diagonal(covariance) * inflation
         if not (np.isfinite(variance).all() and (variance > 0.0).all()):
             continue
-        centre.append(found.theta)
+        centre.append(found.theta[:size])
         width.append(np.sqrt(variance))
-        size = found.found.value / float(spread.inflation[place[row]])
-        weight.append(size - 0.5 * np.linalg.slogdet(F)[1])
+        value = found.found.value / float(inflation[place[row]])
+        weight.append(value + 0.5 * np.linalg.slogdet(covariance)[1])
     weight = np.exp(np.array(weight) - np.max(weight))
-    return mixture_ends(np.array(centre), np.array(width), weight / weight.sum(), spread.spare)
+    spare = spread.spare[:size]
+    return mixture_ends(np.array(centre), np.array(width), weight / weight.sum(), spare)
 
 
 def mixture_ends(

@@ -9,6 +9,8 @@ from deadtime.identification.maximum import Likelihood
 from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.start import Start
 
+_PROFILE = 3.841458820694124  # χ² of one degree of freedom at 95 %
+
 
 def over_other_peaks(
     log: Likelihood, interval: np.ndarray, start: Start, row: int, inflation: float
@@ -26,6 +28,12 @@ def over_other_peaks(
         ends[0] = min(ends[0], (start.first + first - found - 1) * h)
     if (found := fresh_rise(above, curve.max() - fall)) is not None:
         ends[1] = max(ends[1], (start.first + last + found) * h)
+    if start.vectors is not None:  # then the curve is a profile, and no place is left out of it
+        near = start.first + np.flatnonzero(curve >= curve.max() - 0.5 * inflation * _PROFILE)
+        if near[0] * h < interval[0] - h:
+            ends[0] = min(ends[0], (near[0] - 1) * h)
+        if (near[-1] - 1) * h > interval[1] + h:
+            ends[1] = max(ends[1], near[-1] * h)
     return np.clip(ends, *log.bounds)
 
 

@@ -32,12 +32,14 @@ class Start(NamedTuple):
 
     theta : of the `Layout`; cells : of each of its delays
     scanned : (delays, cells), log likelihood, the others in their cells, from cell `first` on
+    vectors : (delays, cells, size), where it is so large, if a maximum was sought in each cell
     """
 
     theta: Float[np.ndarray, " size"]
     cells: Int[np.ndarray, " delay"]
     first: int
     scanned: Float[np.ndarray, "delay cell"]
+    vectors: Float[np.ndarray, "delay cell unknown"] | None = None
 
 
 def start_of(
@@ -80,11 +82,11 @@ class _CommonPeriods(NamedTuple):
     """The same periods for all cells, as Σ z zᵀ of every mode, z of `stacked`."""
 
     gram: list[Float[np.ndarray, "z z"]]
-    count: Int[np.ndarray, " mode"]
+    periods: Int[np.ndarray, " mode"]
 
     def of(self, mode: int, columns: list[int]) -> tuple[np.ndarray, int]:
         """Σ z zᵀ of some columns, and over how many periods."""
-        return self.gram[mode][np.ix_(columns, columns)], int(self.count[mode])
+        return self.gram[mode][np.ix_(columns, columns)], int(self.periods[mode])
 
     def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
         """The log likelihood of all other periods: there are none."""
@@ -228,9 +230,7 @@ def _mean_likelihood(M: Float[np.ndarray, "z z"], count: int, n: int) -> float:
     return -0.5 * (_regressed(M, n)[1] - n * float(np.log(spare)))
 
 
-def _regressed(
-    M: Float[np.ndarray, "z z"], n: int
-) -> tuple[Float[np.ndarray, "n r"], float]:
+def _regressed(M: Float[np.ndarray, "z z"], n: int) -> tuple[Float[np.ndarray, "n r"], float]:
     """From Σ z zᵀ, z = (x_{k+1}, r_k): the regression, and log det Σ e eᵀ."""
     unit = np.sqrt(np.maximum(np.diagonal(M), 1e-300))
     scaled = M / unit / unit[:, None]

@@ -41,7 +41,8 @@ def transitions_of(A: Float[np.ndarray, "n n"], times: Float[np.ndarray, " time"
         joint[..., place : place + n, place + n : place + size] = np.eye(n)
     a, b = np.divmod(np.arange(n * n), n)
     joint[:, np.arange(n * n), a, size + b] = 1.0
-    E = expm(joint * times[:, None, None, None])
+    with np.errstate(all="ignore"):  # of a trial far out e^{Aτ} overflows: it is no maximum
+        E = expm(joint * times[:, None, None, None])
     whole = E[:, 0, :size, :size]
     moved = E[:, :, :size, size:]
     return Transitions(whole[:, :n, :n], whole[:, :n, n:], moved[..., :n, :n], moved[..., :n, n:])

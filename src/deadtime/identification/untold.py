@@ -7,6 +7,7 @@ from jaxtyping import Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
+from deadtime.identification.fed_back import fed_back
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
 
@@ -14,7 +15,8 @@ _LIKE = 0.95  # a correlation of samples so large: one may stand for the other
 _FELL = 0.7  # what it must fall below before: a slow input is like itself a moment later
 _FOLLOWS = 0.99  # of an input's variance, that the states of the same row explain
 _BRIEF = 2  # rows: in so short a stay no period, or one, is of a mode alone
-_COARSE = 1.0  # s: a clock of whole numbers with rows so far apart may count milliseconds
+_MINUTE = 60.0  # s: periods of whole seconds are parts or multiples of it
+_JITTER = 0.1  # of a period: rows of a clock of milliseconds are seldom exactly a period apart
 
 
 def reasons(recording: Recording, j: int, longest: float) -> list[str]:
@@ -31,11 +33,15 @@ def reasons(recording: Recording, j: int, longest: float) -> list[str]:
             "explain the log: send an input that does not repeat itself, or narrow "
             f"delay=(low, high), --delay LOW HIGH, to less than {time:.4g} s."
         )
+    of = ""
     if _follows(recording, j):
+        of = "is a function of the states of its row, as of a law u = K x and nothing else"
+    elif fed_back(recording)[j]:
+        of = "follows from what was measured in its row and before, as in a loop that regulates"
+    if of:
         said.append(
-            f"{name} is a function of the states of its row, as of a law u = K x and nothing else: "
-            "the log tells A + B K rather than A and B. Add steps or noise to what the law asks "
-            "for."
+            f"{name} {of}: the log tells A + B K rather than A and B. Add steps or noise to what "
+            "the law asks for."
         )
     others = [recording.inputs[i] for i in _alike(recording, j)]
     if others:
@@ -43,7 +49,7 @@ def reasons(recording: Recording, j: int, longest: float) -> list[str]:
             f"{name} moves as {', '.join(others)} does throughout: which of them acts, and when, "
             "is hardly told. Move them apart, or leave one out by inputs=[…], --inputs."
         )
-    if counts_whole(recording):
+    if counts_milliseconds(recording):
         said.append(
             f"t counts whole numbers, a row every {recording.step:g}: if these are milliseconds, "
             "divide it by 1,000."
@@ -51,11 +57,19 @@ def reasons(recording: Recording, j: int, longest: float) -> list[str]:
     return said
 
 
-def counts_whole(recording: Recording) -> bool:
-    """Whether the clock may count milliseconds: whole numbers, rows far apart."""
-    times = (part.time for part in recording.parts)
-    off = [float(np.abs(t - np.rint(t)).max()) for t in times]
-    return recording.step >= _COARSE and max(off) < 1e-6
+def counts_milliseconds(recording: Recording) -> bool:
+    """Whether stamps look like milliseconds: whole numbers, and not as clocks of seconds tick.
+
+    Those tick at a whole part of a minute, or at whole minutes, without jitter; rows of an even
+    period of 1, 2, 5, 10 or 60 may be seconds as well as not.
+    """
+    times = [part.time for part in recording.parts]
+    if max(float(np.abs(t - np.rint(t)).max()) for t in times) > 1e-6:
+        return False
+    step = round(recording.step)
+    off = np.abs(np.concatenate([np.diff(np.rint(t)) for t in times]) - step)
+    odd = _MINUTE % step != 0.0 and step % _MINUTE != 0.0
+    return odd or bool(((off > 0.0) & (off <= _JITTER * step)).any())
 
 
 def _repeat(part: Part, step: float, j: int, longest: float) -> tuple[float, float] | None:

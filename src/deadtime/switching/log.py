@@ -19,6 +19,7 @@ from deadtime.base.text_files import read_text
 
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known
+TIMES = ("t", "time")  # what a column of times is called; the first that is there
 UNITS = {"s": 0, "ms": -3, "us": -6, "ns": -9}  # of a clock, and their powers of ten
 LATEST = 10**11  # seconds; counted from 1970 it is the year 5138
 
@@ -40,7 +41,7 @@ def read_log(
     end: float | None = None,
     unit: str | None = None,
 ) -> SwitchingLog:
-    """Times and modes from a CSV file with a header and the columns `time` and `mode`.
+    """Times and modes from a CSV file with a header and the columns `t` (or `time`) and `mode`.
 
     Rows may be switching events or samples, evenly spaced or not: a mode begins at the first row
     that names it. The first row's time becomes 0, before any digit of the others is lost, so
@@ -58,7 +59,7 @@ def read_log(
     labels : mapping, optional
         From the text in the log to the mode, such as ``{"throttle": 0, "brake": 1}``.
     unit : "s", "ms", "us" or "ns", optional
-        Of the column `time`, and of `end`; seconds by default.
+        Of the column of times, and of `end`; seconds by default.
 
     Raises
     ------
@@ -69,8 +70,8 @@ def read_log(
     """
     source = Path(path)
     text = read_text(source, MOST_BYTES)
-    rows, age = _rows(source, text)
-    clock = [_decimal(f"{source}, line {row.line}: time", row.time) for row in rows]
+    clocked, rows, age = _rows(source, text)
+    clock = [_decimal(f"{source}, line {row.line}: {clocked}", row.time) for row in rows]
     power = _power(source, clock[0], unit)
     visited = [_mode(source, row.line, row.mode, modes, labels) for row in rows]
     # Told from the first row, so that a clock that counts from 1970 loses nothing.
@@ -78,8 +79,8 @@ def read_log(
     for before, row, late in zip(rows, rows[1:], times[1:] <= times[:-1], strict=False):
         if late:
             raise ArgumentError(
-                f"{source}, line {row.line}: time must be later than in line {before.line}: sort "
-                "the log and keep one row per instant."
+                f"{source}, line {row.line}: {clocked} must be later than in line {before.line}: "
+                "sort the log and keep one row per instant."
             )
     known_until = np.inf
     if end is not None:
@@ -111,25 +112,26 @@ class _Row(NamedTuple):
     mode: str | None
 
 
-def _rows(source: Path, text: str) -> tuple[list[_Row], str]:
-    """The rows of a log, and the age of its first mode, where it says one."""
+def _rows(source: Path, text: str) -> tuple[str, list[_Row], str]:
+    """The column of times, the rows, and the age of the first mode, where the log says one."""
     reader = csv.DictReader(io.StringIO(text, newline=""))
     rows, age = [], ""
     try:
-        reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
-        if not {"time", "mode"} <= set(reader.fieldnames or ()):
+        reader.fieldnames = names = [name.strip() for name in reader.fieldnames or ()]
+        clock = next((name for name in TIMES if name in names), None)
+        if clock is None or "mode" not in names:
             raise ArgumentError(
-                f"{source} must have the columns time and mode, got "
-                f"{_short(reader.fieldnames)}: name them in its first line."
+                f"{source} must have the columns t (or time) and mode, got {_short(names)}: name "
+                "them in its first line."
             )
         for row in reader:
             age = age if rows else row.get("initial_age") or ""
-            rows.append(_Row(reader.line_num, row["time"], row["mode"]))
+            rows.append(_Row(reader.line_num, row[clock], row["mode"]))
     except csv.Error as error:
         raise ArgumentError(f"{source}, line {reader.reader.line_num}: {error}.") from None
     if not rows:
         raise ArgumentError(f"{source} must hold at least one row, got none.")
-    return rows, age
+    return clock, rows, age
 
 
 def _decimal(name: str, text: str | None) -> Decimal:

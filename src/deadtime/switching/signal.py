@@ -341,7 +341,7 @@ class SwitchingSignal(Frozen):
         dwell_time: float | None = None,
         unit: str | None = None,
     ) -> SwitchingSignal:
-        """A signal from a log with columns `time` and `mode`; see `deadtime.switching.log`."""
+        """A signal from a log with columns `t` (or `time`) and `mode`: `deadtime.switching.log`."""
         from deadtime.switching.log import read_log
 
         log = read_log(path, modes=modes, labels=labels, end=end, unit=unit)

@@ -26,7 +26,6 @@ from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
-from deadtime.plant import SwitchedSystem
 
 
 class Decoded(NamedTuple):

@@ -144,7 +144,9 @@ class UnevenPeriods(Periods):
     ) -> Float[np.ndarray, "period z"]:
         """What acts by the weights of nodes, for delays of one mode; noise scaled to a period."""
         each = zip(self.parts, self.usable, strict=True)
-        return np.vstack([node_rows(part, k, delays, nodes, self.step, constant=False) for part, k in each])
+        return np.vstack(
+            [node_rows(part, k, delays, nodes, self.step, constant=False) for part, k in each]
+        )
 
 
 def posterior_of(

@@ -10,12 +10,16 @@ from deadtime.switching import SemiMarkov, SwitchingSignal
 
 
 def signals_of(recording: Recording) -> list[SwitchingSignal]:
-    """The logged modes of every log as a signal from its first row on."""
+    """The logged modes of every log as a signal from its first row on.
+
+    A mode that begins in the last row, before rows that were lost, lasts that row's period.
+    """
     signals = []
     for part in recording.parts:
         first = np.flatnonzero(np.diff(part.mode, prepend=-1))
         time = part.time - part.time[0]
-        signals.append(SwitchingSignal(time[first], part.mode[first], end=float(time[-1])))
+        end = max(float(time[-1]), float(time[first[-1]]) + recording.step)
+        signals.append(SwitchingSignal(time[first], part.mode[first], end=end))
     return signals
 
 

@@ -12,13 +12,8 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.mode_columns import absent_modes, label, labels_of, mode_column
-from deadtime.identification.log.tables import (
-    TIMES,
-    Table,
-    chosen_columns,
-    numeric_column,
-    table_of,
-)
+from deadtime.identification.log.tables import Table, chosen_columns, numeric_column, table_of
+from deadtime.switching.log import TIMES
 
 _STRETCHES = 10  # of a long log, that stand for all of it
 ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
@@ -104,8 +99,8 @@ class Recording(NamedTuple):
         parts, share = [], most / self.samples
         for part in self.parts:
             count = max(1, round(_STRETCHES * part.time.size / self.samples))
-            for rows in np.array_split(np.arange(part.time.size), count):
-                parts.append(part.rows(rows[: max(2, int(np.ceil(share * rows.size)) + lag)]))
+            every = np.array_split(np.arange(part.time.size), count)
+            parts += [part.rows(k[: max(2, int(np.ceil(share * k.size)) + lag)]) for k in every]
         return self._replace(parts=tuple(parts))
 
     def lag(self, delay: float) -> int:
@@ -215,7 +210,8 @@ def _part(
     if column is not None:
         codes, values = table.frame[column].factorize()
         mode = np.array([labels[label(value)] for value in values])[codes]
-    return Part(*map(read_only, (time, output, entered, mode)))
+    time, output, entered, mode = map(read_only, (time, output, entered, mode))
+    return Part(time, output, entered, mode)
 
 
 def _moving(

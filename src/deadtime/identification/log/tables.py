@@ -13,11 +13,10 @@ from jaxtyping import Float
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
+from deadtime.switching.log import TIMES
 
 if TYPE_CHECKING:
     import pandas as pd
-
-TIMES = ("t", "time")
 
 
 class Table(NamedTuple):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.noisy.smoother import Model, filtered, responses

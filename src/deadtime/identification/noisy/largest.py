@@ -37,12 +37,11 @@ def largest_maximum(
     begins : vectors whose A and noise a scan begins with; climbed : those that are climbed from as
     they are; others : what else to try beside a vector
     """
-    theta = np.asarray([*begins])
-    window = _searched(log, theta[0])
-    log = replace(log, bounds=window)
+    begins, climbed = list(begins), list(climbed)
+    log = replace(log, bounds=_searched(log, (*begins, *climbed)[0]))
     scan, grid = None, replace(log, recording=gridded(log.recording))
     found = [_climbed(log, begin) for begin in climbed]
-    for begin in theta:
+    for begin in begins:
         scan = scanned(grid, begin)
         found.append(_climbed(log, scan.moved(begin)))
     best = max(found, key=lambda one: one.found.value)

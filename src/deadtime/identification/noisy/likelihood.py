@@ -34,6 +34,7 @@ from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
+_UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _STRIDE = 1.5  # of a noise's logarithm
 
 
@@ -95,6 +96,13 @@ class NoisyLog(Frozen):
         if self.embedding is not None:
             free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
         return read_only(free)
+
+    def told(
+        self, vector: Float[np.ndarray, " size"], F: Float[np.ndarray, "size size"]
+    ) -> Int[np.ndarray, " told"]:
+        """Those of them that an information is of: noise that is next to nothing is not told."""
+        free, told = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNTOLD
+        return free[(free < self.layout.size) | told[free]]
 
     def initial(self, starts: list[np.ndarray]) -> list[Bool[np.ndarray, "sample p"]]:
         """The measurements of every part that are left out: see `Embedding.initial`."""

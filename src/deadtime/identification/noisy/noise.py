@@ -26,7 +26,6 @@ from deadtime.numerics.kernels import expect_many_calls
 
 _ENOUGH = 10_000  # samples that tell how noise is restricted
 _FEW = 4_000  # samples that tell where the largest maximum is
-_UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
 
 
@@ -93,19 +92,13 @@ def estimate_with_noise(
     bounds: tuple[float, float],
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
-    expect_many_calls()
-    back, layout, theta = np.linalg.pinv(C), exact.log.layout, exact.best.theta
-    if recording.level is not None:
-        theta, layout = with_constant(theta, layout, recording.level, back)
-    log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
+    log, begins = begun_with_noise(recording, C, exact, within, bounds)
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(bounds[1])))
-    W = exact.disturbance.mean(axis=0)
-    begins = [some.join(theta, noise) for noise in first_noises(W, C, recording.step)]
     top, scan = largest_maximum(some, begins)
     best, window = maximise(log, top.theta)
-    log, theta = without_level(log, best.theta, best.found.information, back)
-    if log.layout is not layout:
-        best, window = maximise(log, theta)
+    log, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
+    if kept.size < best.theta.size:
+        best, window = maximise(log, best.theta[kept])
     curves = scan.curves * (recording.samples / some.recording.samples)
     return estimated_of(log, best, window, start_beside(log, best, scan.first, curves), exact.spare)
 
@@ -116,6 +109,23 @@ def start_beside(
     """A maximum, and how likely a scan says that each cell of a delay is beside it."""
     cells = cells_of(best.theta[log.layout.at_delays], log.recording.step)
     return Start(best.theta[: log.layout.size], cells, first, curves)
+
+
+def begun_with_noise(
+    recording: Recording,
+    C: Float[np.ndarray, "p n"],
+    exact: Estimate,
+    within: bool,
+    bounds: tuple[float, float],
+) -> tuple[NoisyLog, list[Float[np.ndarray, " size"]]]:
+    """The likelihood with noisy sensors, and vectors to climb from."""
+    expect_many_calls()
+    layout, theta = exact.log.layout, exact.best.theta
+    if recording.level is not None:
+        theta, layout = with_constant(theta, layout, recording.level, np.linalg.pinv(C))
+    log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
+    noises = first_noises(exact.disturbance.mean(axis=0), C, recording.step)
+    return log, [log.join(theta, noise) for noise in noises]
 
 
 def estimated_of(
@@ -135,7 +145,8 @@ def estimated_of(
     plant = layout.plant(theta[: layout.size])
     noise = log.noise(theta)
     white = noisy_residuals(log, theta, starts)
-    spent = None if log.embedding is None else 2 * layout.n * len(log.C)
+    chained = log.embedding is not None
+    spent = 2 * layout.n * len(log.C) if chained else None
     return Estimate(
         log=log,
         best=best._replace(theta=theta),
@@ -150,7 +161,7 @@ def estimated_of(
         spare=np.full(layout.modes, beyond) if spare is None else spare,
         tests=judge_residuals(white, recording, plant.longest_delay, spent),
         white=tuple(white),
-        ends=ends_over_peaks(log, best, spread, start) if log.embedding is None else None,
+        ends=None if chained else ends_over_peaks(log, best, spread, start),
     )
 
 
@@ -161,9 +172,8 @@ def _spread(
 
     What is known has no variance, noise that the log does not tell any.
     """
-    F, names, size = best.found.information, log.layout.names(), log.layout.size
-    free, told = log.free, log.unit(best.theta) ** 2 * np.diagonal(F) > _UNTOLD
-    seen = free[(free < size) | told[free]]
+    F, names, size, free = best.found.information, log.layout.names(), log.layout.size, log.free
+    seen = log.told(best.theta, F)
     own, named = np.ix_(seen, seen), [names[a] for a in seen if a < size]
     require_seen(F[own], named)
     less = restricted(log, some, best, window, most)

@@ -1,4 +1,4 @@
-"""The likeliest plant of outputs alone, from where a scan of delays leads; whether it has zeros.
+"""The likeliest plant of outputs alone, from where a scan of delays leads; which states it has.
 
 Of long logs that is done on stretches: they tell where the maximum is. Uneven ones are scanned on a
 grid.
@@ -6,9 +6,11 @@ grid.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
+
+import numpy as np
 
 from deadtime.base.wording import number_of
 from deadtime.identification.log.recording import Recording
@@ -25,7 +27,7 @@ from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.numerics.kernels import expect_many_calls
 
 _FEW = 4_000  # samples that tell where to begin
-CHANCE = 1e-3  # that inputs seem to act on all states though they do not
+CHANCE = 1e-3  # that inputs seem to act on all states, or chains to jump, though they do not
 
 
 class Request(NamedTuple):
@@ -72,8 +74,6 @@ class Chosen(NamedTuple):
 
 def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     """The likeliest plant; `lead`: see `Embedding`."""
-    from scipy.stats import chi2
-
     expect_many_calls()
     recording, layout, order, zeros, bounds, within, progress = request
     guess = guess_of(gridded(recording), layout, order, bounds, within)
@@ -83,22 +83,50 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
-    best, scan = _begun(log, guess)
-    if zeros is not None or not shape.upper.size:
-        return Chosen(log, best, scan)
+    simple = Chosen(log, *_begun(log, guess))
+    if not shape.upper.size:
+        return simple
+    chosen = simple
+    if layout.modes > 1 and not within:
+        progress("trying states that are an output's derivatives in one mode alone")
+        free = replace(log, embedding=replace(shape, jumps=True))
+        chosen = _better(simple, Chosen(free, *_searched(free, (), (simple.best.theta,))))
+    if zeros is not None:
+        return chosen
     progress("trying inputs that act on all states")
-    wider = replace(log, embedding=replace(shape, zeros=True))
-    other, scan_of_other = _begun(wider, guess, best.theta)
-    rise = 2.0 * (other.found.value - best.found.value)
-    more = wider.free.size - log.free.size
-    if rise > float(chi2.isf(CHANCE, more)):
-        return Chosen(wider, other, scan_of_other, best, rise, more)
-    return Chosen(log, best, scan, other, rise, more)
+    wider = _with_zeros(chosen, guess)
+    if wider.shape.zeros and wider.shape.jumps:  # what zeros do may have looked like a jump
+        alone = _with_zeros(simple, guess)
+        return wider if _better(alone, wider) is wider else alone
+    return wider
+
+
+def _better(simple: Chosen, wider: Chosen) -> Chosen:
+    """The wider one of two plants if it is likelier than chance makes it, else the other."""
+    from scipy.stats import chi2
+
+    rise = 2.0 * (wider.best.found.value - simple.best.found.value)
+    more = wider.log.free.size - simple.log.free.size
+    return wider if rise > float(chi2.isf(CHANCE, more)) else simple
+
+
+def _with_zeros(simple: Chosen, guess: Guess) -> Chosen:
+    """The same plant, or one with zeros, if that is likelier than chance makes it."""
+    log = replace(simple.log, embedding=replace(simple.shape, zeros=True))
+    wider = Chosen(log, *_begun(log, guess, simple.best.theta))
+    own = _better(simple, wider)
+    rise = 2.0 * (wider.best.found.value - simple.best.found.value)
+    more = log.free.size - simple.log.free.size
+    return own._replace(other=(simple if own is wider else wider).best, rise=rise, more=more)
 
 
 def _begun(log: NoisyLog, guess: Guess, *more: np.ndarray) -> tuple[Maximum, Scanned]:
     """The likeliest plant that scans of all delays or outputs' past lead to; and the last scan."""
-    begins = (*begins_of(log, guess), *more)
-    return largest_maximum(
-        log, begins, by_past(log, guess), lambda theta: others_of(log, theta)
-    )
+    return _searched(log, (*begins_of(log, guess), *more), by_past(log, guess))
+
+
+def _searched(
+    log: NoisyLog, begins: Sequence[np.ndarray], climbed: Sequence[np.ndarray]
+) -> tuple[Maximum, Scanned]:
+    """The same from some beginnings: see `largest_maximum`."""
+    return largest_maximum(log, begins, climbed, lambda theta: others_of(log, theta))

@@ -10,6 +10,10 @@ states in which the rows C_j A^k, k < n_j, are independent (overlapping observab
 van Overbeek and Ljung, Automatica 18(5), 1982). Without `zeros` B acts on the last state of a chain
 alone: then the states are the outputs and their derivatives.
 
+Several modes have the same states if all share the C_j A^k, k < n_j, as position and speed do; else
+a chain of each mode jumps at a switch. So with `jumps` the chains are those of the first mode, and
+all of A is free in the others, where of B the inputs' weights in y_j' alone are known to be 0.
+
 W is diagonal, but for the last states of all chains, whose forces may be correlated: with a
 deviation of each sensor no more numbers than what outputs tell, n p + p (p + 1)/2.
 """
@@ -33,12 +37,14 @@ class Embedding(Frozen):
     size : (n,), how large each state is about, for a state of which nothing is known
     lead : the order by which first measurements are left out, that likelihoods of several orders
         are of the same ones; its own by default
+    jumps : whether chains are those of the first mode alone
     """
 
     order: tuple[int, ...]
     zeros: bool
     size: Float[np.ndarray, " n"]
     lead: tuple[int, ...] | None = None
+    jumps: bool = False
 
     @property
     def last(self) -> Int[np.ndarray, " p"]:
@@ -67,10 +73,14 @@ class Embedding(Frozen):
     ) -> tuple[Int[np.ndarray, " known"], Float[np.ndarray, " known"]]:
         """Which unknowns of a layout with W's triangle are none, and what they are."""
         n, upper = layout.n, self.upper
-        at_A = layout.of_A[:, upper].reshape(-1)
-        values = np.tile(self.shift()[upper], (layout.modes, 1, 1)).reshape(-1)
-        fixed = layout.of_constant if self.zeros else layout.of_B  # a constant only shifts a state
-        at_B = fixed[:, upper].reshape(-1)
+        chained = 1 if self.jumps else layout.modes
+        at_A = layout.of_A[:chained, upper].reshape(-1)
+        values = np.tile(self.shift()[upper], (chained, 1, 1)).reshape(-1)
+        at_B = layout.of_constant[:chained, upper].reshape(-1)  # it would only shift a state
+        if not self.zeros:
+            first = np.intersect1d(upper, self.last - np.array(self.order) + 1)
+            at_B = layout.of_B[:chained, upper].reshape(-1)
+            at_B = np.append(at_B, layout.of_B[chained:, first, : layout.m].reshape(-1))
         i, j = np.tril_indices(n)
         off = (i != j) & ~(np.isin(i, self.last) & np.isin(j, self.last))
         at_W = layout.size + np.flatnonzero(off)

@@ -34,6 +34,7 @@ class FromOutputs(NamedTuple):
     C: Float[np.ndarray, "p n"]
     states: tuple[str, ...]
     sentences: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def identify_outputs(
@@ -53,11 +54,14 @@ def identify_outputs(
     request = Request(recording, layout, given, zeros, bounds, within, progress)
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
-    names = state_names(recording.outputs, given, shape.zeros)
-    said = order_too_high(request, chosen) if hardly_tells(found, shape) else []
+    names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
+    high = order_too_high(request, chosen) if hardly_tells(found, shape) else []
     found, others = with_others(found)
-    said = said or others or zeros_in_doubt(chosen, recording.inputs)
-    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said))
+    unsure = [] if high or others else zeros_in_doubt(chosen, recording.inputs)
+    said = high or others or unsure
+    doubts = ("a smaller order explains the log better",) if high else ()
+    doubts += ("the log hardly tells on which states inputs act",) if unsure else ()
+    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said), doubts)
 
 
 def _require_moving(recording: Recording) -> None:
@@ -81,9 +85,9 @@ def estimate_from_outputs(request: Request) -> tuple[Estimate, Chosen]:
     log = replace(chosen.log, recording=recording, nodes=nodes)
     request.progress("looking how well the log tells it")
     top, window = maximise(log, best.theta)
-    log, theta = without_level(log, top.theta, top.found.information, chosen.shape.C.T)
-    if not log.layout.constant:
-        top, window = maximise(log, theta)
+    log, kept = without_level(log, top.theta, top.found.information, chosen.shape.C.T)
+    if kept.size < top.theta.size:
+        top, window = maximise(log, top.theta[kept])
     curves = scan.curves * (recording.samples / chosen.log.recording.samples)
     start = start_beside(log, top, scan.first, curves)
     try:

@@ -70,7 +70,7 @@ def chains_by_past(
 def _rows(
     part: Part, shape: Embedding, lag: int, apart: int
 ) -> tuple[Int[np.ndarray, " row"], np.ndarray, np.ndarray, np.ndarray]:
-    """The mode, outputs, z_k, inputs and 1, of rows that stay in a mode and of which all is known."""
+    """The mode, outputs, z_k, inputs and 1, of rows that stay in a mode, all of them known."""
     before = (max(shape.order) - 1) * apart
     k = np.arange(before + lag, len(part.output) - apart)
     z = [part.output[k - a * apart, j] for j, n in enumerate(shape.order) for a in range(n)]

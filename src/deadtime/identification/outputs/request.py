@@ -62,8 +62,10 @@ def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
         )
 
 
-def state_names(outputs: tuple[str, ...], order: tuple[int, ...], zeros: bool) -> tuple[str, ...]:
-    """What states are called: outputs and primes for their derivatives; numbers with `zeros`.
+def state_names(
+    outputs: tuple[str, ...], order: tuple[int, ...], numbered: bool
+) -> tuple[str, ...]:
+    """What states are called: outputs and primes for their derivatives, or numbers.
 
     Examples
     --------
@@ -74,6 +76,8 @@ def state_names(outputs: tuple[str, ...], order: tuple[int, ...], zeros: bool) -
     """
     names = []
     for name, count in zip(outputs, order, strict=True):
-        more = [f"{name} ({k + 1})" if zeros else f"{name}{chr(39) * k}" for k in range(1, count)]
+        more = [
+            f"{name} ({k + 1})" if numbered else f"{name}{chr(39) * k}" for k in range(1, count)
+        ]
         names += [name, *more]
     return tuple(names)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Bool
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise_intervals import sensor_intervals
-from deadtime.identification.untold import counts_whole, reasons
+from deadtime.identification.untold import counts_milliseconds, reasons
 
 _EDGE = 1e-6  # of the range searched
 _SINGULAR = 1e8  # a condition of A: such a mode, as an integrator, has no rest of its own
@@ -43,28 +44,61 @@ def _uses_switches(found: Estimate) -> bool:
 def _delays(found: Estimate, recording: Recording) -> list[str]:
     low, high = _bounds(found, recording)
     names, said = delay_names(recording, found), []
-    each = zip(names, _values(found), found.intervals, found.several, strict=True)
-    for place, (name, D, (left, right), several) in enumerate(each):
+    each = zip(names, _values(found), found.intervals, _at_edge(found), _open(found), strict=True)
+    for place, (name, D, (left, right), edge, hardly) in enumerate(each):
         left = low if left <= found.log.bounds[0] else left
         digits = _digits(D, right - left)
         ends = f"{left:.{digits}g} … {right:.{digits}g} s"
         said.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
-        margin = _EDGE * (high - low)
-        edge = low + margin > D or high - margin < D
         if edge:
             said.append(
                 f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
                 "delay=(low, high), --delay LOW HIGH."
             )
-        if several or right - left > _WIDE * (high - low):
+        if hardly:
+            several = bool(found.several[place])
             apart = ", and others that lie apart explain it nearly as well" if several else ""
             told = f"The log hardly tells {name[0].lower()}{name[1:]}{apart}"
             why = reasons(recording, place % len(recording.inputs), high - low)
             advice = "" if why else ": move the input more, or log for longer"
-            said += [f"{told}{advice}{_beyond(right, high, margin)}.", *why]
-        elif edge and counts_whole(recording):
+            said += [f"{told}{advice}{_beyond(right, high, _EDGE * (high - low))}.", *why]
+        elif edge and counts_milliseconds(recording):
             said += reasons(recording, place % len(recording.inputs), high - low)
     return said
+
+
+def _at_edge(found: Estimate) -> Bool[np.ndarray, " delay"]:
+    """Which delays lie where the range searched ends."""
+    low, high = found.log.bounds
+    margin, D = _EDGE * (high - low), _values(found)
+    return (low + margin > D) | (high - margin < D)
+
+
+def _open(found: Estimate) -> Bool[np.ndarray, " delay"]:
+    """Which delays the log hardly tells."""
+    low, high = found.log.bounds
+    return found.several | (np.diff(found.intervals)[:, 0] > _WIDE * (high - low))
+
+
+def doubts_of(found: Estimate, recording: Recording) -> tuple[str, ...]:
+    """Why intervals of delays may not hold them, as ends of a sentence."""
+    names = delay_names(recording, found)
+    names = [f"{name[0].lower()}{name[1:]}" for name in names] if len(names) == 1 else names
+    low, high = found.log.bounds
+    least = -np.inf if _bounds(found, recording)[0] == 0.0 else low  # no delay is less than 0
+    cut = (found.intervals[:, 0] <= least) | (found.intervals[:, 1] >= high)
+    said = []
+    for name, edge, ends, hardly in zip(names, _at_edge(found), cut, _open(found), strict=True):
+        if edge or ends:
+            what = name if edge else f"the interval of {name}"
+            where = "lies at the edge of" if edge else "ends at the edge of"
+            said.append(f"{what} {where} the range searched")
+        said += [f"the log hardly tells {name}"] if hardly else []
+    if not found.tests.white:
+        said.append("what is left of the log is not white, and intervals are too narrow then")
+    if not found.tests.unrelated:
+        said.append(f"what is left still has {recording.inputs[found.tests.input]} in it")
+    return tuple(said)
 
 
 def _bounds(found: Estimate, recording: Recording) -> tuple[float, float]:
@@ -132,9 +166,7 @@ def _levels(
     return said
 
 
-def _apart(
-    found: Estimate, recording: Recording, rest: Rest, states: tuple[str, ...]
-) -> list[str]:
+def _apart(found: Estimate, recording: Recording, rest: Rest, states: tuple[str, ...]) -> list[str]:
     """Where each mode rests with the same inputs, if not all rest there."""
     if not rest.offset.any():
         return []
@@ -199,10 +231,16 @@ def _states(found: Estimate, recording: Recording) -> list[str]:
             f"The states are {' and '.join(named)}, less what inputs add to these: they act on all "
             "of them."
         ]
-    if found.plant.modes > 1:
+    if shape.jumps:
+        said.append(
+            f"So they are in mode {recording.modes[0]!r}; in other modes derivatives are sums of "
+            "them, so that an output's derivative jumps at a switch. The log asks for that."
+        )
+    elif found.plant.modes > 1:
+        tested = "" if found.log.within else ": the log does not say otherwise"
         said.append(
             "They are taken to be the same in all modes, and not to jump at a switch, as position "
-            "and speed do not."
+            f"and speed do not{tested}."
         )
     return said
 

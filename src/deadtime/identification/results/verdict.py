@@ -35,6 +35,8 @@ class Margin(Protocol):
 
 def verdict_of(fit: Identification, margin: Margin, law: Law | None, step: float) -> str:
     """What `Identification.verdict` says, of a law that acts every `step` seconds."""
+    if fit.doubts:
+        return delays_beside(fit.delays, fit.delay_interval, margin, doubt=fit.doubts[0])
     failure = None
     several = "delay" not in fit.names and fit.plant.inputs <= MOST_INPUTS
     if law is not None and several and margin.lower is not None:
@@ -49,12 +51,17 @@ def verdict_of(fit: Identification, margin: Margin, law: Law | None, step: float
 
 
 def delays_beside(
-    delays: np.ndarray, interval: np.ndarray, margin: Margin, failure: str | None = None
+    delays: np.ndarray,
+    interval: np.ndarray,
+    margin: Margin,
+    failure: str | None = None,
+    doubt: str = "",
 ) -> str:
     """The intervals beside a margin: how far every delay may be off beside how far it is borne.
 
     A margin is of delays that all err alike. Of several, `failure` says what fails where each errs
-    by itself, "" if nothing does; None where that was not looked at.
+    by itself, "" if nothing does; None where that was not looked at. `doubt` says why intervals may
+    not hold the delays: beside such nothing is enough.
     """
     j = margin.input
     column = slice(None) if j is None else slice(j, j + 1)
@@ -72,12 +79,10 @@ def delays_beside(
         return f"{said}; the law bears no delay at all, not even the likeliest: design another."
     shift = margin.lower - margin.nominal, margin.upper - margin.nominal
     left, right = float((ends[..., 0] - D).min()), float((ends[..., 1] - D).max())
-    enough = shift[0] <= left and right <= shift[1]
+    enough = shift[0] <= left and right <= shift[1] and not doubt
+    why = f"not enough, for {doubt}" if doubt else _end(enough, interval.shape[1] > 1)
     if one:
-        return (
-            f"{said}; the law bears {margin.lower:.4g} … {margin.upper:.4g} s: "
-            f"{_end(enough, interval.shape[1] > 1)}."
-        )
+        return f"{said}; the law bears {margin.lower:.4g} … {margin.upper:.4g} s: {why}."
     together = "" if j is not None else ", of all together"
     said = f"{said}; the law bears {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
     if failure is None or not enough:
@@ -85,7 +90,7 @@ def delays_beside(
             "enough if all err alike; nothing is said of errors that differ: verdict(margin, law) "
             "looks at them"
         )
-        return f"{said}: {alike if enough else _end(False)}."
+        return f"{said}: {alike if enough else why}."
     if failure:
         return f"{said}, but errors differ: {failure}: {_end(False)}."
     return (

@@ -160,7 +160,7 @@ class FittedSwitching(Section):
     )
     labels: dict[str, int] | None = Field(None, description="Mode of each text in the logs.")
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="Of the logs' column time; seconds by default."
+        None, description="Of the logs' times; seconds by default."
     )
 
 
@@ -210,13 +210,13 @@ class SwitchesSignal(Section):
 
 
 class LogSignal(Section):
-    """A CSV log with columns time and mode."""
+    """A CSV log with columns t (or time) and mode."""
 
     kind: Literal["log"]
     file: str = Field(description="Path, relative to the problem file.")
     labels: dict[str, int] | None = Field(None, description="Mode of each text in the log.")
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="Of the log's column time; seconds by default."
+        None, description="Of the log's times; seconds by default."
     )
     end: float | None = Field(None, description="Up to when the log is known, on its own clock.")
     dwell_time: float | None = Field(None, description="Checked, seconds.")
