@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
+from deadtime.base.checks import reporter
 from deadtime.identification.exact import estimate_exactly
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
@@ -26,8 +27,8 @@ from deadtime.identification.noisy.noise import estimate_with_noise
 from deadtime.identification.options import (
     choice,
     range_of_delays,
-    require_options,
     require_order_for,
+    require_switches,
 )
 from deadtime.identification.outputs.identified import identify_outputs
 from deadtime.identification.outputs.request import require_logged
@@ -53,7 +54,7 @@ def identify(
     outputs: Sequence[str] | None = None,
     order: int | Sequence[int] | None = None,
     zeros: bool | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Identification:
     """The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
 
@@ -89,7 +90,7 @@ def identify(
     zeros : bool, optional
         Of `order`: whether inputs act on all states of an output, and not on the last derivative
         alone, so that the others are no derivatives. By default, where the log asks for it.
-    progress : callable
+    progress : callable, optional
         Called with a few words whenever something else is begun.
 
     Returns
@@ -123,7 +124,8 @@ def identify(
     >>> dt.identify(log, modes=range(1, 3), delay=(0.0, 1.0)).plant.modes    # how many are there?
     1
     """
-    require_options(switches, progress)
+    require_switches(switches)
+    progress = reporter("progress", progress)
     noise, zeros = choice("noise", noise), choice("zeros", zeros)
     low, high = range_of_delays(delay)
     numbers = numbers_of(modes)
