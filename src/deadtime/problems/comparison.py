@@ -91,7 +91,8 @@ def compare(problem: Problem, progress: Progress | None = None) -> Comparison:
     >>> [round(rate, 2) for rate in result.growth]      # unstable if it stops switching
     [0.13, 0.28]
     """
-    runs, refused = _run(problem, reporter("progress", progress))
+    progress = reporter("progress", progress)
+    runs, refused = _run(problem, progress)
     if refused:
         problem = replace(problem, laws={name: problem.laws[name] for name in runs})
     # Long enough for the slowest root to stand out.
