@@ -185,7 +185,7 @@ def test_problems_that_have_no_random_signals_are_refused(capsys, monkeypatch, c
         (["--data", "all.parquet"], "data must end in .nc or .csv, got 'all.parquet'"),
         (["--data", "no/all.nc"], "data 'no/all.nc' cannot be written: there is no folder 'no'"),
         (["--data", "old.nc"], "data 'old.nc' cannot be written: it is a folder"),
-        (["--out", "run.gif"], "out must end in .png or .svg or .pdf, got 'run.gif'"),
+        (["--out", "run.gif"], "out must end in .png or .svg or .pdf or .pgf, got 'run.gif'"),
         (["--out", "no/run"], "out 'no/run.png' cannot be written: there is no folder 'no'"),
         (["--step", "-1"], "step must be positive"),
         (["--dwell-time", "-1"], "dwell_time must be positive, in s, or 0 with a --mean-sojourn"),
