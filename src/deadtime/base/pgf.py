@@ -46,7 +46,7 @@ class _Renderer(RendererPgf):
         ismath = args[2] if len(args) > 2 else more.get("ismath", False)
         super().draw_text(gc, x, y, _mixed(s) if ismath else latex(s), *args, **more)
 
-    def option_scale_image(self) -> bool:
+    def option_scale_image(self) -> Any:
         return False  # so that images come without a transform
 
     def draw_image(self, gc: Any, x: Any, y: Any, im: Any, transform: Any = None) -> None:
@@ -75,5 +75,6 @@ def write_pgf(figure: Figure, path: Path) -> None:
     with path.open("w", encoding="utf-8") as file:
         file.write(head)
         renderer = _Renderer(figure, file, path)
-        figure.draw(MixedModeRenderer(figure, width, height, figure.dpi, renderer))
+        mixed: Any = MixedModeRenderer(figure, width, height, figure.dpi, renderer)
+        figure.draw(mixed)
         file.write(_END)

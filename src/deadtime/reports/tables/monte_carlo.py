@@ -206,7 +206,8 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
             best[i].fraction,
             _quantiles(ratios[i]).median,
             int(diverged[i]),
-            *(Interval(*map(float, median_interval(row[i])[1:])) for row in (ranked, ratios)),
+            _interval(ranked[i]),
+            _interval(ratios[i]),
             Interval(*best[i].interval),
             _quantiles(ranked[i]) if measure == "iae" else None,
         )
@@ -299,6 +300,11 @@ def interval_text(low: float, high: float) -> str:
     ('1.50 to 98,765', '–', '2.00 to ∞')
     """
     return "–" if low == -math.inf else f"{compact(low)} to {compact(high)}"
+
+
+def _interval(values: np.ndarray) -> Interval:
+    _, low, high = median_interval(values)
+    return Interval(float(low), float(high))
 
 
 def _shares(interval: Interval) -> str:
