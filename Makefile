@@ -121,6 +121,7 @@ schema: .venv/installed
 
 # Strict, and the gallery's scripts are run; tests/documents/test_docs_site.py does the same without them.
 docs: .venv/installed-docs
+	rm -rf docs/api/names
 	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build/html
 	@echo "The site: docs/_build/html/index.html"
 
@@ -147,5 +148,5 @@ docs: .venv/installed-docs
 	@touch $@
 
 clean:
-	rm -rf .venv report study-report build dist docs/_build docs/gallery docs/howto/scripts .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv report study-report build dist docs/_build docs/api/names docs/gallery docs/howto/scripts .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -exec rm -rf {} +

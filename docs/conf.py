@@ -22,6 +22,8 @@ repository = os.environ.get("REPOSITORY", "")  # make docs REPOSITORY=https://â€
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.viewcode",
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
@@ -31,6 +33,8 @@ extensions = [
     "links",
     "names",
     "openings",
+    "sources",
+    "tables",
 ]
 templates_path = ["templates"]
 exclude_patterns = ["_build"]
@@ -43,7 +47,8 @@ myst_heading_anchors = 3
 autodoc_typehints = "none"  # shapes and units are in the docstrings
 autodoc_inherit_docstrings = False  # what a law shares with all laws is on the page of `Law`
 autodoc_member_order = "bysource"
-autodoc_preserve_defaults = True
+# Their bases have no page of their own: what they inherit is on theirs.
+autosummary_context = {"whole": [f"deadtime.{n}" for n in ("Controller", "Markov", "SemiMarkov")]}
 python_maximum_signature_line_length = 88
 
 EXAMPLES = HERE.parent / "examples"

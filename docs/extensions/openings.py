@@ -8,8 +8,8 @@ PAGES = "gallery/plot_"
 
 
 def open_with_picture(app, doctree: nodes.document) -> None:
-    """The first picture right below the title: from the first part of the page it moves there, of a
-    later one it is a copy."""
+    """The first picture right below the title: from the first part or section of the page it moves
+    there; of a later one, whose text speaks of it, it is a copy."""
     if not app.env.docname.startswith(PAGES):
         return
     pictures = [
@@ -19,11 +19,12 @@ def open_with_picture(app, doctree: nodes.document) -> None:
     ]
     titles = list(doctree.findall(nodes.title))
     if pictures and titles:
-        picture, section = pictures[0], titles[0].parent
+        picture, page = pictures[0], titles[0].parent
         opening = picture.deepcopy()
-        if picture.parent is section:
-            section.remove(picture)
-        section.insert(section.index(titles[0]) + 1, opening)
+        sections = [node for node in page.children if isinstance(node, nodes.section)]
+        if picture.parent in (page, *sections[:1]):
+            picture.parent.remove(picture)
+        page.insert(page.index(titles[0]) + 1, opening)
 
 
 def setup(app) -> dict[str, bool]:

@@ -100,7 +100,10 @@ def test_what_cannot_be_done_is_one_line(folder, capsys):
         (["--beside", "no.toml"], "no.toml"),
         (["--beside", "paper", "--law", "no"], "law must be one of"),
         (["--out", "no/problem.toml"], "out 'no/problem.toml' cannot be written: there is no"),
-        (["--figure", "fit.docx"], "figure must end in .png or .svg or .pdf, got 'fit.docx'"),
+        (
+            ["--figure", "fit.docx"],
+            "figure must end in .png or .svg or .pdf or .pgf, got 'fit.docx'",
+        ),
         (["--report", "no/fit.html"], "report 'no/fit.html' cannot be written"),
         (["--out", "log.csv"], "log.csv is read, or written twice: choose another name"),
         (["--out", "a.html", "--report", "a.html"], "a.html is read, or written twice"),

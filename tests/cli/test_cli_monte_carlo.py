@@ -81,7 +81,8 @@ def test_text_has_a_row_for_each_law_and_csv_a_row_for_each_run(data, folder, ca
     text = " ".join(out.split())
     assert "21 random signals, sojourns of 0.2 s + Exp(0.2 s), 15 s each" in text
     assert "law 5 % median 95 % best on / oracle diverged" in text
-    assert all(out.count(f"\n{law} ") == 2 for law in data.law.values)
+    assert "law median 95 % interval / oracle 95 % interval" in text
+    assert all(out.count(f"\n{law} ") == 3 for law in data.law.values)
     assert out.rstrip().endswith("Figure: run.png\nData: all.csv")
     assert (folder / "run.png").read_bytes().startswith(b"\x89PNG")
     with open("all.csv", newline="", encoding="utf-8") as file:
@@ -184,7 +185,7 @@ def test_problems_that_have_no_random_signals_are_refused(capsys, monkeypatch, c
         (["--data", "all.parquet"], "data must end in .nc or .csv, got 'all.parquet'"),
         (["--data", "no/all.nc"], "data 'no/all.nc' cannot be written: there is no folder 'no'"),
         (["--data", "old.nc"], "data 'old.nc' cannot be written: it is a folder"),
-        (["--out", "run.gif"], "out must end in .png or .svg or .pdf, got 'run.gif'"),
+        (["--out", "run.gif"], "out must end in .png or .svg or .pdf or .pgf, got 'run.gif'"),
         (["--out", "no/run"], "out 'no/run.png' cannot be written: there is no folder 'no'"),
         (["--step", "-1"], "step must be positive"),
         (["--dwell-time", "-1"], "dwell_time must be positive, in s, or 0 with a --mean-sojourn"),

@@ -108,7 +108,11 @@ REFUSED = {
     ),
     "noise in words": (GOOD, {"noise": "yes"}, "noise must be True, False, or None .*'yes'"),
     "zeros in words": (GOOD, {"zeros": "no"}, "zeros must be True, False, or None .*'no'"),
-    "no progress": (GOOD, {"progress": None}, "progress must be a function .* leave it out"),
+    "progress is no function": (
+        GOOD,
+        {"progress": 3},
+        "progress must be a function .* leave it out",
+    ),
     "a mode slips in": (
         GOOD.assign(mode=np.where(np.arange(T) % 30, MODE, 2)),
         {},

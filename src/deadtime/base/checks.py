@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,18 @@ def instance(name: str, value: object, kind: type) -> None:
     """Refuse a value that is not of a kind."""
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} must be a {kind.__name__}, got {type(value).__name__}.")
+
+
+def reporter(name: str, value: Callable[[str], None] | None) -> Callable[[str], None]:
+    """A function that takes a few words about progress; one that ignores them for None."""
+    if value is None:
+        return lambda _: None
+    if not callable(value):
+        raise ArgumentError(
+            f"{name} must be a function that takes a few words, got {value!r}: leave it out to "
+            "hear nothing."
+        )
+    return value
 
 
 def count(name: str, value: object, least: int = 1) -> int:

@@ -30,7 +30,6 @@ STYLE: dict[Any, Any] = {
     "axes.titlelocation": "left",
     "figure.constrained_layout.use": True,
     "figure.dpi": 180,
-    "svg.hashsalt": "deadtime",
 }
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, number, positive
+from deadtime.base.checks import count, instance, number, positive, reporter
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates.certificate import Certificate
 from deadtime.certificates.clock import (
@@ -71,7 +71,7 @@ def certify(
     mode_lag: int = 0,
     lost_samples: int = 0,
     search_signals: bool = True,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Certificate:
     """Whether the digital loop is stable for every switching signal with a dwell time.
 
@@ -121,7 +121,7 @@ def certify(
         holds its input, an observer predicts.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
-    progress : callable
+    progress : callable, optional
         Called with a few words whenever something else is tried, in the thread that `certify` runs
         in.
 
@@ -148,6 +148,7 @@ def certify(
     >>> certificate.stable, certificate.proven
     (True, True)
     """
+    progress = reporter("progress", progress)
     plants, axes, delays = plants_of(plant, delays)
     instance("law", law, Law)
     for corner in plants:

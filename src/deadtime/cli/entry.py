@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextvars import ContextVar
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Literal, NoReturn, TypeAlias
 
 from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
@@ -63,6 +63,7 @@ AsJson = Annotated[bool, Parameter(name="--json", negative="", show_default=Fals
 Flag = Annotated[bool, Parameter(negative="", show_default=False)]
 Folder = Annotated[Path, Parameter(alias="-o")]
 File = Annotated[Path | None, Parameter(alias="-o")]
+FigureWidth: TypeAlias = Literal["column", "page"] | float | None
 
 
 _asked: ContextVar[tuple[str, ...]] = ContextVar("asked", default=())

@@ -101,7 +101,7 @@ def identify(
     out
         The problem file to write.
     figure
-        The figure to write, PNG, SVG or PDF.
+        The figure to write, PNG, SVG, PDF or PGF.
     report
         The page to write, HTML: what there is to say, all intervals, figures of how well it fits.
     json_output

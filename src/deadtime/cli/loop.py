@@ -58,7 +58,8 @@ def loop(
     output
         Which state, or which output where an observer runs, is shown then, from 0.
     out
-        The picture, PNG, SVG or PDF; next to where you are, named after the problem, by default.
+        The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
+        default.
     json_output
         Print the margins as JSON instead of text.
     """

@@ -51,7 +51,7 @@ def fit(
     maximum_dwell
         The longest sojourn likewise, inf for none.
     out
-        The figure, PNG, SVG or PDF.
+        The figure, PNG, SVG, PDF or PGF.
     json_output
         Print the fit as JSON instead of text.
     """

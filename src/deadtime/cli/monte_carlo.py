@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
+from deadtime.cli.entry import COMPARE, AsJson, FigureWidth, File, app, lines
 from deadtime.cli.printing import (
     PICTURES,
+    TABLES,
     print_heading,
     print_json,
     print_never,
     print_table,
+    require_width,
     require_writable,
     save_figure,
+    save_text,
 )
 from deadtime.cli.problems import problem_of
 
@@ -50,7 +53,9 @@ def monte_carlo(
     backend: str = "numba",
     step: float | None = None,
     out: File = None,
+    width: FigureWidth = None,
     data: Path | None = None,
+    table: Path | None = None,
     json_output: AsJson = False,
 ) -> int:
     """Run every law of a problem over many random switching signals, all on the same ones.
@@ -77,9 +82,14 @@ def monte_carlo(
     step
         Sampling period in seconds; the problem's by default.
     out
-        The picture, PNG, SVG or PDF; next to where you are, named after the problem, by default.
+        The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
+        default.
+    width
+        Of the picture: column (3.5 in), page (7.16 in), or inches; by default as its panels need.
     data
         A file for the metrics of every run: netCDF (.nc) or CSV (.csv).
+    table
+        A file for the table of the laws, with intervals, for LaTeX (.tex).
     json_output
         Print the results as JSON instead of text.
     """
@@ -99,8 +109,10 @@ def monte_carlo(
     picture = Path(f"{chosen.name}-monte-carlo.png") if out is None else out
     picture = picture if picture.suffix else picture.with_suffix(".png")
     # Before the run: an hour of work should not end at a name that cannot be written.
+    require_width(width)
     require_writable("out", picture, PICTURES)
     require_writable("data", data, _DATA)
+    require_writable("table", table, TABLES)
     result = compare(
         chosen.plant,
         chosen.laws,
@@ -119,16 +131,19 @@ def monte_carlo(
     if result.scenarios == 0:
         raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print
     outcome = summary(result)
-    written = [picture] if data is None else [picture, data]
+    written = [path for path in (picture, data, table) if path is not None]
     if json_output:
         print_json(_record(chosen, model, sojourn, result, outcome), written)
     else:
         _print(chosen, model, sojourn, result, outcome)
-    save_figure(plot_monte_carlo(result, chosen.title), picture)
+    save_figure(plot_monte_carlo(result, chosen.title, width), picture)
     if data is not None:
         save_data(dataset_of(result), data)
+    if table is not None:
+        save_text("table", table, outcome.to_latex())
     if not json_output:
-        print(f"\nFigure: {picture}" + (f"\nData: {data}" if data is not None else ""))
+        named = {"Figure": picture, "Data": data, "Table": table}
+        print("\n" + "\n".join(f"{what}: {path}" for what, path in named.items() if path))
     if not result.attributes["interrupted"]:
         return 0
     done = f"{outcome.scenarios:,} of {scenarios:,} scenarios"
@@ -300,7 +315,9 @@ def _print(
     }
     print(f"\n{titles[outcome.measure]}")
     print_table(outcome.headings, outcome.rows())
-    print(f"/ {outcome.reference}: the median of the ratio on the same signal.")
+    print(f"/ {outcome.reference}: the median of the ratio on the same signal.\n")
+    print_table(outcome.interval_headings, outcome.interval_rows())
+    print("Intervals hold the true median at 95 % or more: order statistics, of any distribution.")
     other = "ise" if outcome.measure == "cost" else "cost"
     print(f"\n{titles[other]}")
     print_table(outcome.headings[:4], outcome.rows_of(other))

@@ -100,8 +100,8 @@ def plot(
     where
         An axis and the value to hold it at, such as delay=0.5; may be given several times.
     out
-        The figure, PNG, SVG or PDF, where there is one; or a folder for PNG files, by default next
-        to where you are and named after the store.
+        The figure, PNG, SVG, PDF or PGF, where there is one; or a folder for PNG files, by default
+        next to where you are and named after the store.
     json_output
         Print the paths as JSON instead of text.
     """

@@ -15,11 +15,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.progress import Progress, ProgressColumn
 
+    from deadtime.cli.entry import FigureWidth
     from deadtime.problems import Problem
     from deadtime.problems.comparison import Comparison
     from deadtime.reports.study.phrases import Answer
 
-PICTURES = (".png", ".svg", ".pdf")
+PICTURES = (".png", ".svg", ".pdf", ".pgf")
+TABLES = (".tex",)
 
 
 class Advance(Protocol):
@@ -162,6 +164,22 @@ def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) 
     else:
         return
     raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
+
+
+def require_width(width: FigureWidth) -> None:
+    """Refuse the width of a figure that cannot be drawn, before there is work to lose."""
+    if width is not None:
+        from deadtime.base.figure_files import inches
+
+        inches(width)
+
+
+def save_text(name: str, path: Path, text: str) -> None:
+    """Write a file that an option names."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError(f"{name} {str(path)!r} cannot be written: {error.strerror}.") from None
 
 
 def save_figure(figure: Figure, target: Path) -> None:

@@ -54,7 +54,8 @@ def robustness(
     seed
         Of the first of them.
     out
-        The picture, PNG, SVG or PDF; next to where you are, named after the problem, by default.
+        The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
+        default.
     json_output
         Print the results as JSON instead of text.
     """

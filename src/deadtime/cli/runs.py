@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import START, AsJson, File, Folder, app, lines
-from deadtime.cli.printing import print_json, print_result, progress_bar, save_figure
+from deadtime.cli.entry import START, AsJson, FigureWidth, File, Folder, app, lines
+from deadtime.cli.printing import print_json, print_result, progress_bar, require_width, save_figure
 from deadtime.cli.problems import problem_of, problem_with
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ def simulate(
     horizon: float | None = None,
     x0: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     out: File = None,
+    width: FigureWidth = None,
     csv: Path | None = None,
     json_output: AsJson = False,
 ) -> None:
@@ -95,8 +96,10 @@ def simulate(
     x0
         The state at the start, such as --x0 1,-0.5; the problem's by default.
     out
-        The figure, PNG, SVG or PDF; next to where you are, named after the problem, by default.
-        With several laws a second figure compares them.
+        The figure, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
+        default. With several laws a second figure compares them.
+    width
+        Of figures: column (3.5 in), page (7.16 in), or inches; by default as their panels need.
     csv
         The run as a log, which deadtime identify reads: time, states, inputs, the mode and, with a
         reference, outputs; of several laws, each into a file named after the law.
@@ -108,6 +111,7 @@ def simulate(
     from deadtime.reports.tables.certificates import delay_sentence
     from deadtime.reports.verdict import verdict
 
+    require_width(width)
     log = None if csv is None else _log(csv)
     chosen = problem_with(problem, step, horizon, x0)
     if law is not None:
@@ -115,7 +119,7 @@ def simulate(
     steps = len(chosen.laws) + chosen.plant.modes
     with progress_bar(steps, quiet=json_output) as advance:
         result = compare(chosen, advance)
-    saved = _save_figures(result, _picture(chosen, out))
+    saved = _save_figures(result, _picture(chosen, out), width)
     logs = [] if log is None else _save_logs(result, log)
     if json_output:
         print_json(metrics_of(result), [*saved, *logs])
@@ -160,7 +164,7 @@ def _picture(problem: Problem, out: Path | None) -> Path:
     return path if path.suffix else path.with_suffix(".png")
 
 
-def _save_figures(result: Comparison, path: Path) -> list[Path]:
+def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
     from deadtime.reports.figures.comparison import all_laws
     from deadtime.simulation.figure import plot_run
@@ -168,10 +172,10 @@ def _save_figures(result: Comparison, path: Path) -> list[Path]:
     problem = result.problem
     run = result.runs[result.lead]
     title = f"Law: {result.lead}"
-    figures = [(path, plot_run(run, title, problem.states, problem.modes, problem.inputs))]
+    figures = [(path, plot_run(run, title, problem.states, problem.modes, problem.inputs, width))]
     if len(result.runs) > 1:
         second = path.with_stem(path.stem + "-all-laws")
-        figures.append((second, all_laws(result)[1]))
+        figures.append((second, all_laws(result, width)[1]))
     for target, figure in figures:
         save_figure(figure, target)
     return [target for target, _ in figures]

@@ -11,12 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, Flag, app, lines
-from deadtime.cli.printing import on_terminal, print_heading, print_json
+from deadtime.cli.printing import (
+    TABLES,
+    on_terminal,
+    print_heading,
+    print_json,
+    print_table,
+    require_writable,
+    save_text,
+)
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from deadtime.scenarios.sweeps import FileStudy, Progress
     from deadtime.scenarios.sweeps.plan import Plan
 
+_SHOWN = 24  # rows of a table at most
 _EVERY = 10.0  # seconds between lines about a cluster's progress
 
 
@@ -38,6 +49,7 @@ def sweep(
     status: Flag = False,
     dry_run: Flag = False,
     verify: Flag = False,
+    table: Path | None = None,
     json_output: AsJson = False,
 ) -> int:
     """Run every cell of a study's grid into a Zarr store: here, or on a Dask cluster.
@@ -64,6 +76,8 @@ def sweep(
         Say how much there is to do and to store, and stop.
     verify
         Read everything that is stored first, and compute again what is damaged.
+    table
+        A file for medians and ratios to the oracle in every cell, with intervals, for LaTeX (.tex).
     json_output
         Print the result as JSON instead of text.
     """
@@ -71,6 +85,7 @@ def sweep(
     from deadtime.scenarios.sweeps import load_study, sweep as run
     from deadtime.scenarios.sweeps.plan import plan_of
 
+    require_writable("table", table, TABLES)
     chosen = load_study(file)
     if scenarios is not None:
         chosen = with_scenarios(chosen, scenarios)
@@ -98,18 +113,38 @@ def sweep(
         )
         return 130
     reasons = _reasons(data)
+    if table is not None:
+        from deadtime.reports.tables.sweep import sweep_table
+
+        save_text("table", table, sweep_table(data).to_latex())
     if json_output:
         from deadtime.base.record import plain
 
-        print_json({**plain(plan_of(chosen, place)), "damaged": damaged, "reasons": reasons})
+        state = {**plain(plan_of(chosen, place)), "damaged": damaged, "reasons": reasons}
+        print_json(state, None if table is None else [table])
         return 0
     sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
     print_heading(chosen.title)
     print(f"{plan.cells:,} cells: {sizes}")
     for law, (cells, example) in reasons.items():
         print(f"• {law}: in {cells:,} of {plan.cells:,} cells, such as: {example}")
+    _print_medians(data)
+    if table is not None:
+        print(f"\nTable: {table}")
     print(f"\nStore: {place}. Next: deadtime plot {place}")
     return 0
+
+
+def _print_medians(data: xr.Dataset) -> None:
+    """Medians with their intervals, of a sweep that a terminal holds."""
+    from deadtime.reports.tables.sweep import sweep_table
+
+    if data["reason"].size > _SHOWN or not bool((data["done"] == 1).any()):
+        return
+    found = sweep_table(data)
+    print()
+    print_table(found.headings, found.rows)
+    print(f"({' '.join(found.said).removeprefix('deadtime: ')}.)")
 
 
 def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:

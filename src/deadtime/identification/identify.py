@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from numpy.typing import ArrayLike
 
+from deadtime.base.checks import reporter
 from deadtime.identification.closed_loop import estimate_in_loop
 from deadtime.identification.exact import estimate_exactly
 from deadtime.identification.fed_back import fed_back
@@ -30,8 +31,8 @@ from deadtime.identification.noisy.noise import estimate_with_noise
 from deadtime.identification.options import (
     choice,
     range_of_delays,
-    require_options,
     require_order_for,
+    require_switches,
 )
 from deadtime.identification.outputs.identified import identify_outputs
 from deadtime.identification.outputs.request import is_states, require_logged
@@ -58,7 +59,7 @@ def identify(
     order: int | Sequence[int] | None = None,
     zeros: bool | None = None,
     rest: bool | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Identification:
     """The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
 
@@ -97,7 +98,7 @@ def identify(
     rest : bool, optional
         Whether inputs before the log were those of its first row. By default, where inputs and
         states are still at first and what is left of the log does not contradict it.
-    progress : callable
+    progress : callable, optional
         Called with a few words whenever something else is begun.
 
     Returns
@@ -131,7 +132,8 @@ def identify(
     >>> dt.identify(log, modes=range(1, 3), delay=(0.0, 1.0)).plant.modes    # how many are there?
     1
     """
-    require_options(switches, progress)
+    require_switches(switches)
+    progress = reporter("progress", progress)
     noise, zeros, rest = choice("noise", noise), choice("zeros", zeros), choice("rest", rest)
     low, high = range_of_delays(delay)
     numbers = numbers_of(modes)

@@ -8,15 +8,10 @@ from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
 
 
-def require_options(switches: object, progress: object) -> None:
+def require_switches(switches: object) -> None:
     """Refuse what is none of the values that there are."""
     if switches not in ("anywhere", "samples"):
         raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-    if not callable(progress):
-        raise ArgumentError(
-            f"progress must be a function that takes a few words, got {progress!r}: leave it out "
-            "to hear nothing."
-        )
 
 
 def choice(name: str, value: object) -> bool | None:

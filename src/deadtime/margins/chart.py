@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import as_floats
+from deadtime.base.checks import as_floats, reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.margins.stability import Loop, StabilityMargin, stability_margin
@@ -53,7 +53,7 @@ def stability_chart(
     dwell_times: Sequence[float],
     step: float = 0.01,
     ratio: float = 1.02,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> StabilityChart:
     """A stability margin for each law at each dwell time, which `plot_chart` draws.
 
@@ -66,7 +66,7 @@ def stability_chart(
         As `stability_margin` takes them.
     dwell_times : sequence of float
         Seconds, in any order.
-    progress : callable
+    progress : callable, optional
         Called with a few words before each margin, len(laws)·len(dwell_times) times.
 
     Raises
@@ -74,6 +74,7 @@ def stability_chart(
     ArgumentError
         If there is no law or no dwell time.
     """
+    progress = reporter("progress", progress)
     times = np.unique(as_floats("dwell_times", dwell_times, "(T,) seconds"))
     if not laws or not times.size:
         raise ArgumentError("laws and dwell_times must hold at least one entry each.")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
 from deadtime.simulation import Trajectory
@@ -72,14 +73,14 @@ class Comparison:
         return measure_of(run.followed for run in self.runs.values())
 
 
-def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison:
+def compare(problem: Problem, progress: Progress | None = None) -> Comparison:
     """Run every law of a problem, then its first law without any switching.
 
     Parameters
     ----------
     problem : Problem
         The setting.
-    progress : callable
+    progress : callable, optional
         Called with a few words before each piece of work.
 
     Examples
@@ -90,6 +91,7 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
     >>> [round(rate, 2) for rate in result.growth]      # unstable if it stops switching
     [0.13, 0.28]
     """
+    progress = reporter("progress", progress)
     runs, refused = _run(problem, progress)
     if refused:
         problem = replace(problem, laws={name: problem.laws[name] for name in runs})

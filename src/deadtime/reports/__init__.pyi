@@ -30,5 +30,6 @@ from .tables.design import (
     problem_sections as problem_sections,
 )
 from .tables.monte_carlo import summary as summary
+from .tables.sweep import SweepTable as SweepTable, sweep_table as sweep_table
 from .tightness import tightness as tightness
 from .verdict import verdict as verdict

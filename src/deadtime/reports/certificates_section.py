@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import file_name
 from deadtime.laws import DelayedStateFeedback
@@ -57,13 +58,13 @@ def steps_of_section(problem: Problem) -> int:
     return len(problem.laws) + 3
 
 
-def certificates_section(result: Comparison, progress: Progress = lambda _: None) -> Section:
+def certificates_section(result: Comparison, progress: Progress | None = None) -> Section:
     """Certify every law of a comparison for the dwell time of its signal.
 
     A signal that never switches is held to the horizon. The loop is the sampled one, at the
     problem's period, or at 0.01 s where the problem's loop is ideal.
     """
-    problem = result.problem
+    progress, problem = reporter("progress", progress), result.problem
     signals, step = signals_of(problem, result.signal), step_of(problem)
     dwell, source = signals.dwell
     judged = judge(problem, step=step, progress=progress, **signals.options)

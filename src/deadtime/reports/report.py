@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.base.wording import file_name
 from deadtime.laws import DelayedStateFeedback
@@ -81,7 +82,7 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
 def write_report(
     problem: Problem,
     folder: str | Path,
-    progress: Progress = lambda _: None,
+    progress: Progress | None = None,
     command: str = "",
     certificates: bool = True,
 ) -> Report:
@@ -96,7 +97,7 @@ def write_report(
         The setting.
     folder : path
         Made if it does not exist.
-    progress : callable
+    progress : callable, optional
         Called with a few words before each piece of work, `steps_of(problem, certificates)` times.
     command : str
         How to make the report again, for its last line.
@@ -108,7 +109,7 @@ def write_report(
     ArgumentError
         If the folder cannot be written.
     """
-    folder = Path(folder)
+    folder, progress = Path(folder), reporter("progress", progress)
     with writing(folder):
         return _write(problem, folder, progress, command, certificates)
 

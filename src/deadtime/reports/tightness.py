@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.certificates import theorem_bound
 from deadtime.certificates.theorem.bound import stated_forms
@@ -100,7 +101,7 @@ def tightness(
     dwell_time: float,
     step: float = 0.01,
     ratio: float = 1.01,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Tightness:
     """How far the theorem's three forms, the lifted certificate and a witness reach.
 
@@ -115,7 +116,7 @@ def tightness(
         Seconds.
     ratio : float
         As `stability_margin` takes it.
-    progress : callable
+    progress : callable, optional
         Called with a few words, twice.
 
     Raises
@@ -127,6 +128,7 @@ def tightness(
     if own == 0.0 or problem.plant.modes == 1:
         raise ArgumentError("modes of the problem must differ: they are all the same.")
     reaches, missing = [], []
+    progress = reporter("progress", progress)
     progress("the theorem's reach")
     forms = stated_forms(problem.plant)
     if not forms:

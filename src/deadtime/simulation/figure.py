@@ -10,7 +10,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
+from deadtime.base.figure_files import Width, new_figure, style_of
+from deadtime.base.figure_style import COLOURS, WIDTH, plain
 from deadtime.base.wording import input_names, subscript
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -76,11 +77,12 @@ def plot_run(
     states: Sequence[str] | None = None,
     modes: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
+    width: Width | None = None,
 ) -> Figure:
     """A panel for each state and input of a run over time, its mode, and what it believed of it.
 
     Names head the panels, with the units that they state; of many states and inputs two panels
-    stand side by side.
+    stand side by side. The width is "column", "page" or inches; by default as the panels need.
     """
     n, m, count = run.states.shape[0], run.inputs.shape[0], run.plant.modes
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
@@ -89,10 +91,12 @@ def plot_run(
     states, modes, inputs = (list(map(plain, names)) for names in (states, modes, inputs))
     # A run that ended at once still needs an axis.
     end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
-    with rc_context(STYLE):
+    with rc_context(style_of(width)):
         belief = run.belief if run.time.size > 1 else None
         beside, others = _references(run)
-        figure, panels, strips = _panels(n + m + len(others), count, 1 if belief is None else 2)
+        figure, panels, strips = _panels(
+            n + m + len(others), count, 1 if belief is None else 2, width
+        )
         held: Any = {"drawstyle": "steps-post" if run.record.held else "default"}
         curves = [(name, x, COLOURS[0], {}) for name, x in zip(states, run.states, strict=True)]
         curves += [(f"output {i}", y, COLOURS[0], {}) for i, y, _ in others]
@@ -130,13 +134,15 @@ def _references(
     return beside, others
 
 
-def _panels(curves: int, modes: int, strips: int) -> tuple[Figure, list[Axes], list[Axes]]:
+def _panels(
+    curves: int, modes: int, strips: int, width: Width | None
+) -> tuple[Figure, list[Axes], list[Axes]]:
     """A panel a curve, in two columns where there are many, above strips of the full width."""
     columns = 1 if curves <= _ONE_COLUMN else 2
     rows, strip = -(-curves // columns), _STRIP + 0.17 * modes
     cells = [[min(columns * i + j, curves - 1) for j in range(columns)] for i in range(rows)]
     layout: Any = [*cells, *([f"strip {i}"] * columns for i in range(strips))]
     heights = [_PANEL] * rows + [strip] * strips
-    figure = Figure(figsize=(WIDTH * (1.0 if columns == 1 else 1.4), 0.5 + sum(heights)))
+    figure = new_figure(WIDTH * (1.0 if columns == 1 else 1.4), 0.5 + sum(heights), width)
     found: Any = figure.subplot_mosaic(layout, sharex=True, height_ratios=heights)
     return figure, [found[i] for i in range(curves)], [found[f"strip {i}"] for i in range(strips)]

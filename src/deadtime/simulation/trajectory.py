@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+    from deadtime.base.figure_files import Width
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Frozen):
@@ -233,25 +235,21 @@ class Trajectory(Frozen):
         with np.errstate(over="ignore"):
             return float(-np.polyfit(time / self.end, np.log(norm), 1)[0] / np.float64(self.end))
 
-    def plot(self, title: str | None = None) -> Figure:
+    def plot(self, title: str | None = None, width: Width | None = None) -> Figure:
         """States, inputs and mode over time, as a matplotlib figure.
 
-        A run that ended before the first of the `times` asked for is drawn at its samples.
+        The width is "column" (3.5 in) or "page" (7.16 in) of a journal, or inches. A run that ended
+        before the first of the `times` asked for is drawn at its samples.
         """
         from deadtime.simulation.figure import plot_run
 
-        if self.time.size:
-            return plot_run(self, title)
-        time = self.record.grid(self.end)
-        whole = replace(
-            self,
-            time=time,
-            states=self.record.states_at(time).T,
-            inputs=self.record.inputs_at(time).T,
-            mode=self.signal(time),
-            mismatch=None,
-        )
-        return plot_run(whole, title)
+        run = self
+        if not self.time.size:
+            time = self.record.grid(self.end)
+            x, u = self.record.states_at(time).T, self.record.inputs_at(time).T
+            mode = self.signal(time)
+            run = replace(self, time=time, states=x, inputs=u, mode=mode, mismatch=None)
+        return plot_run(run, title, width=width)
 
     def _columns(self) -> dict[str, np.ndarray]:
         """The signals by python-control's names, the letter and a number."""

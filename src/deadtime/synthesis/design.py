@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count
+from deadtime.base.checks import count, reporter
 from deadtime.feedback import Law
 from deadtime.gains import lqr
 from deadtime.gains.checked import check_gains
@@ -58,7 +58,7 @@ def design(
     weight: Weight | None = None,
     input_limit: ArrayLike | None = None,
     initial: InitialStates | StationaryNoise | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Design:
     """Gains and a law with a delay margin, decay rate and inputs as asked, at the least cost found.
 
@@ -109,7 +109,7 @@ def design(
         exact worst case, of a normal x(0) with the probability that it says at least
         (`deadtime.synthesis.input_peak`). Or stationary noise: then the limit is kept
         with just the probability that it says, at any one instant.
-    progress : callable
+    progress : callable, optional
         Called with a few words before each of at most `budget` designs that are tried.
 
     Returns
@@ -136,6 +136,7 @@ def design(
     >>> found.reached, found.margin.relative >= 0.2, found.cost > found.plain.cost
     (True, True, True)
     """
+    progress = reporter("progress", progress)
     asked = check_request(plant, delay_margin, step, filtered, longest_step, cost, dearest)
     limit, initial = limits_asked(plant, input_limit), check_initial(initial, plant)
     floors = Floors(asked, decay_asked(decay_rate), limit, initial)

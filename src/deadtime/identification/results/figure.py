@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.delay_intervals import profile
 from deadtime.identification.log.recording import Part
@@ -28,13 +29,12 @@ _FAR = 3.0  # of a log's range: a free run that leaves it is cut there
 def plot_identification(fit: Identification) -> Figure:
     """Likelihood over each delay, predictions and free run over the log, residuals, modes."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
     part = shown(fit)
     n, several = fit.plant.states, fit.plant.modes > 1
     rows = n + 2 + several
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(1.5 * WIDTH, 1.2 * rows + 0.8), layout="constrained")
+        figure = new_figure(1.5 * WIDTH, 1.2 * rows + 0.8)
         grid = figure.add_gridspec(rows, 1)
         draw_likelihood(figure.add_subplot(grid[0]), fit)
         axes = [figure.add_subplot(grid[1 + i]) for i in range(n)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.residuals import with_inputs
 from deadtime.identification.results.figure import (
@@ -81,10 +82,9 @@ def quick_figures(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
 def _figure(rows: int, height: float, wide: float = 1.0) -> Iterator[tuple[Figure, list[Axes]]]:
     """A figure of rows of panels over one axis, inches each, in the style of all."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(wide * WIDTH, height * rows + 0.4), layout="constrained")
+        figure = new_figure(wide * WIDTH, height * rows + 0.4)
         yield figure, list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, positive, real_array, require_shape
+from deadtime.base.checks import count, instance, positive, real_array, reporter, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import sentence_of
 from deadtime.estimation import BeliefPredictor, OutputFeedback
@@ -99,7 +99,7 @@ def robustness(
     u0: InitialInput = None,
     weight: Weight | None = None,
     names: Sequence[str] | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Robustness:
     """What a loop tolerates: errors of delay and gain, lost and late samples, late modes, noise.
 
@@ -127,7 +127,7 @@ def robustness(
         Of the cost; the identity by default.
     names : sequence of str, optional
         What the inputs are called in `sentences`; by default they are counted.
-    progress : callable
+    progress : callable, optional
         Called with a few words before each of `len(STEPS)` pieces of work.
 
     Returns
@@ -149,6 +149,7 @@ def robustness(
     >>> result.late.tolerated, result.lag
     (12.0, None)
     """
+    progress = reporter("progress", progress)
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")

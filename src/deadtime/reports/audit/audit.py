@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deadtime.base.checks import positive
+from deadtime.base.checks import positive, reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Progress
@@ -24,7 +24,7 @@ def audit(
     problem: Problem,
     scenarios: int = 1000,
     seed: int = 0,
-    progress: Progress = lambda _: None,
+    progress: Progress | None = None,
     dwell_time: float = 0.2,
 ) -> list[Claim]:
     """Hold what the paper says of its example's runs against many random signals.
@@ -42,7 +42,7 @@ def audit(
         Number of random signals, ≥ 1.
     seed : int
         Of the signals; at least 0.
-    progress : callable
+    progress : callable, optional
         Called with a few words before each piece of work, `STEPS` times in all.
     dwell_time : float
         τ_d of the random signals, in seconds; the example's is 0.2.
@@ -77,6 +77,7 @@ def audit(
     if problem.step is None:
         raise ArgumentError("problem.step must be a period in seconds: the audit is digital.")
     dwell_time = positive("dwell_time", dwell_time)
+    progress = reporter("progress", progress)
     count = max(1, round(SWEEP_SHARE * scenarios))
     evidence = gather_all(problem, dwell_time, scenarios, seed, progress)
     return [

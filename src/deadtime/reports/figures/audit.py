@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 from deadtime.reports.audit import Claim, Sweep
 from deadtime.scenarios.paired.proportion import Proportion
@@ -29,7 +30,7 @@ def plot_claims(claims: Sequence[Claim]) -> Figure:
     """
     shown = [claim for claim in claims if claim.proportion is not None][::-1]
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.35 * WIDTH, 0.9 + 0.3 * len(shown)))
+        figure = new_figure(1.35 * WIDTH, 0.9 + 0.3 * len(shown))
         axes = figure.subplots()
         axes.axvline(50.0, color="#888888", linewidth=0.8)
         for row, claim in enumerate(shown):
@@ -63,7 +64,7 @@ def plot_dwell_times(claims: Sequence[Claim]) -> Figure:
     """Law (2) against (80) as the dwell time changes: how often, and by how much."""
     sweep = _sweep(claims, "shorter-dwell-gains")
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.6))
+        figure = new_figure(WIDTH, 3.6)
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
         (shares,) = sweep.shares.values()
         upper.axhline(50.0, color="#888888", linewidth=0.8)
@@ -88,7 +89,7 @@ def plot_distances(claims: Sequence[Claim]) -> Figure:
     sweep = _sweep(claims, "distance")
     values = np.array(sweep.values)
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.1))
+        figure = new_figure(WIDTH, 3.1)
         axes = figure.subplots()
         for i, (name, shares) in enumerate(sweep.shares.items()):
             _line(axes, values + 0.012 * (2 * i - 1), shares, COLOURS[i], "os"[i % 2], name)

@@ -13,7 +13,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain, visible
+from deadtime.base.figure_files import Width, legend_columns, new_figure, style_of
+from deadtime.base.figure_style import COLOURS, LINES, WIDTH, plain, visible
 from deadtime.base.wording import as_rate, numbered
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
@@ -23,11 +24,13 @@ from deadtime.simulation.figure import signal_steps
 from deadtime.switching import SwitchingSignal
 
 
-def plot_signal(signal: SwitchingSignal, end: float, modes: Sequence[str]) -> Figure:
+def plot_signal(
+    signal: SwitchingSignal, end: float, modes: Sequence[str], width: Width | None = None
+) -> Figure:
     """The switching signal on [0, end]: the active mode in blue, switching instants in black."""
     times, visited = signal_steps(signal, end)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 1.0 + 0.3 * len(modes)))
+    with rc_context(style_of(width)):
+        figure = new_figure(WIDTH, 1.0 + 0.3 * len(modes), width)
         axes = figure.subplots()
         axes.hlines(visited[:-1], times[:-1], times[1:], color=COLOURS[0], linewidth=2.5)
         axes.vlines(times[1:-1], -0.3, len(modes) - 0.7, color="black", linewidth=0.5)
@@ -39,7 +42,13 @@ def plot_signal(signal: SwitchingSignal, end: float, modes: Sequence[str]) -> Fi
     return figure
 
 
-def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequence[str]) -> Figure:
+def plot_window(
+    signal: SwitchingSignal,
+    delay: float,
+    end: float,
+    modes: Sequence[str],
+    width: Width | None = None,
+) -> Figure:
     """Switching instants and modes in [t, t + D], for the t in [0, end] that sees most switches."""
     switches = signal.times[1:][signal.times[1:] <= end]
     t = 0.0
@@ -49,8 +58,8 @@ def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequen
         middle = (switches[first] + switches[after[first] - 1]) / 2.0
         t = max(0.0, float(middle) - delay / 2.0)
     cuts = np.array([t, *switches[(switches > t) & (switches < t + delay)], t + delay])
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 1.3 + 0.3 * len(modes)))
+    with rc_context(style_of(width)):
+        figure = new_figure(WIDTH, 1.3 + 0.3 * len(modes), width)
         axes = figure.subplots()
         times, visited = signal_steps(signal, t + 1.15 * delay)
         axes.step(times, visited, where="post", color=COLOURS[0], linewidth=1.8)
@@ -70,7 +79,9 @@ def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequen
     return figure
 
 
-def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figure:
+def plot_norms(
+    runs: Mapping[str, Trajectory], title: str | None = None, width: Width | None = None
+) -> Figure:
     """|x| of several runs on logarithmic axes; a run far above the others leaves the frame.
 
     More than five are shared out among panels with the same axes.
@@ -79,9 +90,11 @@ def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figu
     tops = sorted(float(norm.max()) for norm in norms.values())
     bottom = min(float(norm[norm > 0.0].min(initial=1.0)) for norm in norms.values())
     top = tops[-1] if len(tops) < 2 or tops[-1] < 1e3 * tops[-2] else 30.0 * tops[-2]
-    with rc_context(STYLE):
+    with rc_context(style_of(width)):
         groups = _shared_out(list(runs))
-        figure = Figure(figsize=(WIDTH, 0.9 + (2.4 if len(groups) == 1 else 1.8) * len(groups)))
+        height = 0.9 + (2.4 if len(groups) == 1 else 1.8) * len(groups)
+        figure = new_figure(WIDTH, height, width)
+        columns = legend_columns(figure, runs, 3, beside=0.65)
         panels = figure.subplots(len(groups), sharex=True, sharey=True, squeeze=False)[:, 0]
         looks = looks_of(list(runs))
         for panel, group in zip(panels, groups, strict=True):
@@ -91,7 +104,9 @@ def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figu
                     time, norm, linestyle=line, color=looks[name].colour, label=plain(name)
                 )
             panel.set_ylabel("|x|")
-            panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, handlelength=2.6)
+            panel.legend(
+                loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6
+            )
         panels[0].set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
         panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
         panels[-1].set_xlabel("time (s)")
@@ -101,7 +116,10 @@ def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figu
 
 
 def plot_tracking(
-    runs: Mapping[str, Trajectory], outputs: Sequence[str] = (), title: str | None = None
+    runs: Mapping[str, Trajectory],
+    outputs: Sequence[str] = (),
+    title: str | None = None,
+    width: Width | None = None,
 ) -> Figure:
     """What follows a reference under several laws, beside the reference: a panel per output.
 
@@ -121,8 +139,10 @@ def plot_tracking(
     named = list(map(plain, outputs or numbered("y", count)))
     groups, looks = _shared_out(list(runs)), looks_of(list(runs))
     rows = [(i, group) for i in range(count) for group in groups]
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 0.9 + (2.4 if len(rows) == 1 else 1.8) * len(rows)))
+    with rc_context(style_of(width)):
+        height = 0.9 + (2.4 if len(rows) == 1 else 1.8) * len(rows)
+        figure = new_figure(WIDTH, height, width)
+        columns = legend_columns(figure, runs, 3, beside=0.65)
         panels = figure.subplots(len(rows), sharex=True, squeeze=False)[:, 0]
         for panel, (i, group) in zip(panels, rows, strict=True):
             first = runs[group[0]]
@@ -141,7 +161,9 @@ def plot_tracking(
                 )
             panel.set_ylim(*_tracking_frame(runs, i))
             panel.set_ylabel(named[i])
-            panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, handlelength=2.6)
+            panel.legend(
+                loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6
+            )
         panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
         panels[-1].set_xlabel("time (s)")
         if title:
@@ -176,22 +198,22 @@ def _shared_out(names: Sequence[str]) -> list[Sequence[str]]:
     return [names[i : i + size] for i in range(0, len(names), size)]
 
 
-def all_laws(result: Comparison) -> tuple[str, Figure]:
+def all_laws(result: Comparison, width: Width | None = None) -> tuple[str, Figure]:
     """Every law in one figure, and its caption: |x|, or what follows beside its reference."""
     if result.measure == "iae":
         caption = "What follows the reference, under every law; a law far off leaves the frame."
-        return caption, plot_tracking(result.runs, result.problem.tracked)
+        return caption, plot_tracking(result.runs, result.problem.tracked, width=width)
     caption = "Every law on one axis; a law far above the others leaves the frame."
-    return caption, plot_norms(result.runs)
+    return caption, plot_norms(result.runs, width=width)
 
 
-def plot_verdict(result: Comparison) -> Figure:
+def plot_verdict(result: Comparison, width: Width | None = None) -> Figure:
     """The picture of the verdict: one law, with and without switching."""
     problem: Problem = result.problem
     run = result.runs[result.lead]
     end = problem.horizon * (2.0 if max(result.growth) > 0.0 else 1.0)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.0))
+    with rc_context(style_of(width)):
+        figure = new_figure(WIDTH, 3.0, width)
         axes = figure.subplots()
         for i, (held, rate) in enumerate(zip(result.held, result.growth, strict=True)):
             shown = held.time <= end
@@ -211,5 +233,7 @@ def plot_verdict(result: Comparison) -> Figure:
         top = max(float(line.get_ydata().max()) for line in axes.lines)  # pyright: ignore
         axes.set_ylim(max(float(norm.min()) / 3.0, 1e-9 * top), 3.0 * top)
         axes.set_title(plain(f"Law: {result.lead}"))
-        figure.legend(loc="outside lower center", ncols=2, handlelength=2.6)
+        labels = [str(line.get_label()) for line in axes.lines]
+        columns = legend_columns(figure, labels, 2)
+        figure.legend(loc="outside lower center", ncols=columns, handlelength=2.6)
     return figure

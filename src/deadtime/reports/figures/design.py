@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.plant.weight import PLAIN, text_of
 from deadtime.synthesis.floors import DECAY, LIMIT
@@ -51,7 +52,7 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
     columns = min(columns, len(designs))
     rows = -(-len(designs) // columns)
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.5 * WIDTH if columns > 1 else WIDTH, 0.8 + 3.4 * rows))
+        figure = new_figure(1.5 * WIDTH if columns > 1 else WIDTH, 0.8 + 3.4 * rows)
         heights = [2.1, 1.0] * rows
         panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=heights)
         costs, inputs = panels[::2], panels[1::2]

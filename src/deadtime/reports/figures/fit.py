@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.switching import SemiMarkov, SwitchingSignal
 from deadtime.switching.models.families import Observed
@@ -57,7 +58,7 @@ def plot_fit(
             raise ArgumentError(f"signals hold no complete sojourn of mode {mode}: log longer.")
     rows, columns = (model.modes, 1) if model.modes <= 3 else (-(-model.modes // 2), 2)
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH * (1.0 if columns == 1 else 1.5), 0.7 + 1.75 * rows))
+        figure = new_figure(WIDTH * (1.0 if columns == 1 else 1.5), 0.7 + 1.75 * rows)
         panels = figure.subplots(rows, columns, squeeze=False)
         for panel in panels.flat[model.modes :]:
             panel.remove()

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.base.palette import BLACK, GREY
 from deadtime.base.wording import inwards
@@ -57,7 +58,7 @@ def plot_loop(
     """
     names = modes or [f"mode {each.mode}" for each in view.modes]
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.55 * WIDTH, 7.4 if steps else 5.4))
+        figure = new_figure(1.55 * WIDTH, 7.4 if steps else 5.4)
         panels = figure.subplot_mosaic("gn;ps;tt" if steps else "gn;ps")
         gain, nyquist, phase, sensitivity = (panels[letter] for letter in "gnps")
         for each in view.modes[:MOST]:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.base.wording import amount
 from deadtime.reports.tightness import Reach, Tightness
@@ -41,7 +42,7 @@ def plot_chart(chart: StabilityChart, label: str, columns: int = 2) -> Figure:
     rows = -(-len(names) // columns)
     low, high = chart.bounds
     with rc_context(CHART_STYLE):
-        figure = Figure(figsize=(1.35 * WIDTH if columns > 1 else WIDTH, 0.9 + 2.0 * rows))
+        figure = new_figure(1.35 * WIDTH if columns > 1 else WIDTH, 0.9 + 2.0 * rows)
         panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         for panel, name in zip(panels.flat, names, strict=False):
             _chart_panel(panel, chart, name)
@@ -100,7 +101,7 @@ def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
     rows = [*found.reaches]
     count = len(rows)
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 1.15 + 0.38 * count))
+        figure = new_figure(WIDTH, 1.15 + 0.38 * count)
         axes = figure.subplots()
         own = np.log10(found.own)
         logs = [own, *(reach.log10_distance for reach in rows)]

@@ -13,7 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.figure_style import LINES, STYLE, WIDTH, plain
+from deadtime.base.figure_files import Width, inches, legend_columns, new_figure, style_of
+from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.tables.monte_carlo import (
@@ -37,7 +38,9 @@ _TAIL = 1e2  # nor does the axis go further than this many times a law's median
 _NARROW, _WIDE = 8.0, 2e3  # ranges of an axis with plain ticks, and with ticks 1, 2, 5
 
 
-def plot_monte_carlo(data: xr.Dataset | Comparison, title: str | None = None) -> Figure:
+def plot_monte_carlo(
+    data: xr.Dataset | Comparison, title: str | None = None, width: Width | None = None
+) -> Figure:
     """Distribution functions of the laws' costs, and of their costs over the reference law's.
 
     Where all laws follow a reference, of ∫|r − y| instead. A curve at (c, p): on a share p of the
@@ -49,6 +52,8 @@ def plot_monte_carlo(data: xr.Dataset | Comparison, title: str | None = None) ->
     data : xarray.Dataset or Comparison
         Of `monte_carlo`: `cost` and `diverged` over (law, scenario).
     title : str, optional
+    width : "column", "page" or float, optional
+        Of the figure: 3.5 in, 7.16 in, or inches; narrow ones have a panel above the other.
 
     Raises
     ------
@@ -66,9 +71,11 @@ def plot_monte_carlo(data: xr.Dataset | Comparison, title: str | None = None) ->
     if count_of(data) == 0:
         raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
     names, count = names_of(data), count_of(data)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(1.55 * WIDTH, 3.2))
-        left, right = figure.subplots(1, 2, sharey=True)
+    with rc_context(style_of(width)):
+        wide = 1.55 * WIDTH if width is None else inches(width)
+        beside = wide >= WIDTH
+        figure = new_figure(wide, 3.2 if beside else 5.0)
+        left, right = figure.subplots(*((1, 2) if beside else (2, 1)), sharey=True)
         looks = looks_of(names)
         styles: list[dict[str, Any]] = [
             {"color": looks[name].colour, "linestyle": LINES[i % len(LINES)]}
@@ -92,8 +99,7 @@ def plot_monte_carlo(data: xr.Dataset | Comparison, title: str | None = None) ->
             Line2D([], [], **styles[i], label=plain(name) + " (off the axes)" * (not seen[i]))
             for i, name in enumerate(names)
         ]
-        longest = max(len(str(key.get_label())) for key in keys)
-        columns = max(1, min(len(keys), 115 // (longest + 7)))
+        columns = legend_columns(figure, (str(key.get_label()) for key in keys), len(keys))
         figure.legend(handles=keys, loc="outside lower center", ncols=columns)
         if title:
             figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.margins import Robustness, Tolerance
 from deadtime.plant import SwitchedSystem
@@ -36,7 +37,7 @@ def plot_robustness(
     """
     names = modes or [f"mode {i}" for i in range(result.plant.modes)]
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.55 * WIDTH, 4.9))
+        figure = new_figure(1.55 * WIDTH, 4.9)
         panels = figure.subplots(2, 3)
         _delay_panel(panels[0, 0], result)
         _gain_panel(panels[0, 1], result)

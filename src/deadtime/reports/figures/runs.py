@@ -9,7 +9,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deadtime.base.figure_style import LINES, STYLE, WIDTH, plain
+from deadtime.base.figure_files import Width, legend_columns, new_figure, style_of
+from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.base.wording import input_names, subscript
 from deadtime.reports.figures.colours import Look, looks_of
 from deadtime.simulation import Trajectory
@@ -25,6 +26,7 @@ def plot_laws(
     title: str | None = None,
     laws: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
+    width: Width | None = None,
 ) -> Figure:
     """States, inputs, modes and mismatch of runs of one problem; a colour for each law.
 
@@ -36,6 +38,8 @@ def plot_laws(
         Names for the axes; numbered by default.
     title : str
         Heads the figure.
+    width : "column", "page" or float, optional
+        Of the figure: 3.5 in, 7.16 in, or inches.
     laws : sequence of str
         All laws among which the colours are shared out, where other figures show more of them;
         those of the runs by default.
@@ -56,8 +60,8 @@ def plot_laws(
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
     rows = [1.0] * (n + m) + [0.35 + 0.15 * count, 1.0]
     looks = looks_of([*(laws or ()), *runs])
-    with rc_context(STYLE):
-        figure = Figure(figsize=(1.3 * WIDTH, 0.7 + 1.15 * sum(rows)))
+    with rc_context(style_of(width)):
+        figure = new_figure(1.3 * WIDTH, 0.7 + 1.15 * sum(rows), width)
         panels = figure.subplots(len(rows), 1, sharex=True, height_ratios=rows)
         for i, name in enumerate(states):
             rows_of = {law: (run, run.states[i]) for law, run in runs.items()}
@@ -79,7 +83,7 @@ def plot_laws(
         panels[0].set_xlim(0.0, end)
         figure.align_ylabels()
         handles = panels[0].get_lines()
-        columns = 3 if max(map(len, runs)) < 18 else 2
+        columns = legend_columns(figure, runs, 3)
         figure.legend(
             handles=handles,
             loc="outside lower center",

@@ -10,6 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain, visible
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def plot_witness(worst: WorstCase, title: str | None = None, modes: Sequence[str
     run = worst.simulate(_cycles(worst))
     names = list(modes) or [f"mode {i}" for i in range(run.plant.modes)]
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.5 + 0.2 * len(names)))
+        figure = new_figure(WIDTH, 3.5 + 0.2 * len(names))
         upper, lower = figure.subplots(2, 1, height_ratios=(3.0, 0.5 + 0.25 * len(names)))
         _draw_growth(upper, run, worst.growth_rate)
         _draw_signal(lower, run, worst)

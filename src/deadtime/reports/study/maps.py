@@ -13,6 +13,7 @@ from matplotlib import rc_context
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import STYLE, WIDTH, plain
 from deadtime.reports.figures.colours import colour_of
 from deadtime.reports.figures.sweeps.maps import Scale, colour_map, winners
@@ -84,7 +85,7 @@ def plot_lines(data: xr.Dataset, laws: Sequence[str]) -> Figure:
     place = reference(data)
     figures, times = summary(data).sel(place), data.dwell_time.values
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.5))
+        figure = new_figure(WIDTH, 3.5)
         axes = figure.subplots()
         axes.axhline(1.0, color="#888888", linewidth=0.8)
         for number, law in enumerate(laws):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, positive
+from deadtime.base.checks import count, positive, reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.base.record import record
 from deadtime.base.threads import in_order
@@ -71,10 +71,10 @@ def judge(
     step: float,
     laws: Sequence[str] | None = None,
     decay_rate: float | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
     delays: tuple[ArrayLike, ArrayLike] | None = None,
     mode_lag: int = 0,
-    trying: Callable[[str], None] = lambda _: None,
+    trying: Callable[[str], None] | None = None,
     maximum_dwell: Times | None = None,
     transitions: ArrayLike | None = None,
     lost_samples: int = 0,
@@ -93,13 +93,13 @@ def judge(
         Names of laws; all by default.
     decay_rate : float, optional
         The rate to certify, 1/s; as `certify` chooses by default.
-    progress : callable
+    progress : callable, optional
         Called with a few words after each law's certificate.
     delays : (low, high), optional
         Ranges of the true delays, as `certify` takes them.
     mode_lag : int
         How many periods late the laws are told the mode.
-    trying : callable
+    trying : callable, optional
         Called with a few words whenever something else is tried for one of the laws, from the
         thread that tries it.
     maximum_dwell, transitions, chatter
@@ -128,6 +128,7 @@ def judge(
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
     averaged: dict[str, Any] = {"chatter": chatter} if count("chatter", chatter) > 1 else {}
+    progress, trying = reporter("progress", progress), reporter("trying", trying)
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)

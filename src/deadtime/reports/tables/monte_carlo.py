@@ -14,15 +14,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.latex import booktabs
 from deadtime.base.record import plain
 from deadtime.base.wording import compact
 from deadtime.scenarios.dataset import Comparison
+from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired.statistics import median_interval
 
 if TYPE_CHECKING:
     import xarray as xr
 
 ORACLE = "oracle"
 LEVELS = (0.05, 0.5, 0.95)
+_INTERVAL = "95 % interval"
 
 
 class Quantiles(NamedTuple):
@@ -30,6 +34,13 @@ class Quantiles(NamedTuple):
 
     low: float
     median: float
+    high: float
+
+
+class Interval(NamedTuple):
+    """Ends of a 95 % confidence interval; infinite where a median is of fewer than 6 scenarios."""
+
+    low: float
     high: float
 
 
@@ -48,6 +59,11 @@ class LawSummary:
         Median of what ranks the laws, over that of the reference law.
     diverged : int
         Number of scenarios on which the law diverged.
+    interval, relative_interval : Interval
+        Of the median of what ranks the laws, and of `relative`: order statistics, which hold the
+        true median with a probability of at least 95 % whatever the distribution.
+    best_interval : Interval
+        Of `best`, Wilson's.
     iae : Quantiles or None
         Of ∫|r − y|, where all laws follow a reference.
     """
@@ -58,6 +74,9 @@ class LawSummary:
     best: float
     relative: float
     diverged: int
+    interval: Interval
+    relative_interval: Interval
+    best_interval: Interval
     iae: Quantiles | None = None
 
 
@@ -102,6 +121,41 @@ class Summary:
         """Another metric for a terminal: law and quantiles, under the first of the headings."""
         return [[one.law, *map(compact, getattr(one, metric))] for one in self.laws]
 
+    @property
+    def interval_headings(self) -> list[str]:
+        """Of the columns of `interval_rows`."""
+        return ["law", "median", _INTERVAL, f"/ {self.reference}", _INTERVAL]
+
+    def interval_rows(self) -> list[list[str]]:
+        """Medians of what ranks the laws, and of its ratio, with their intervals."""
+        return [
+            [
+                one.law,
+                compact(getattr(one, self.measure).median),
+                interval_text(*one.interval),
+                compact(one.relative),
+                interval_text(*one.relative_interval),
+            ]
+            for one in self.laws
+        ]
+
+    def to_latex(self) -> str:
+        """The laws as a LaTeX table of the package booktabs: what ranks them, with intervals."""
+        both = zip(self.rows(), self.interval_rows(), strict=True)
+        rows = [
+            [*row[:3], more[2], *row[3:5], _shares(one.best_interval), row[5], more[4], row[6]]
+            for (row, more), one in zip(both, self.laws, strict=True)
+        ]
+        low, median, high = self.headings[1:4]
+        headings = ["law", low, median, _INTERVAL, high, "best on", _INTERVAL]
+        measure = "∫|r - y|" if self.measure == "iae" else "the cost"
+        said = [
+            f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
+            f"/ {self.reference} is the median of the ratio on the same signal. Intervals of",
+            "medians are order statistics (distribution-free), of shares Wilson's.",
+        ]
+        return booktabs([*headings, *self.interval_headings[3:], "diverged"], rows, said)
+
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
         rows = plain(self.laws)
@@ -142,16 +196,19 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
     measure = measure_in(data)
     cost, ise, ranked = (losses(data, name) for name in ("cost", "ise", measure))
     least = ranked.min(axis=0)
-    best = ((ranked == least) & np.isfinite(least)).mean(axis=1)
+    best = [Proportion.of(row) for row in (ranked == least) & np.isfinite(least)]
     ratios, diverged = relative_costs(data), _lost(data).sum(axis=1)
     laws = tuple(
         LawSummary(
             name,
             _quantiles(cost[i]),
             _quantiles(ise[i]),
-            float(best[i]),
+            best[i].fraction,
             _quantiles(ratios[i]).median,
             int(diverged[i]),
+            _interval(ranked[i]),
+            _interval(ratios[i]),
+            Interval(*best[i].interval),
             _quantiles(ranked[i]) if measure == "iae" else None,
         )
         for i, name in enumerate(names_of(data))
@@ -232,6 +289,26 @@ def quantile(values: Float[np.ndarray, " scenario"], level: float) -> float:
 
 def _quantiles(values: np.ndarray) -> Quantiles:
     return Quantiles(*(quantile(values, level) for level in LEVELS))
+
+
+def interval_text(low: float, high: float) -> str:
+    """An interval for tables; a dash where there is none.
+
+    Examples
+    --------
+    >>> interval_text(1.5, 98765.0), interval_text(-np.inf, np.inf), interval_text(2.0, np.inf)
+    ('1.50 to 98,765', '–', '2.00 to ∞')
+    """
+    return "–" if low == -math.inf else f"{compact(low)} to {compact(high)}"
+
+
+def _interval(values: np.ndarray) -> Interval:
+    _, low, high = median_interval(values)
+    return Interval(float(low), float(high))
+
+
+def _shares(interval: Interval) -> str:
+    return f"{100.0 * interval.low:.1f} to {100.0 * interval.high:.1f} %"
 
 
 def _share(share: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
+from deadtime.base.figure_files import Width, inches, new_figure
 from deadtime.base.figure_style import WIDTH, plain
 from deadtime.reports.figures.sweeps.scales import linear_ticks, log_ticks
 from deadtime.reports.figures.sweeps.words import text_of, unbroken
@@ -32,15 +33,16 @@ _LETTER = 0.042  # width of a letter of a tick, of that of a narrow panel
 
 
 Quantiles = Float[np.ndarray, "x level"]
-Mark = tuple[str, str]  # the colour and the line of a law
+Mark = tuple[str, Any]  # the colour and the line of a law
 
 
-def figure_of_panels(count: int) -> tuple[Figure, list[Axes], int]:
+def figure_of_panels(count: int, width: Width | None = None) -> tuple[Figure, list[Axes], int]:
     """Panels in reading order, and how many are side by side."""
-    columns = 1 if count == 1 else 2 if count in (2, 4) else 3
+    narrow = width is not None and inches(width) < WIDTH
+    columns = 1 if count == 1 or narrow else 2 if count in (2, 4) else 3
     rows = math.ceil(count / columns)
     size = (WIDTH, 3.4) if count == 1 else (1.55 * WIDTH, 1.0 + 1.9 * rows)
-    figure = Figure(figsize=size)
+    figure = new_figure(*size, width)
     grid = figure.add_gridspec(rows, columns)
     panels = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(count)]
     for i, panel in enumerate(panels):
@@ -94,7 +96,8 @@ def _band(panel: Axes, x: np.ndarray, cells: Quantiles, mark: Mark, share: float
         panel.fill_between(x, bottom, top, color=colour, alpha=alpha * share, linewidth=0.0)
         for edge in (bottom, top):
             panel.plot(x, edge, color=colour, alpha=1.2 * alpha, linewidth=0.6)
-    panel.plot(x, middle, line, color=colour, marker="o" if x.size <= _DOTS else "", markersize=2.8)
+    marker = "o" if x.size <= _DOTS else ""
+    panel.plot(x, middle, linestyle=line, color=colour, marker=marker, markersize=2.8)
 
 
 def _bars(panel: Axes, x: np.ndarray, cells: Quantiles, colour: str) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from deadtime.base.figure_style import LINES, STYLE, plain
+from deadtime.base.figure_files import Width, style_of
+from deadtime.base.figure_style import LINES, plain
 from deadtime.reports.figures.colours import colours_of
 from deadtime.reports.figures.sweeps.band_panels import (
     add_legend,
@@ -47,6 +48,7 @@ def plot_bands(
     x: str | None = None,
     where: Where | None = None,
     laws: Sequence[str] | None = None,
+    width: Width | None = None,
 ) -> Figure:
     """Median and quantile bands of a metric under every law, along one axis of a sweep.
 
@@ -62,6 +64,8 @@ def plot_bands(
         The axis across; the last with more than one value by default.
     laws : sequence of str, optional
         All by default.
+    width : "column", "page" or float, optional
+        Of the figure: 3.5 in, 7.16 in, or inches.
 
     Raises
     ------
@@ -80,11 +84,15 @@ def plot_bands(
     kept = select(data, metric, where)
     named_laws(kept, laws, ())
     panes(kept, x)  # names and sizes are checked before the store is read
-    return bands(reduce(kept, metric), metric, x, laws)
+    return bands(reduce(kept, metric), metric, x, laws, width)
 
 
 def bands(
-    found: xr.Dataset, metric: str, x: str | None, laws: Sequence[str] | None = None
+    found: xr.Dataset,
+    metric: str,
+    x: str | None,
+    laws: Sequence[str] | None = None,
+    width: Width | None = None,
 ) -> Figure:
     """`plot_bands` of what `reduce` gives."""
     across, rest = panes(found, x)
@@ -95,8 +103,8 @@ def bands(
     values = found["quantile"].sel(law=shown).transpose("law", ..., "level")
     logarithmic = is_wide(values.values)
     seen = np.zeros(len(shown), dtype=bool)
-    with rc_context(STYLE):
-        figure, panels, columns = figure_of_panels(len(places))
+    with rc_context(style_of(width)):
+        figure, panels, columns = figure_of_panels(len(places), width)
         for number, (panel, place) in enumerate(zip(panels, places, strict=True)):
             cells = values.isel(place).values
             cells = cells.reshape(len(shown), -1, cells.shape[-1])  # one axis is longer than 1

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import WIDTH, plain
 from deadtime.reports.figures.sweeps.words import label_of, name_of, say, text_of
 
@@ -111,7 +112,7 @@ def panels_of(data: xr.Dataset, grid: Grid) -> tuple[Figure, list[tuple[Axes, Pl
     wrapped = [textwrap.wrap(name, int(span / _LETTER)) for name in names]
     lines = max(1, *map(len, wrapped))
     height = (0.24 + 0.14 * lines + _length(data, "y", grid.y)) * len(rows)
-    figure = Figure(figsize=(max(0.8 + width * len(heads), WIDTH), 0.95 + height))
+    figure = new_figure(max(0.8 + width * len(heads), WIDTH), 0.95 + height)
     panes = figure.subplots(len(rows), len(heads), sharex=True, sharey=True, squeeze=False)
     panels = []
     for (row, place), (column, head) in itertools.product(enumerate(rows), enumerate(heads)):
