@@ -130,7 +130,7 @@ def test_the_page_of_several_delays_says_growth_and_draws_the_mismatch(tmp_path)
     rates = [dt.growth_rate(problem.plant, problem.laws["averaged"], i, STEP) for i in (0, 1)]
     assert all(f"{rate:+.2f}".replace("-", "−") in page.actions.verdict.object for rate in rates)
     assert lifted_order(problem) == 2 + 6 + 2  # true delays of 0.3 s and 0.1 s
-    drawn = page.figures.mismatch.y_range
+    drawn = page.figures.panels["w"].y_range
     known = np.linalg.norm(run.mismatch, axis=0)
     assert np.isnan(known[-1])
     assert drawn.start <= 0.0

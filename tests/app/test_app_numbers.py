@@ -107,7 +107,7 @@ def test_laws_have_the_colours_of_the_figure(own):
     assert len(set(looks.values())) == len(looks)
     assert set(drawn) == set(page.outcome.runs) >= {"averaged", "oracle", "expected"}
     for law, colour in drawn.items():
-        renderer = page.figures.mismatch.select(name=law)[0]
+        renderer = page.figures.panels["w"].select(name=law)[0]
         assert renderer.glyph.line_color == colour == looks[law].colour
         row = page.costs.object.partition(f"data-law='{law}'")[2].partition("</tr>")[0]
         assert f"border-top-color: {colour}" in row

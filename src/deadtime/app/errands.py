@@ -49,8 +49,8 @@ class Errands:
 
             if browser is None:
                 unless_stopped()
-            elif errand in self._out:
-                browser.add_next_tick_callback(unless_stopped)
+            elif errand in self._out and browser.session_context is not None:
+                browser.add_next_tick_callback(unless_stopped)  # the session is not over
 
         def finish(future: Future[Any]) -> None:
             del self._out[errand]

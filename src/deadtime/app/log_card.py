@@ -201,11 +201,17 @@ class LogCard:
             self._page.say("Cancelled. Nothing was changed.")
 
     def close(self) -> None:
-        """Let go of the log."""
-        self._errands.stop()
+        """Let go of the log, and show nothing of it."""
+        self.drop()
         self._idle()
         self._forget_found()
-        self._name, self._content, self.view.visible = "", b"", False
+        self.view.visible = False
+
+    def drop(self) -> None:
+        """Let go of the log, touching no widget: their document may be gone."""
+        self._errands.stop()
+        self._name, self._content, self._report = "", b"", b""
+        self._asked = self._found = None
 
     def _forget_found(self) -> None:
         self._found, self._report = None, b""

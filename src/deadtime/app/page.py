@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -94,7 +95,7 @@ class Page:
         self._show(outcome)
 
     def _draw(self, outcome: Outcome, states: list[int]) -> None:
-        self.figures = Figures(outcome.problem, list(self.offer), states)
+        self.figures = Figures(outcome, list(self.offer), states)
         self.figures.on_draw(self.draw_by_hand)
         self.figures.show(outcome)  # what a browser is still laying out had better not change
         panels = column(*self.figures.all, sizing_mode="stretch_width")
@@ -191,13 +192,17 @@ class Page:
         self._errands.begin(limit, done, lambda error: failed(str(error)), job, *given)
 
     def close(self) -> None:
-        """The session is over: let go of what it holds, whoever still holds the page."""
+        """The session is over: let go of what it holds, whoever still holds the page.
+
+        Its document is gone, so no widget is touched.
+        """
         self._closed = True
-        self._errands.stop()
-        self.log.close()
         held = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "log")
-        for name in held:
-            vars(self).pop(name, None)
+        with ExitStack() as steps:
+            for name in held:
+                steps.callback(vars(self).pop, name, None)
+            steps.callback(self.log.drop)
+            steps.callback(self._errands.stop)
 
     # -- showing ---------------------------------------------------------------------------
 
@@ -260,7 +265,10 @@ class Page:
     def _move(self, outcome: Outcome) -> None:
         if self.message.severity == "info":
             self.message.visible = False
-        self.figures.show(outcome)
+        if self.figures.fits(outcome):
+            self.figures.show(outcome)
+        else:
+            self._draw(outcome, self.figures.shown)
         self._show(outcome)
 
     def _show(self, outcome: Outcome) -> None:

@@ -81,6 +81,7 @@ def serve(
     workers: int = 1,
     sessions: int = MOST,
     started: Callable[[str], None] = lambda url: None,
+    progress: Callable[[str], None] = lambda stage: None,
 ) -> None:
     """Serve pages until interrupted; every session has its own.
 
@@ -100,6 +101,8 @@ def serve(
         Pages that may be open at once; who comes then is asked to come later.
     started : callable
         Called with the page's URL once it is there.
+    progress : callable
+        Called before that with what is being done.
 
     Raises
     ------
@@ -112,7 +115,9 @@ def serve(
     port = free_port(address, port)
     team = Workers(workers)
     try:
+        progress(f"running the laws of {problem}")
         opening = Opening.of(document)
+        progress("building a page")
         Page(document, team, opening)  # compiles what pages call
         host = f"[{address}]" if ":" in address else address
         known = {f"{host}:{port}", f"localhost:{port}", f"127.0.0.1:{port}", *origins}

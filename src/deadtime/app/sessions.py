@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import gc
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import panel as pn
@@ -68,13 +68,17 @@ class Sessions:
         """Call `close` when the session that begins now is over, then drop what shows its view."""
 
         def over(_: Any) -> None:
-            close()
-            _unwatch(view)
-            if not self._sweeps:
-                self._sweeps = True
-                IOLoop.current().call_later(_REST, self._sweep)
+            with ExitStack() as steps:  # each of them runs, whatever becomes of the others
+                steps.callback(self._sweep_soon)
+                steps.callback(_unwatch, view)
+                steps.callback(close)
 
         pn.state.on_session_destroyed(over)
+
+    def _sweep_soon(self) -> None:
+        if not self._sweeps:
+            self._sweeps = True
+            IOLoop.current().call_later(_REST, self._sweep)
 
     def _sweep(self) -> None:
         """Collect what all sessions left that ended a moment ago."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakSet
 
 from deadtime.base.errors import ArgumentError, DeadtimeError
@@ -22,6 +22,7 @@ from deadtime.base.errors import ArgumentError, DeadtimeError
 Job = Callable[..., Any]
 Told = Callable[[Any], None]
 _MEMORY = 8 * 2**30  # bytes of addresses, of which libraries alone take two
+_TRIES = 3  # processes that may end before they begin a job
 
 
 class TooLongError(ArgumentError):
@@ -30,6 +31,19 @@ class TooLongError(ArgumentError):
 
 class StoppedError(ArgumentError):
     """A job was stopped, since nobody waits for it any more."""
+
+
+class _Asked(NamedTuple):
+    """A job as it was submitted."""
+
+    limit: float
+    job: Job
+    given: tuple
+    told: Told | None
+
+
+class _NotBegunError(Exception):
+    """A process ended before it began its job, of which the job knows nothing."""
 
 
 class Workers:
@@ -46,6 +60,8 @@ class Workers:
         self._threads = ThreadPoolExecutor(count, "deadtime-worker")
         self._closed = threading.Event()
         self._all: set[_Worker] = set()
+        # A job that is stopped leaves this at once, with its arguments and all that awaits it.
+        self._waiting: dict[Future[Any], _Asked] = {}
         self._doing: dict[Future[Any], _Worker] = {}
         self._stopped: WeakSet[Future[Any]] = WeakSet()
         self._lock = threading.Lock()
@@ -77,43 +93,67 @@ class Workers:
             raises an error.
         """
         future: Future[Any] = Future()
-        self._threads.submit(self._run, future, limit, job, given, told)
+        with self._lock:
+            self._waiting[future] = _Asked(limit, job, given, told)
+        self._threads.submit(self._run_next)
         return future
 
     def stop(self, future: Future[Any]) -> None:
         """End a job that nobody waits for any more, begun or not: others are waiting."""
         with self._lock:
+            self._waiting.pop(future, None)
             if future.cancel() or future.done():
                 return
             self._stopped.add(future)
             if future in self._doing:
                 self._doing[future].kill()
 
-    def _run(
-        self, future: Future[Any], limit: float, job: Job, given: tuple, told: Told | None
-    ) -> None:
-        if not future.set_running_or_notify_cancel():
-            return
-        worker = self._idle.get()
+    def _run_next(self) -> None:
+        """Run the job that waits longest, if there is one still."""
+        with self._lock:
+            if not self._waiting:
+                return
+            future = next(iter(self._waiting))
+            asked = self._waiting.pop(future)
+            if not future.set_running_or_notify_cancel():
+                return
+        result, error = None, None
         try:
-            with self._lock:
-                if future in self._stopped:
-                    raise StoppedError("that was stopped.")
-                self._doing[future] = worker
-            result, error = worker.do(job, given, limit, told), None
+            result = self._done_somewhere(future, asked)
         except Exception as raised:
-            result, error = None, raised
+            error = raised
         with self._lock:  # from here on it is too late to stop it
-            self._doing.pop(future, None)
             stopped = future in self._stopped
             self._stopped.discard(future)
-        self._put_back(worker)
         if stopped:
             future.set_exception(StoppedError("that was stopped."))
         elif error is not None:
             future.set_exception(error)
         else:
             future.set_result(result)
+
+    def _done_somewhere(self, future: Future[Any], asked: _Asked) -> Any:
+        """The result of a job; an idle process may have died, and is no reason to fail."""
+        for _ in range(_TRIES):
+            if self._closed.is_set():  # nobody puts back an idle process any more
+                raise StoppedError("that was stopped.")
+            worker = self._idle.get()
+            try:
+                with self._lock:
+                    if future in self._stopped:
+                        raise StoppedError("that was stopped.")
+                    self._doing[future] = worker
+                return worker.do(asked)
+            except _NotBegunError:
+                continue
+            finally:
+                with self._lock:
+                    self._doing.pop(future, None)
+                self._put_back(worker)
+        raise ArgumentError(
+            f"no process begins that: {_TRIES} ended before they did, perhaps for want of memory. "
+            "Close other programs, or restart `deadtime app`."
+        )
 
     def _put_back(self, worker: _Worker) -> None:
         """Make a process idle again, or start another where it has ended."""
@@ -143,32 +183,39 @@ class _Worker:
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()
-        self._ready = False
 
     @property
     def alive(self) -> bool:
         return self._process.is_alive()
 
-    def do(self, job: Job, given: tuple, limit: float, told: Told | None) -> Any:
-        """Run a job here; the process does not outlive one that takes too long."""
+    def do(self, asked: _Asked) -> Any:
+        """Run a job here; the process does not outlive one that takes too long.
+
+        Raises
+        ------
+        _NotBegunError
+            If the process ends, or has ended, before it begins the job.
+        """
         try:
-            if not self._ready:  # it may still be importing, which is not the job's fault
-                self._pipe.recv()
-                self._ready = True
-            self._pipe.send((job, given, told is not None))
-            end = time.monotonic() + limit
+            self._pipe.send((asked.job, asked.given, asked.told is not None))
+            self._pipe.recv()  # begun: what it imports before that is not the job's fault
+        except (EOFError, OSError):
+            self.end()
+            raise _NotBegunError from None
+        end = time.monotonic() + asked.limit
+        try:
             while True:
                 if not self._pipe.poll(max(end - time.monotonic(), 0.0)):
                     self.end()
                     raise TooLongError(
-                        f"that takes longer than {limit:g} s, and was stopped: make the problem "
+                        f"that takes longer than {asked.limit:g} s, and was stopped: make the problem "
                         "smaller, or use the command line, which has no limit."
                     )
                 kind, answer = self._pipe.recv()
                 if kind != "told":
                     break
-                if told is not None:
-                    told(answer)
+                if asked.told is not None:
+                    asked.told(answer)
         except (EOFError, OSError):
             self.end()
             raise ArgumentError(
@@ -196,9 +243,9 @@ def _serve(pipe: Connection) -> None:
 
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     try:
-        pipe.send(True)
         while True:
             job, given, tells = pipe.recv()
+            pipe.send(("begun", None))
             more = {"tell": lambda said: pipe.send(("told", said))} if tells else {}
             try:
                 answer = ("done", job(*given, **more))

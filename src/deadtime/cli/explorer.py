@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import START, AsJson, app as commands, lines
-from deadtime.cli.printing import print_json
+from deadtime.cli.printing import print_json, stage_line
 
 
 @commands.command(
@@ -51,24 +52,34 @@ def app(
     json_output
         Print where the page is as JSON instead of text.
     """
-    try:
-        from deadtime.app.server import is_loopback, serve
-    except ModuleNotFoundError as error:
-        raise ArgumentError(
-            f"the explorer needs {error.name}: pip install 'deadtime[app]', or in a clone '.[app]'."
-        ) from None
+    if not json_output:
+        print(f"Starting the explorer with {problem}: half a minute the first time.", flush=True)
+    with ExitStack() as starting:
+        say = starting.enter_context(stage_line(quiet=json_output))
+        say("loading libraries")
+        try:
+            from deadtime.app.server import is_loopback, serve
+        except ModuleNotFoundError as error:
+            raise ArgumentError(
+                f"the explorer needs {error.name}: pip install 'deadtime[app]', or in a clone "
+                "'.[app]'."
+            ) from None
 
-    def on_started(url: str) -> None:
-        alone = is_loopback(address)
-        if json_output:
-            print_json({"url": url, "only_this_machine": alone})
-            sys.stdout.flush()
-        else:
+        def on_started(url: str) -> None:
+            starting.close()
+            alone = is_loopback(address)
+            if json_output:
+                print_json({"url": url, "only_this_machine": alone})
+                sys.stdout.flush()
+                return
             print(f"Explorer: {url}")
             if alone:
                 print("Only this machine can reach it (--address 0.0.0.0 lets the network in).")
             else:
                 print("Everyone who can reach this machine can use it; there is no password.")
-            print("Ctrl-C ends it.", flush=True)
+            print(f"It serves {sessions} pages at once (--sessions). Ctrl-C ends it.", flush=True)
 
-    serve(str(problem), address, port, browser, origin, sessions=sessions, started=on_started)
+        serve(
+            str(problem), address, port, browser, origin,
+            sessions=sessions, started=on_started, progress=say,
+        )  # fmt: skip

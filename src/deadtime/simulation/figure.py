@@ -18,7 +18,7 @@ from deadtime.switching import SwitchingSignal
 
 _ONE_COLUMN = 6  # panels above each other
 _PANEL, _STRIP, _SMALL = 1.0, 0.25, 8.5  # inches of height; points
-_REFERENCE: dict[str, Any] = {
+REFERENCE: dict[str, Any] = {
     "color": COLOURS[6], "drawstyle": "steps-post", "linestyle": "--", "linewidth": 1.0
 }  # fmt: skip
 
@@ -44,6 +44,8 @@ class Run(Protocol):
     def reference(self) -> np.ndarray | None: ...
     @property
     def tracked(self) -> np.ndarray | None: ...
+    @property
+    def followed(self) -> Any: ...
 
 
 def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
@@ -93,7 +95,7 @@ def plot_run(
     end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
     with rc_context(style_of(width)):
         belief = run.belief if run.time.size > 1 else None
-        beside, others = _references(run)
+        beside, others = references(run)
         figure, panels, strips = _panels(
             n + m + len(others), count, 1 if belief is None else 2, width
         )
@@ -105,7 +107,7 @@ def plot_run(
         for i, (panel, (name, values, colour, look)) in enumerate(zip(panels, curves, strict=True)):
             panel.plot(run.time, values, color=colour, label=name, **look)
             if i in beside:
-                panel.plot(run.time, beside[i], label=f"{name}, reference", **_REFERENCE)
+                panel.plot(run.time, beside[i], label=f"{name}, reference", **REFERENCE)
                 name += "; dashed its reference"
             panel.set_title(name, fontsize=_SMALL)
         if belief is not None:
@@ -118,19 +120,19 @@ def plot_run(
     return figure
 
 
-def _references(
+def references(
     run: Run,
 ) -> tuple[dict[int, np.ndarray], list[tuple[int, np.ndarray, np.ndarray]]]:
     """References by the state that follows them; and of other outputs number, output, reference."""
     beside, others = {}, []
-    if run.reference is None or run.tracked is None:
+    if run.followed is None or run.reference is None or run.tracked is None:
         return beside, others
-    for i, (y, r) in enumerate(zip(run.tracked, run.reference, strict=True)):
-        same = [j for j, x in enumerate(run.states) if np.array_equal(x, y)]
-        if same:
-            beside[same[0]] = r
-        else:
+    of = run.followed.states
+    for i, (state, y, r) in enumerate(zip(of, run.tracked, run.reference, strict=True)):
+        if state is None or state in beside:
             others.append((i, y, r))
+        else:
+            beside[state] = r
     return beside, others
 
 

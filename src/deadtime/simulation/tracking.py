@@ -45,6 +45,23 @@ class Followed(Frozen):
         """Whether the mode does not matter to what follows."""
         return bool((self.rows == self.rows[0]).all())
 
+    @property
+    def states(self) -> list[int | None]:
+        """The state that each output is, in every mode; None of one that is no state.
+
+        Examples
+        --------
+        >>> rows = np.array([[[0.0, 1.0], [0.0, 2.0]]] * 2)
+        >>> Followed(rows, Reference.of(0.0, 2)).states
+        [1, None]
+        """
+        count = self.rows.shape[2]
+        alone = [np.flatnonzero(row) for row in self.rows[0]]
+        return [
+            int(one[0]) if one.size == 1 and (of == np.eye(count)[one[0]]).all() else None
+            for one, of in zip(alone, self.rows.swapaxes(0, 1), strict=True)
+        ]
+
     def outputs(
         self, states: Float[np.ndarray, "n T"], mode: Int[np.ndarray, " T"]
     ) -> Float[np.ndarray, "tracked T"]:

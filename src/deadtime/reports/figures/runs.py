@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from deadtime.base.figure_files import Width, legend_columns, new_figure, style_of
 from deadtime.base.figure_style import LINES, WIDTH, plain
-from deadtime.base.wording import input_names, subscript
+from deadtime.base.wording import input_names, numbered, subscript
 from deadtime.reports.figures.colours import Look, looks_of
 from deadtime.simulation import Trajectory
-from deadtime.simulation.figure import mode_strip, signal_steps
+from deadtime.simulation.figure import REFERENCE, mode_strip, references, signal_steps
 
 _FAR = 5.0  # a run that goes so many times as far as the others leaves the frame
 
@@ -27,15 +29,19 @@ def plot_laws(
     laws: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
     width: Width | None = None,
+    tracked: Sequence[str] | None = None,
 ) -> Figure:
     """States, inputs, modes and mismatch of runs of one problem; a colour for each law.
+
+    A reference is drawn beside the state that follows it, or beside an output of its own. Where no
+    run has a mismatch, there is no panel of it.
 
     Parameters
     ----------
     runs : mapping
         Runs by the names of their laws, of one plant; at least one.
-    states, modes, inputs : sequences of str
-        Names for the axes; numbered by default.
+    states, modes, inputs, tracked : sequences of str
+        Names for the axes, the last of what follows a reference; numbered by default.
     title : str
         Heads the figure.
     width : "column", "page" or float, optional
@@ -52,42 +58,51 @@ def plot_laws(
     >>> len(plot_laws(runs).axes)       # two states, an input, the modes, the mismatch
     5
     """
-    first = next(iter(runs.values()))
-    n, m = first.states.shape[0], first.inputs.shape[0]
+    longest = max(runs.values(), key=lambda run: run.time[-1])
+    n, m, count = longest.states.shape[0], longest.inputs.shape[0], longest.plant.modes
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
     inputs = input_names(m) if inputs is None else inputs
-    count = first.plant.modes
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
-    rows = [1.0] * (n + m) + [0.35 + 0.15 * count, 1.0]
+    beside, others = references(longest)
+    tracked = numbered("y", len(beside) + len(others)) if tracked is None else tracked
+    curves = [
+        _Curves(name, {law: run.states[i] for law, run in runs.items()}, beside.get(i))
+        for i, name in enumerate(states)
+    ]
+    following = {law: y for law, run in runs.items() if (y := run.tracked) is not None}
+    curves += [
+        _Curves(tracked[i], {law: y[i] for law, y in following.items()}, reference)
+        for i, _, reference in others
+    ]
+    curves += [
+        _Curves(name, {law: run.inputs[i] for law, run in runs.items()}, held=True)
+        for i, name in enumerate(inputs)
+    ]
+    wrong = {law: norm for law, run in runs.items() if (norm := mismatch_norm(run)) is not None}
+    floor = mismatch_floor(list(runs.values()))
+    below = [_Curves("|mismatch|", wrong, floor=floor)] if wrong else []
+    heights = [1.0] * len(curves) + [0.35 + 0.15 * count] + [1.0] * len(below)
     looks = looks_of([*(laws or ()), *runs])
     with rc_context(style_of(width)):
-        figure = new_figure(1.3 * WIDTH, 0.7 + 1.15 * sum(rows), width)
-        panels = figure.subplots(len(rows), 1, sharex=True, height_ratios=rows)
-        for i, name in enumerate(states):
-            rows_of = {law: (run, run.states[i]) for law, run in runs.items()}
-            _panel(panels[i], name, rows_of, looks)
-        for i, name in enumerate(inputs):
-            rows_of = {law: (run, run.inputs[i]) for law, run in runs.items()}
-            _panel(panels[n + i], name, rows_of, looks, held=True)
-        end = max(float(run.time[-1]) for run in runs.values()) or 1.0
-        longest = max(runs.values(), key=lambda run: run.time[-1])
-        mode_strip(panels[-2], *signal_steps(longest.signal, end), list(map(plain, modes)))
-        wrong = {
-            law: (run, np.linalg.norm(run.mismatch, axis=0))
-            for law, run in runs.items()
-            if run.mismatch is not None
-        }
-        floor = mismatch_floor(list(runs.values()))
-        _panel(panels[-1], "|mismatch|", wrong, looks, floor=floor)
-        panels[-1].set_xlabel("time (s)")
+        figure = new_figure(1.3 * WIDTH, 0.7 + 1.15 * sum(heights), width)
+        panels: list[Axes] = [*figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)]
+        strip = panels.pop(len(curves))
+        for panel, one in zip(panels, [*curves, *below], strict=True):
+            _panel(panel, one, runs, looks)
+            if one.reference is not None:
+                panel.plot(longest.time, one.reference, **REFERENCE)
+        end = float(longest.time[-1]) or 1.0
+        mode_strip(strip, *signal_steps(longest.signal, end), list(map(plain, modes)))
+        (panels[-1] if below else strip).set_xlabel("time (s)")
         panels[0].set_xlim(0.0, end)
         figure.align_ylabels()
-        handles = panels[0].get_lines()
+        handles = list(panels[0].get_lines()[: len(runs)])
+        handles += [Line2D([], [], label="reference", **REFERENCE)] * bool(beside or others)
         columns = legend_columns(figure, runs, 3)
         figure.legend(
             handles=handles,
             loc="outside lower center",
-            ncols=min(columns, len(runs)),
+            ncols=min(columns, len(handles)),
             handlelength=2.6,
         )
         if title:
@@ -95,28 +110,37 @@ def plot_laws(
     return figure
 
 
+class _Curves(NamedTuple):
+    """What a panel shows: a row of every law's run, and what it is to follow."""
+
+    label: str
+    rows: Mapping[str, np.ndarray]
+    reference: np.ndarray | None = None
+    held: bool = False
+    floor: float = 0.0
+
+
 def _panel(
-    panel: Axes,
-    label: str,
-    rows: Mapping[str, tuple[Trajectory, np.ndarray]],
-    looks: Mapping[str, Look],
-    held: bool = False,
-    floor: float = 0.0,
+    panel: Axes, curves: _Curves, runs: Mapping[str, Trajectory], looks: Mapping[str, Look]
 ) -> None:
     """One signal of every run."""
-    for i, (law, (run, values)) in enumerate(rows.items()):
-        style = "steps-post" if held and run.record.held else "default"
+    for i, (law, values) in enumerate(curves.rows.items()):
+        style = "steps-post" if curves.held and runs[law].record.held else "default"
         panel.plot(
-            run.time,
+            runs[law].time,
             values,
             linestyle=LINES[i % len(LINES)],
             drawstyle=style,
             color=looks[law].colour,
             label=plain(law),
         )
-    panel.set_ylabel(plain(label))
-    if rows:
-        panel.set_ylim(*frame([values for _, values in rows.values()], floor))
+    panel.set_ylabel(plain(curves.label))
+    panel.set_ylim(*frame(list(curves.rows.values()), curves.floor, curves.reference))
+
+
+def mismatch_norm(run: Trajectory) -> np.ndarray | None:
+    """|w| over a run; None where it is not defined."""
+    return None if run.mismatch is None else np.linalg.norm(run.mismatch, axis=0)
 
 
 def mismatch_floor(runs: Sequence[Trajectory]) -> float:
@@ -124,8 +148,10 @@ def mismatch_floor(runs: Sequence[Trajectory]) -> float:
     return 0.02 * frame([np.abs(run.inputs).max(axis=0) for run in runs])[1]
 
 
-def frame(rows: Sequence[np.ndarray], floor: float = 0.0) -> tuple[float, float]:
-    """Limits that show every row, but for rows that go far beyond all others.
+def frame(
+    rows: Sequence[np.ndarray], floor: float = 0.0, reference: np.ndarray | None = None
+) -> tuple[float, float]:
+    """Limits that show every row, but for rows that go far beyond all others, and the reference.
 
     What is smaller than the floor counts as that large; values that are NaN are not drawn.
 
@@ -144,6 +170,7 @@ def frame(rows: Sequence[np.ndarray], floor: float = 0.0) -> tuple[float, float]
             break
         most = size
     shown = [row for row in rows if _size(row) <= most]
+    shown += [] if reference is None else [reference]
     low = min((float(np.fmin.reduce(row, initial=0.0)) for row in shown), default=0.0)
     high = max((float(np.fmax.reduce(row, initial=0.0)) for row in shown), default=1.0)
     low, high = min(low, -0.05 * floor), max(high, floor)
