@@ -204,8 +204,6 @@ def certificate(content):
     c.S = array(rest[1], "S", places, len(knots), len(c.Psi), len(c.Psi)) if c.linear else []
     arrays = [law["F"], law["G"], lyapunov["P"], *rest, *axes]
     c.numbers = sum(math.prod(x["shape"]) for x in arrays)
-    for X in itertools.chain([c.P] if c.linear else (), *c.S, *(() if c.linear else c.P)):
-        need([*map(list, zip(*X, strict=True))] == X, "P or S is not symmetric")
     return c
 
 
@@ -390,8 +388,11 @@ class Loop:
         N = max([0, *dict(self.reads)])
         self.held, self.k = max(N, len(c.G[0])) * self.acts, c.n + len(self.reads)
         self.d = c.n + c.q + c.m * self.held
-        for X in [c.P] if c.linear else itertools.chain(*c.P):
+        every = [c.P] if c.linear else [*itertools.chain(*c.P)]
+        for X in every:
             need(len(X) == self.d == len(X[0]), f"P has not the order {self.d} of the loop")
+        for X in itertools.chain(every, *c.S):
+            need([*map(list, zip(*X, strict=True))] == X, "P or S is not symmetric")
         need(not c.linear or c.width == self.d, f"Psi has not the order {self.d} of the loop")
         allowed, asked = limit * (FREE + PER_NUMBER * c.numbers), self.work()
         more = f"operations; --limit {limit:g} allows"
@@ -568,7 +569,6 @@ class Loop:
             share = fmpq(age - knots[k], knots[k + 1] - knots[k])
             after = rational(S[min(k + 1, len(S) - 1)])
             V += Psi.transpose() * (rational(S[k]) * (1 - share) + after * share) * Psi
-        need(V.transpose() == V, "P or S is not symmetric")
         balls = arb_mat(d, d, [arb(x) for x in V.entries()])
         minors = (fmpq_mat([row[:k] for row in V.tolist()[:k]]).det() for k in range(1, d + 1))
         fits = all(x > 0 for x in minors) if d <= EXACT_ORDER else positive(balls)[1] < 1
