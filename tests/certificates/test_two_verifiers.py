@@ -1,4 +1,4 @@
-"""Two verifiers that share no code answer alike: of mutants, and of files that ask for much work."""
+"""Two verifiers that share no code answer alike: of mutants, and of files that ask for work."""
 
 import dataclasses
 import json
@@ -12,28 +12,15 @@ import pytest
 import certificate_forgeries as forgeries
 import deadtime as dt
 from certificate_corpus import CORPUS
-from deadtime.base.errors import CertificateFileError
 from deadtime.certificates.proof import Evidence, StretchEvidence, load_evidence, save_evidence
 from deadtime.certificates.proof.evidence import Centre, Setting
 from deadtime.certificates.proof.work import allowance, operations
 from deadtime.numerics.precision import precision
 from fuzzing import mutators
-from second_verifier import second_verifier
+from second_verifier import both, second_verifier
 
 FILES = sorted(CORPUS.glob("*.json"))
 VERIFY, CHECK = second_verifier(), sys.modules["deadtime.certificates.proof.check"]
-
-
-def both(path, limit=1.0):
-    """(proved, what it says) of the package's verifier and of the second one."""
-    try:
-        found = dt.verify(path, limit=limit)
-        first = found.proven, found.message
-    except CertificateFileError as error:
-        first = False, str(error)
-    with precision(VERIFY.BITS):
-        code, verdict, _ = VERIFY.judged(path, limit)
-    return first, (code == 0, verdict)
 
 
 # -- mutants ---------------------------------------------------------------------------
@@ -69,7 +56,7 @@ def test_both_verifiers_give_the_same_answer_to_mutants(seed, tmp_path):
     for _ in range(25):
         tree = mutant(rng)
         path.write_text(forgeries.signed(tree))
-        (first, message), (second, verdict) = both(path)
+        (first, message), (second, verdict) = both(VERIFY, path)
         proved += first
         if first != second:
             # The package splits the inequality, and takes the multiplier from the file's hints:
@@ -164,7 +151,7 @@ def test_short_files_that_ask_for_long_work_are_refused_before_any_is_done(
     assert first[0] > first[1]
     monkeypatch.setattr(CHECK, "_check_split", None)  # cannot be called
     monkeypatch.setattr(VERIFY, "linear", None)
-    (proved, message), (also, verdict) = both(path)
+    (proved, message), (also, verdict) = both(VERIFY, path)
     assert (proved, also) == (False, False)
     assert f"take {first[0]:.2g} operations" in message
     assert f"allow {math.ceil(first[0] / first[1]):,} times the usual (limit=, --limit)" in message
@@ -175,7 +162,7 @@ def test_short_files_that_ask_for_long_work_are_refused_before_any_is_done(
 def test_rows_told_ever_so_late_are_looked_at_where_they_change(lag, tmp_path):
     path = tmp_path / "a.json"
     path.write_text(forgeries.forged(("late-mode", forgeries.put("law.mode_lag", lag))))
-    (proved, message), (also, verdict) = both(path)
+    (proved, message), (also, verdict) = both(VERIFY, path)
     assert (proved, also) == (True, True), (message, verdict)
 
 
@@ -183,7 +170,7 @@ def test_the_limit_may_be_raised_and_lowered():
     path = CORPUS / "rate.json"
     ((asked, allowed), _) = counts(path)
     for limit, answer in ((0.9 * asked / allowed, False), (1.1 * asked / allowed, True)):
-        assert [proved for proved, _ in both(path, limit)] == [answer, answer]
+        assert [proved for proved, _ in both(VERIFY, path, limit)] == [answer, answer]
     for limit in (0.0, -1.0, math.nan):
         with pytest.raises(dt.ArgumentError, match="limit must be"):
             dt.verify(path, limit=limit)
@@ -195,7 +182,7 @@ def test_work_is_bounded_while_cells_are_halved(monkeypatch):
     for name in ("average-dwell", "stretches-range", "range"):
         path = CORPUS / f"{name}.json"
         ((asked, allowed), _) = counts(path)
-        (proved, message), (also, verdict) = both(path, 1.001 * asked / allowed)
+        (proved, message), (also, verdict) = both(VERIFY, path, 1.001 * asked / allowed)
         assert (proved, also) == (False, False)
         assert "it is not proved within" in message
         assert "it takes more operations; --limit" in verdict
@@ -210,7 +197,7 @@ def test_V_at_ages_to_which_a_mode_does_not_come_is_not_used(tmp_path):
     for unused in (P[1, 1], -P[1, 1], 0.0 * P[1, 1]):
         P[1, 1] = unused
         path = save_evidence(StretchEvidence(about, P, (5, 15), 1.0), tmp_path / "a.json")
-        assert [proved for proved, _ in both(path)] == [True, True]
+        assert [proved for proved, _ in both(VERIFY, path)] == [True, True]
     P[0, 1] *= -1.0
     path = save_evidence(StretchEvidence(about, P, (5, 15), 1.0), tmp_path / "a.json")
-    assert [proved for proved, _ in both(path)] == [False, False]
+    assert [proved for proved, _ in both(VERIFY, path)] == [False, False]

@@ -186,7 +186,7 @@ class Setting(Frozen):
     @cached_property
     def rows_differ(self) -> bool:
         """Whether the rows are not all one, so that w_u exists."""
-        return bool(np.any(self.F != self.F[0]) or np.any(self.G != self.G[0]))
+        return bool(np.any(self.F[0] != self.F) or np.any(self.G[0] != self.G))
 
     @property
     def numbers(self) -> int:

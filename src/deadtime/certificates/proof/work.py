@@ -107,6 +107,6 @@ def refusal(asked: int, allowed: int, limit: float) -> str:
 def exhausted(allowed: int, limit: float) -> str:
     """Why one is given up that takes more than it seemed to."""
     return (
-        f"it is not proved within {HALVINGS * limit * allowed:.2g} operations: where more are worth "
-        f"the time, allow more than {limit:g} times the usual (limit=, --limit)"
+        f"it is not proved within {HALVINGS * limit * allowed:.2g} operations: where more are "
+        f"worth the time, allow more than {limit:g} times the usual (limit=, --limit)"
     )
