@@ -68,6 +68,11 @@ def without(key):
     return lambda content: content.pop(key)
 
 
+def without_inside(path):
+    owner, key = path.rsplit(".", 1)
+    return put(owner, lambda content: {k: v for k, v in content.items() if k != key})
+
+
 AGED, AVERAGE, LONGEST = "every-age", "average-free", "maximum-free"
 JUMPS = "average-turning"
 FAR, PAIR, PIECES = "paper-far", "rate", "stretches-every-age"
@@ -82,17 +87,13 @@ FALSE = [
     (PIECES, put("signals.dwell_time", 0.61)),
     (DWELL, put("signals.dwell_time", 0.21)),
     (PAIR, put("signals.dwell_time", 0.09)),
-    (PAIR, put("signals.dwell_time", 1e-300)),
-    (AGED, put("signals.clock_tolerance", 0.5)),
-    (FAR, put("signals.clock_tolerance", 0.4)),
-    (PAIR, put("signals.clock_tolerance", 0.8)),
+    (PAIR, put("signals.dwell_time", 1e-99)),
     (LONGEST, put("signals.maximum_dwell", 6.0)),
     (LONGEST, put("signals.maximum_dwell", None)),
     (LONGEST, put("signals.maximum_dwell", 900.0)),
     (UNTIL, put("signals.maximum_dwell", 6.0)),
     (UNTIL, put("signals.maximum_dwell", None)),
     ("maximum", put("signals.maximum_dwell", None)),
-    *((AVERAGE, put("signals.chatter", count)) for count in (10**400, 10**9)),
     (AVERAGE, put("signals.chatter", 6)),
     *((JUMPS, put("lyapunov.mu", lambda mu, part=part: part * mu)) for part in (0.9, 1.5)),
     (JUMPS, put("lyapunov.mu", 1.0)),
@@ -114,8 +115,8 @@ FALSE = [
     ("expected", nested("plant.A", scaled((0, 1), 1.3))),
     ("delayed", nested("plant.B", other_modes), entries("law.F", lambda F: -F)),
     (PAIR, nested("plant.A", lambda A: 1e6 * A)),
-    (PAIR, nested("plant.A", lambda A: 1e300 * A)),
-    (PAIR, nested("plant.B", lambda B: 1e300 * B)),
+    (PAIR, nested("plant.A", lambda A: 1e99 * A)),
+    (PAIR, nested("plant.B", lambda B: 1e99 * B)),
     (FAR, entries("law.F", scaled((0, 0, 0), 1.02))),
     (PAIR, entries("law.F", cleared)),
     (PAIR, entries("law.G", cleared)),
@@ -273,7 +274,33 @@ MALFORMED = [
         ("ways-ring", put("signals.maximum_dwell", most))
         for most in ([math.inf, None, 1.2], [0.9, None], [0.2, None, 1.2], [0.9, "1", 1.2], [])
     ),
-    *((PAIR, put("signals.clock_tolerance", d)) for d in (0.0, -0.1, 1.0, None)),
+    *((PAIR, put("signals.clock_tolerance", d)) for d in (0.0, -0.1, 1.0, None, 1e-9, 0.11)),
+    (AGED, put("signals.clock_tolerance", 0.5)),
+    (FAR, put("signals.clock_tolerance", 0.4)),
+    (PAIR, put("signals.clock_tolerance", 0.8)),
+    *((AVERAGE, put("signals.chatter", count)) for count in (HUGE, 10**9, 10**5 + 1)),
+    (AVERAGE, put("signals.dwell_time", 6e3)),  # twice as long a bucket: over 10⁵ periods
+    *((PAIR, put(f"signals.{name}", 1.01e4)) for name in ("dwell_time", "maximum_dwell")),
+    (PAIR, put("plant.delays", [1.01e4, 1.01e4])),
+    (PAIR, put("signals.dwell_time", 1e-300)),
+    *((PAIR, nested(f"plant.{M}", lambda X: 1e300 * X)) for M in "AB"),
+    (PAIR, put("rho", 0.009)),
+    *((PAIR, put("decay_rate", rate)) for rate in (-1.0, -1e-300, math.inf, "0.1", True, HUGE)),
+    *((name, put("version", v)) for name in (PAIR, PIECES) for v in (1, None, {}, ["0.1"], True)),
+    (PAIR, put("version", "\ud800")),
+    (PAIR, put("plant.A", lambda A: [[[[2**53 + 1, 0], [0, 1]], A[0][1]]])),  # no binary64
+    *(
+        (name, put(f"{array}.{key}", "all"))  # what nobody checks, in any array
+        for name, array in (
+            *((PAIR, array) for array in ("law.F", "law.G", "lyapunov.P", "lyapunov.Psi")),
+            *(("ellipsoid", "plant.axes"), (AGED, "lyapunov.S"), (PIECES, "lyapunov.P")),
+        )
+        for key in ("claim", "Data")
+    ),
+    *((PAIR, without_inside(f"law.F.{key}")) for key in ("shape", "data")),
+    *((name, without("hints")) for name in (PAIR, PIECES, UNTIL)),
+    *((name, put("hints", hints)) for name in (PAIR, PIECES) for hints in (None, [], "none")),
+    (PIECES, put("hints.deep", [[[[[[[[[[[[[[[[[[[[0]]]]]]]]]]]]]]]]]]]])),
     *((PAIR, put(part, None)) for part in ("law", "plant", "signals", "lyapunov")),
     *((PAIR, without(key)) for key in ("rho", "lyapunov", "plant")),
     (PAIR, lambda c: c.update(claim="all")),

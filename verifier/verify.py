@@ -68,7 +68,8 @@ from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 
 BITS, TERMS, EXACT_ORDER, CELLS, DEEPEST = 160, 24, 16, 20000, 60  # cells kept; their bisections
 NEAR = Fraction(1, 10**9)  # of a period: a time so near a multiple of it is that multiple
-LARGEST_FILE, LARGEST_ORDER, LARGEST_NORM = 1 << 30, 1500, 1024  # bytes; of ξ; of A h and B h
+LARGEST_FILE, LARGEST_NORM, PERIODS = 1 << 30, 1 << 20, 10**5  # bytes; of A h and B h; of times
+FREE, PER_NUMBER, HALVINGS, STRETCHES = 3 * 10**7, 10**5, 100, 5000  # of work: FORMAT.md
 
 
 def need(condition, message):
@@ -85,6 +86,7 @@ def take(value, name, keys):
 def real(value, name):
     need(type(value) in (int, float), f"{name} is not a number")
     need(abs(value) <= sys.float_info.max and float(value) == value, f"{name} is not binary64")
+    need(value == 0 or 1e-100 <= abs(value) <= 1e100, f"{name} is beyond 1e±100")
     return float(value)
 
 
@@ -119,7 +121,8 @@ def parsed(path):
     path, twice = Path(path), "a key occurs twice"
     need(path.is_file() and path.stat().st_size <= LARGEST_FILE, "no such file, or too large a one")
     hook = lambda pairs: need(len(dict(pairs)) == len(pairs), twice) or dict(pairs)  # noqa: E731
-    content = json.loads(path.read_bytes().decode(), object_pairs_hook=hook)
+    content = json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=hook)
+    need(depth(content) <= 20, "it is nested too deeply")
     stated = content.pop("sha256", None)
     line = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     digest = hashlib.sha256(line.encode()).hexdigest()
@@ -127,12 +130,21 @@ def parsed(path):
     return content, digest
 
 
+def depth(value):
+    if not isinstance(value, (dict, list)):
+        return 0
+    return 1 + max(map(depth, value.values() if isinstance(value, dict) else value), default=0)
+
+
 def certificate(content):
     """What the file says, checked for shapes and ranges."""
     keys = "format version decay_rate plant law signals rho lyapunov hints"
-    form, _, rate, plant, law, signals, rho, lyapunov, _ = take(content, "the file", keys)
+    form, by, rate, plant, law, signals, rho, lyapunov, hints = take(content, "the file", keys)
     need(form == "deadtime certificate 2", "the format is not 'deadtime certificate 2'")
-    c = SimpleNamespace(rho=real(rho, "rho"), rate=real(0 if rate is None else rate, "decay_rate"))
+    need(type(by) is str and type(hints) is dict, "version is no text, or hints are no object")
+    need(rate is None or type(rate) in (int, float), "decay_rate is not a number")
+    c = SimpleNamespace(rho=real(rho, "rho"), rate=0 if rate is None else rate)
+    need(0 <= c.rate <= sys.float_info.max, "decay_rate is negative, or not finite")
     A, B, c.delays, *axes = take(plant, "plant", "A B delays" + " axes" * ("axes" in plant))
     c.vertices, c.modes, c.n, c.m = len(A), len(A[0]), len(A[0][0]), len(B[0][0][0])
     c.A = nested(A, "A", c.vertices, c.modes, c.n, c.n)
@@ -159,6 +171,7 @@ def certificate(content):
     c.measured, rows = rows, rows * (1 + (c.lost > 0))  # then as many of lost samples
     out = c.q + c.m  # of the table: what is remembered, then the inputs
     c.F, c.G = array(F, "F", rows, out, c.n), array(G, "G", rows, None, out, out)
+    need(c.G[0], "G has no taps")
     need(not any(x for r in c.G for g in r[1:] for y in g for x in y[: c.q]), "G reads an old w")
     ways = "transitions" in signals
     keys = "dwell_time maximum_dwell chatter clock_tolerance" + " transitions" * ways
@@ -168,9 +181,12 @@ def certificate(content):
     c.follow = (
         following(matrix[0], c) if ways else [{*range(c.modes)} - {i} for i in range(c.modes)]
     )
-    fits = c.step > 0 and all(x and x > 0 for x in c.dwell) and 1e-8 <= c.tolerance < 1
+    fits = c.step > 0 and all(x and x > 0 for x in c.dwell) and 1e-8 <= c.tolerance <= 0.1
     fits = fits and all(0 < low <= high for row in c.D for low, high in row)
-    need(fits and 0 < c.rho <= 1, "delays, step, dwell_time, clock_tolerance or rho out of range")
+    need(fits and 0.01 <= c.rho <= 1, "delays, step, dwell_time, clock_tolerance or rho are off")
+    times = [*c.dwell, *(x for x in c.maximum if x), *(x for row in c.D for _, x in row)]
+    fits = c.chatter <= PERIODS and c.chatter * max(c.dwell) <= PERIODS * c.step
+    need(fits and max(times) / c.step <= PERIODS, f"a time is above {PERIODS} periods")
     pairs = [*zip(c.dwell, c.maximum, strict=True)]
     fits = all(x is None or low <= x for low, x in pairs)
     fits = fits and (c.chatter == 1 or (maximum is None and type(dwell) is not list))
@@ -190,7 +206,10 @@ def certificate(content):
     places = c.modes * (c.lost + 1)  # the modes, then the modes after one lost sample, …
     c.P = array(P, "P", *() if c.linear else (places, len(knots)), None, None)
     c.Psi = array(rest[0], "Psi", None, None) if c.linear else []
+    c.width = rest[0]["shape"][1] if c.linear else 0
     c.S = array(rest[1], "S", places, len(knots), len(c.Psi), len(c.Psi)) if c.linear else []
+    arrays = [law["F"], law["G"], lyapunov["P"], *(rest if c.linear else []), *axes]
+    c.numbers = sum(math.prod(x["shape"]) for x in arrays)
     return c
 
 
@@ -359,11 +378,11 @@ def weight(F, N, G, W, X):
 class Loop:
     """The loop of a certificate: its ages, rows, Lyapunov function and periods."""
 
-    def __init__(self, c, deadline):
-        self.c, self.n, self.modes, self.deadline = c, c.n, range(c.modes), deadline
+    def __init__(self, c, limit=1.0):
+        self.c, self.n, self.modes = c, c.n, range(c.modes)
         gains = itertools.chain(*c.F, *itertools.chain(*c.G))
         self.acts, self.h = any(map(any, gains)), ball(c.step)  # else no input travels
-        need(self.acts or not c.lost, "lost_samples, though F and G are all zero")
+        need(self.acts or not (c.lost or c.q), "lost_samples or memory, though F and G are zero")
         self.boxed = c.box and self.acts
         if self.boxed:
             self.places, self.reads = self.box_clock()
@@ -375,14 +394,49 @@ class Loop:
         N = max([0, *dict(self.reads)])
         self.held, self.k = max(N, len(c.G[0])) * self.acts, c.n + len(self.reads)
         self.d = c.n + c.q + c.m * self.held
-        need(self.d <= LARGEST_ORDER, f"its order is above this verifier's {LARGEST_ORDER}")
-        for X in [c.P] if c.linear else itertools.chain(*c.P):
+        every = [c.P] if c.linear else [*itertools.chain(*c.P)]
+        for X in every:
             need(len(X) == self.d == len(X[0]), f"P has not the order {self.d} of the loop")
+        for X in itertools.chain(every, *c.S):
+            need([*map(list, zip(*X, strict=True))] == X, "P or S is not symmetric")
+        need(not c.linear or c.width == self.d, f"Psi has not the order {self.d} of the loop")
+        allowed, asked = limit * (FREE + PER_NUMBER * c.numbers), self.work()
+        more = f"operations; --limit {limit:g} allows"
+        need(asked <= allowed, f"it takes {min(asked, 10**30):.2g} {more} {allowed:.2g}")
+        self.left, self.spent = HALVINGS * allowed, f"it takes more {more} {HALVINGS * allowed:.2g}"
         room = 2 + 10**6 // self.d**2
         self.table, self.V = lru_cache(room)(self.new_table), lru_cache(room)(self.new_V)
         self.full, self.after = lru_cache(room)(self.new_full), lru_cache(room)(self.new_after)
         self.enclosure, self.X = lru_cache(CELLS)(self.new_enclosure), lru_cache(self.generator)
         self.X_of, self.known = lru_cache(self.generator_of), {}
+
+    def work(self):
+        """Operations that the inequalities take if no cell is halved, by the count of FORMAT.md."""
+        c, ends = self.c, {x for row in self.c.D for pair in row for x in pair}
+        moving = sorted(sum(low < high for low, high in row) for row in c.D)[-2:]
+        moving = sum(moving) if c.box else max(moving) > 0
+        cells, corners = (1 + len(ends), 1 + moving) if self.acts else (1, 1)
+        total, lost, rows = 0, c.lost, c.measured
+        own = c.ages if self.bucket or lost > min(self.q0) else min(c.ages, lost + 1)
+        own = own if self.bucket or lost else 1
+        most = 4 + 2 * len(c.knots) + c.ages + lost + min(c.lag, c.modes * (c.ages + 1))
+        for last, after in zip(self.last, c.follow, strict=True):
+            ages = 1 if c.averaged else min(last + 1, 2 * most) if c.linear else last + 1
+            if c.lag:
+                told = ages * rows if self.bucket else ages + min(ages, c.lag) * (rows - 1)
+            elif self.bucket:
+                told = ages * ((lost + 1) * own + lost * rows)
+            else:
+                told = ages * (2 * lost + 1) * own + lost * lost * rows
+            total += told * (1 + len(after))
+        self.corner = cost(self.k if c.linear else self.d)
+        self.cell = 30 * cost(self.n * self.k) * (len(c.axes) > 0)
+        cell = self.cell + (self.corner * c.vertices << corners)
+        return total * (cost(self.d) + cells * cell)
+
+    def spend(self, operations):
+        self.left -= operations
+        need(self.left >= 0, self.spent)
 
     def clock(self, each):
         """0, each φ below h, and h, and how the range moves them; lags by mode, part and input."""
@@ -452,10 +506,12 @@ class Loop:
     def before(self, mode, late):
         """Modes of the sojourns before, as far back as `late` samples, the last first; how many
         samples they have shown together, each sojourn q₀ + 1 or more."""
-        here, seen = {mode}, 0
+        here, seen, known = {mode}, 0, set()
         while seen < late:
             here = {j for j in self.modes for i in here if i in self.c.follow[j]}
-            seen += min(self.q0) + 1
+            if here <= known:  # then so are all before, and each has been seen at every age
+                return
+            known, seen = known | here, seen + min(self.q0) + 1
             yield here, seen
 
     def counted(self, mode, age, since):
@@ -492,6 +548,7 @@ class Loop:
         """The product of the periods of mode j after a switch; i is told at first, by its ages."""
         late, ages, M = min(self.c.lag, follows), self.c.ages, eye(self.d)
         for age in range(first, first + late):
+            self.spend(cost(self.d))
             M = self.alone(j, i * ages + min(age, ages - 1)) * M
         return self.full(j, late, follows) * M if late else self.full(j, 0, follows)
 
@@ -518,7 +575,6 @@ class Loop:
             share = fmpq(age - knots[k], knots[k + 1] - knots[k])
             after = rational(S[min(k + 1, len(S) - 1)])
             V += Psi.transpose() * (rational(S[k]) * (1 - share) + after * share) * Psi
-        need(V.transpose() == V, "P or S is not symmetric")
         balls = arb_mat(d, d, [arb(x) for x in V.entries()])
         minors = (fmpq_mat([row[:k] for row in V.tolist()[:k]]).det() for k in range(1, d + 1))
         fits = all(x > 0 for x in minors) if d <= EXACT_ORDER else positive(balls)[1] < 1
@@ -715,7 +771,7 @@ class Loop:
 
     def new_full(self, mode, start, end):
         """The product of the periods without a switch; by halves, so that the balls grow less."""
-        need(time.monotonic() < self.deadline, "there was no time for it; --limit gives more")
+        self.spend(cost(self.d))
         if end - start != 1:
             half = (start + end) // 2
             late = self.full(mode, half, end) if end > start else eye(self.d)
@@ -771,6 +827,10 @@ class Loop:
         return found
 
 
+def cost(order):
+    return (order + 12) ** 3
+
+
 def fraction(x):
     return arb(fmpq(x.numerator, x.denominator))
 
@@ -785,8 +845,11 @@ def linear_in(loop, i, q0, last):
     c = loop.c
     found = {0, last, q0, q0 + 1, *c.knots, *range(min(c.ages, last + 1))}
     found |= {k + q0 for k in c.knots if loop.bucket}
-    late = c.lag + c.lost
-    found |= set(range(min(late + c.ages, last + 1) * (late > 0)))
+    found |= set(range(min(c.lost + c.ages, last + 1) * (c.lost > 0)))
+    if c.lag:  # the ages at which other rows may act than before
+        rows = [loop.rows(i, a) for a in range(c.lag + 1)]
+        found |= {a for a, (x, y) in enumerate(itertools.pairwise(rows), 1) if x != y}
+        found |= set(range(c.lag, c.lag + c.ages + 1))
     starts = {a for a in found if a <= last}
     steps_from(loop, i, sorted(starts | {a - 1 for a in starts if a > 0}))
 
@@ -807,6 +870,8 @@ def steps_from(loop, i, ages):
 
 def averaged(loop):
     need(loop.c.knots == [0], "knots are not 0 alone, as an average dwell time has them")
+    many = len(loop.c.F) * loop.c.modes * len(loop.c.P)
+    need(many <= STRETCHES, "there are too many rows")
     mu, r = arb(loop.c.mu), fraction(loop.shortest[0])
     for i in loop.modes:
         for (row, lost, then), j in itertools.product(loop.told(i, 0), {i} | loop.c.follow[i]):
@@ -817,7 +882,10 @@ def averaged(loop):
 def stretches(loop):
     knots, c, highest = loop.c.knots, loop.c, max(loop.last)
     need(knots[-1] <= highest, f"the last knot is past the last age, {highest}")
-    need(len(loop.modes) == 1 or knots[0] <= min(loop.q0), "the first knot is past a switch")
+    need(knots[0] <= min(loop.q0), "the first knot is past a switch")
+    switching = zip(loop.last, loop.q0, c.follow, strict=True)
+    most = max(sum(len(j) * (a - q + 1) for a, q, j in switching), len(c.P) * len(knots))
+    need(most <= STRETCHES, "there are too many stretches")
     fixed = not loop.ranged and c.vertices == 1 and not c.lost and not c.axes
     need(fixed or len(knots) > highest, "not every age is a knot, though something varies")
     need(c.lag <= knots[0], "the first knot is before the lag of the mode")
@@ -857,6 +925,7 @@ def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=Non
     need(positive(a)[1] < 1, f"{name}: V after it is too close to singular")
     inverse, Z = a.inv(), b.transpose() * U
     H = V + (Z.transpose() * inverse * Z - U.transpose() * (c * U)) * (1 / g)
+    loop.spend(cost(d))
     T, error = positive(H)
     need(error < 1, f"{name}: V does not decrease, whatever the state")
     TW = T * block([[Y], [inverse * Z]]).transpose()
@@ -875,14 +944,14 @@ def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=Non
 
     cells = [(cell, 0) for cell in loop.roots(*modes, age)]
     while cells:
-        need(time.monotonic() < loop.deadline, "there was no time for it; --limit gives more")
-        cell, depth = cells.pop()
+        cell, deep = cells.pop()
+        loop.spend(loop.cell + loop.corner * math.prod(map(len, cell[1])))
         (centre, *corners), moves, sway = loop.enclosure(*modes, *cell)
         if not all(holds(*at, *sway) for at in corners):
-            deep = depth == (DEEPEST if sway[0] is None else 20)  # small cells have a smaller W ⊗ X
-            lost = deep or not any(moves) or (sway[0] is None and not holds(*centre, *sway))
+            end = deep == (DEEPEST if sway[0] is None else 20)  # small cells have a smaller W ⊗ X
+            lost = end or not any(moves) or (sway[0] is None and not holds(*centre, *sway))
             need(not lost, f"{name}: V does not decrease")
-            cells += [(half, depth + 1) for half in halves(*cell, moves.index(max(moves)))]
+            cells += [(half, deep + 1) for half in halves(*cell, moves.index(max(moves)))]
 
 
 def halves(q, simplices, index):
@@ -922,25 +991,33 @@ def summary(c):
     return f"{rate}; {loop}; {signals} by a clock off by {c.tolerance!r} at most"
 
 
+def judged(path, limit):
+    """The exit code, the verdict, and what the file is about."""
+    c, about = None, ""
+    try:
+        content, digest = parsed(path)
+        c = certificate(content)
+        about = f": {summary(c)}; sha256 {digest[:16]}"
+        need(arb(c.rate) * ball(c.step) <= -arb(c.rho).log(), "decay_rate is above −ln ρ/h")
+        kind = averaged if c.averaged else linear if c.linear else stretches
+        kind(Loop(c, limit))
+    except Exception as error:  # whatever a foreign file brings about
+        code, verdict = (1, "NOT PROVED: ") if c else (2, "UNREADABLE: ")
+        return code, verdict + (f"{error}" if type(error) is ValueError else repr(error)), about
+    return 0, "PROVED", about
+
+
 def main():
     codes = "Exit code: 0 all are proved, 1 one is not, 2 one cannot be read or has been changed."
     parser = argparse.ArgumentParser(description=f"Check certificates of stability. {codes}")
     parser.add_argument("files", nargs="+", metavar="certificate.json")
-    parser.add_argument("--limit", type=float, default=600.0, help="seconds for a file (600)")
+    times = "how many times the usual work may be done for a file of its size (1)"
+    parser.add_argument("--limit", type=float, default=1.0, help=times)
     arguments, ctx.prec, worst = parser.parse_args(), BITS, 0
     sys.stdout.reconfigure(errors="backslashreplace")
     for path in arguments.files:
-        start, c, about, code, verdict = time.monotonic(), None, "", 0, "PROVED"
-        try:
-            content, digest = parsed(path)
-            c = certificate(content)
-            about = f": {summary(c)}; sha256 {digest[:16]}"
-            need(arb(c.rate) * ball(c.step) <= -arb(c.rho).log(), "decay_rate is above −ln ρ/h")
-            kind = averaged if c.averaged else linear if c.linear else stretches
-            kind(Loop(c, start + arguments.limit))
-        except Exception as error:  # whatever a foreign file brings about
-            code, verdict = (1, "NOT PROVED: ") if c else (2, "UNREADABLE: ")
-            verdict += f"{error}" if type(error) is ValueError else repr(error)
+        start = time.monotonic()
+        code, verdict, about = judged(path, arguments.limit)
         print(*f"{path}: {verdict}{about}; {time.monotonic() - start:.1f} s".split(), flush=True)
         worst = max(worst, code)
     sys.exit(worst)

@@ -78,7 +78,10 @@ def test_a_reference_is_drawn_beside_what_follows_it(kind, tmp_path):
     axes = figure.axes[0 if row == "x0" else 2]
     r = axes.get_lines()[-1].get_ydata()
     np.testing.assert_array_equal(r, run.reference[0])
-    assert [one.get_text() for one in figure.legends[0].get_texts()] == [*page.outcome.runs, "reference"]
+    assert [one.get_text() for one in figure.legends[0].get_texts()] == [
+        *page.outcome.runs,
+        "reference",
+    ]
     assert figure.axes[-1].get_xlabel() == "time (s)"
 
 
@@ -119,7 +122,9 @@ def test_the_panel_of_the_mismatch_comes_and_goes_with_the_laws_that_have_one(ow
 def test_names_are_shown_as_they_are_and_never_as_formulas(name, tmp_path):
     quoted = name.replace("\\", "\\\\")
     text = OWN.replace('["level", "flow"]', f'["{quoted}", "flow"]\ninputs = ["{quoted}", "u"]')
-    text = text.replace("inputs", f'modes = ["{quoted}", "b", "c"]\ninputs').replace("middle", quoted)
+    text = text.replace("inputs", f'modes = ["{quoted}", "b", "c"]\ninputs').replace(
+        "middle", quoted
+    )
     page = Page(opened(text.replace('title = "Mixer"', f'title = "{quoted}"'), tmp_path), None)
     labels = [*page.figures.strip.yaxis.major_label_overrides.values()]
     labels += [panel.title.text for panel in page.figures.panels.values()]
@@ -139,4 +144,3 @@ def test_names_are_shown_as_they_are_and_never_as_formulas(name, tmp_path):
 
 def has_text(artist):
     return hasattr(artist, "get_text")
-

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, number, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.wording import number_of
-from deadtime.certificates.clock import lag_in_range, losses_in_range
+from deadtime.certificates.clock import CLOCK_TOLERANCE, lag_in_range, losses_in_range
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
@@ -133,19 +133,25 @@ class Asked:
         if chatter is not None and chatter > setting.chatter:
             return f"{proved}, not for a chatter of {chatter}."
         tolerance = self.clock_tolerance
+        if tolerance is None and any(one is not None for one in (*self._times, chatter)):
+            tolerance = CLOCK_TOLERANCE
         if tolerance is not None and tolerance > setting.clock_tolerance:
             return (
                 "the certificate allows for a clock that is off by "
-                f"{setting.clock_tolerance!r}, not by {tolerance!r}."
+                f"{setting.clock_tolerance!r}, not by {tolerance!r} (clock_tolerance=)."
             )
         return ""
 
+    @property
+    def _times(self) -> tuple[Times | None, Times | None, ArrayLike | None]:
+        """The dwell time, the maximum and the switches that are asked about."""
+        return self.dwell_time, self.maximum_dwell, self.transitions
+
     def _beyond(self, proved: SwitchingConstraint) -> str:
         """What is asked for and not among the signals proved, if anything."""
-        given = (self.dwell_time, self.maximum_dwell, self.transitions)
-        if all(value is None for value in given):
+        if all(value is None for value in self._times):
             return ""
-        asked, modes = SwitchingConstraint.of(proved.modes, *given), range(proved.modes)
+        asked, modes = SwitchingConstraint.of(proved.modes, *self._times), range(proved.modes)
         several = len(set(proved.dwell_time)) > 1 or len(set(asked.dwell_time)) > 1
         several = several or len(set(proved.maximum_dwell)) > 1
         for i in modes:
@@ -175,6 +181,7 @@ def verify(
     clock_tolerance: float | None = None,
     mode_lag: int | None = None,
     lost_samples: int | None = None,
+    limit: float = 1.0,
 ) -> Verification:
     """Verify a certificate from its file: no solver, nothing believed but the numbers.
 
@@ -198,11 +205,14 @@ def verify(
     chatter : int, optional
         N₀ of an average dwell time.
     clock_tolerance : float, optional
-        The part by which the clock may be off.
+        The part by which the clock may be off; where signals are asked about 1e-5, as of `certify`.
     mode_lag : int, optional
         How many periods late the law is told the mode; 0 where a law is given.
     lost_samples : int, optional
         How many samples in a row may be lost; a certificate for more of them will do.
+    limit : float
+        How many times as much work may be done as is usual for a file of its size: a few seconds
+        of a short one before it is refused, some minutes of one that is no proof after all.
 
     Raises
     ------
@@ -237,6 +247,7 @@ def verify(
     tolerance = None if clock_tolerance is None else number("clock_tolerance", clock_tolerance)
     lag = None if mode_lag is None else lag_in_range(mode_lag)
     lost = None if lost_samples is None else losses_in_range(lost_samples)
+    limit = positive("limit", limit)
     asked = Asked(
         plant, law, step, dwell_time, maximum_dwell, transitions, chatter, tolerance, lag, lost
     )
@@ -257,7 +268,7 @@ def verify(
     excess = claims_too_much(archived)
     if excess:
         return rejection(f"{excess}.", about)
-    outcome = check(evidence)
+    outcome = check(evidence, limit)
     if not outcome.proven:
         return rejection(f"{outcome.reason}.", about)
     sentences, seconds = statement(evidence, outcome.cells), time.perf_counter() - began

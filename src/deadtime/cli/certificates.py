@@ -193,6 +193,7 @@ def verify(
     mode_lag: int | None = None,
     lost_samples: int | None = None,
     uncertain: bool = False,
+    limit: float = 1.0,
     json_output: AsJson = False,
 ) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
@@ -223,6 +224,8 @@ def verify(
         How many samples in a row it must allow to be lost.
     uncertain
         It must be about all plants that the problem's [uncertainty] leaves open.
+    limit
+        How many times as much work as is usual may be done for a file of its size.
     json_output
         Print the result as JSON instead of text.
     """
@@ -247,6 +250,7 @@ def verify(
             step=step,
             mode_lag=mode_lag,
             lost_samples=lost_samples,
+            limit=limit,
         )
     else:
         chosen = with_step(problem_of(problem), step)
@@ -254,7 +258,7 @@ def verify(
         asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
         dwell = asked.dwell.value
         only = None if law is None else laws[law]
-        late = {"mode_lag": mode_lag or 0, "lost_samples": lost_samples}
+        late = {"mode_lag": mode_lag or 0, "lost_samples": lost_samples, "limit": limit}
         plant = uncertain_plant(chosen) if uncertain else chosen.plant
         result = check(certificate, plant, only, step=period, **late, **asked.options)
         names = laws_of(certificate, laws) if result.proven else []

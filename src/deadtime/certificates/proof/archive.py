@@ -158,7 +158,11 @@ def _content(path: Path) -> dict[str, Any]:
             f"path {str(path)!r} is no {FORMAT}: give the JSON file that `save` wrote."
         )
     stored = content.get("sha256")
-    if stored != digest({key: value for key, value in content.items() if key != "sha256"}):
+    try:
+        found = digest({key: value for key, value in content.items() if key != "sha256"})
+    except UnicodeEncodeError:
+        raise CertificateFileError(f"{no_json} holds half a surrogate pair, no text.") from None
+    if stored != found:
         raise CertificateFileError(
             f"path {str(path)!r} was altered after it was written: its digest does not match."
         )
@@ -187,6 +191,8 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     plant, law, signals, V = (content[key] for key in ("plant", "law", "signals", "lyapunov"))
     _require_keys("", content, TOP)
     _text(content["version"])
+    if not isinstance(content["hints"], dict):
+        raise TypeError(f"hints are {content['hints']!r:.40}, no object")
     for name, keys in KEYS.items():
         _require_keys(name, content[name], keys)
     if V["kind"] not in list(LYAPUNOV):
@@ -272,6 +278,8 @@ def _text(value: Any) -> Any:
 def _float(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TypeError(f"{value!r:.40} is no number")
+    if isinstance(value, int) and float(value) != value:
+        raise ValueError(f"{value!r:.40} is no binary64 number")
     return float(value)
 
 
@@ -296,6 +304,7 @@ def _pack(array: np.ndarray) -> dict[str, Any]:
 
 def _array(packed: dict[str, Any]) -> np.ndarray:
     """A float64 array of the stored shape."""
+    _require_keys("an array", packed, "shape data")
     shape = packed["shape"]
     if not all(isinstance(n, int) and not isinstance(n, bool) and n >= 0 for n in shape):
         raise ValueError(f"{shape!r:.40} is no shape")
@@ -308,4 +317,4 @@ def _array(packed: dict[str, Any]) -> np.ndarray:
 def digest(content: dict[str, Any]) -> str:
     """SHA-256 of the content, however it is laid out."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+    return hashlib.sha256(text.encode()).hexdigest()

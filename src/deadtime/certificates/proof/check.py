@@ -7,6 +7,7 @@ those of the other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -19,6 +20,15 @@ from deadtime.certificates.proof.small import SmallInequalities
 from deadtime.certificates.proof.stretches import StretchEvidence, StretchInequalities
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.validate import why_malformed
+from deadtime.certificates.proof.work import (
+    HALVINGS,
+    TooMuchWork,
+    Work,
+    allowance,
+    exhausted,
+    operations,
+    refusal,
+)
 from deadtime.numerics.precision import precision
 
 T = TypeVar("T")
@@ -47,21 +57,31 @@ class Check:
     failed: tuple[Transition, float] | None = None
 
 
-def check(evidence: Evidence | StretchEvidence) -> Check:
-    """Verify the evidence; False means that this evidence is no proof, not that none exists."""
+def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Check:
+    """Verify the evidence; False means that this evidence is no proof, not that none exists.
+
+    `limit` is how many times the work may be done that `work` allows for so many numbers.
+    """
     reason = why_malformed(evidence)
     if reason:
         return Check(False, reason)
-    with precision():
-        if isinstance(evidence, StretchEvidence):
-            return _check_stretches(evidence)
-        return _check_split(evidence)
+    along = isinstance(evidence, StretchEvidence)
+    allowed = allowance(evidence.numbers)
+    asked = operations(evidence.setting, len(evidence.knots), along)
+    if asked > limit * allowed:
+        return Check(False, refusal(asked, allowed, limit))
+    work = Work(HALVINGS * limit * allowed)
+    try:
+        with precision():
+            return _check_stretches(evidence, work) if along else _check_split(evidence, work)
+    except TooMuchWork:
+        return Check(False, exhausted(allowed, limit))
 
 
-def _check_split(evidence: Evidence) -> Check:
+def _check_split(evidence: Evidence, work: Work) -> Check:
     """One large inequality, and the small ones of every transition."""
     channels = Channels.of(evidence.setting, evidence.centre)
-    small, count = SmallInequalities(evidence, channels), 0
+    small, count = SmallInequalities(evidence, channels, work), 0
     for transition in _spread(evidence.setting.transitions.all(evidence.knots)):
         cells, instant = small.holds(transition)
         count += cells
@@ -75,9 +95,9 @@ def _check_split(evidence: Evidence) -> Check:
     return Check(True, "", count)
 
 
-def _check_stretches(evidence: StretchEvidence) -> Check:
+def _check_stretches(evidence: StretchEvidence, work: Work) -> Check:
     """One inequality for every stretch."""
-    inequalities, count = StretchInequalities(evidence), 0
+    inequalities, count = StretchInequalities(evidence, work), 0
     if not inequalities.positive():
         return Check(False, "the Lyapunov function is not positive", count)
     for stretch in _spread(evidence.setting.transitions.stretches(evidence.knots)):

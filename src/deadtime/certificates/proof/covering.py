@@ -31,6 +31,7 @@ from deadtime.certificates.proof.ellipsoid import Sway, weight_of
 from deadtime.certificates.proof.enclosure import Cell, Enclosure, Enclosures, cells_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transition
+from deadtime.certificates.proof.work import ELLIPSOID, Work, cost
 
 DEEPEST = 20  # bisections of a cell
 MOST_CELLS = 1500  # of one inequality
@@ -77,8 +78,9 @@ class Form:
 class Covering:
     """Checks forms over all steps of a family; what one form needed to enclose serves the next."""
 
-    def __init__(self, family: Family | Box) -> None:
+    def __init__(self, family: Family | Box, work: Work) -> None:
         self.family = family
+        self.work = work
         self.enclosures = enclosures_of(family)
         self.known: dict[Any, Enclosure] = {}
         self.swayed: dict[int, Sway | None] = {}
@@ -107,6 +109,9 @@ class Covering:
         """E over a cell; cells of one pair of modes come again in other forms: enclosed once."""
         key = (cell.order, cell.u, cell.f, cell.corners.tobytes())
         if key not in self.known:
+            n, k = self.family.A.shape[2], self.family.A.shape[2] + len(self.family.reads)
+            ellipsoid = 0 if self.family.axes is None else ELLIPSOID * cost(n * k)
+            self.work.do(cost(k) + ellipsoid)
             self.known[key] = self.enclosures.of(cell)
         return self.known[key]
 
@@ -116,6 +121,7 @@ class Covering:
 
         enclosure = self.enclosure(cell)
         points, rest = _corners(enclosure, form.concave)
+        self.work.do(len(points) * cost(form.vv.nrows()))
         sway = self._sway(enclosure, form.E.nrows())
         if enclosure.sway is not None and sway is None:
             return -1

@@ -195,7 +195,12 @@ class Setting(Frozen):
     @cached_property
     def rows_differ(self) -> bool:
         """Whether the rows are not all one, so that w_u exists."""
-        return bool(np.any(self.rows != self.rows[0]))
+        return bool(np.any(self.F[0] != self.F) or np.any(self.G[0] != self.G))
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers the table and the ellipsoid have."""
+        return self.F.size + self.G.size + (0 if self.axes is None else self.axes.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,6 +252,11 @@ class Evidence(Frozen):
     S: Float[np.ndarray, "place knot s s"]
     knots: tuple[int, ...]
     rho: float
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers it holds, but for those of the centre alone."""
+        return self.setting.numbers + sum(X.size for X in (self.P, self.S, self.centre.Psi))
 
     def lyapunov(self, mode: int, age: int, lost: int = 0) -> Float[np.ndarray, "order order"]:
         """V_{mode,age} after so many lost samples, in floats; up to the last age told apart."""

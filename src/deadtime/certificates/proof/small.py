@@ -16,6 +16,7 @@ from deadtime.certificates.proof.channels import Channels
 from deadtime.certificates.proof.covering import Covering, Form
 from deadtime.certificates.proof.evidence import Evidence
 from deadtime.certificates.proof.transitions import Transition, interpolation
+from deadtime.certificates.proof.work import Work, cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,7 @@ class Theta:
 class SmallInequalities:
     """The small inequalities of one piece of evidence, in balls."""
 
-    def __init__(self, evidence: Evidence, channels: Channels) -> None:
+    def __init__(self, evidence: Evidence, channels: Channels, work: Work) -> None:
         from flint import arb
 
         self.evidence = evidence
@@ -42,7 +43,8 @@ class SmallInequalities:
         self.E = balls.exact(centre.E)
         self.y = balls.exact(np.eye(centre.E.shape[1], self.v))
         self.T = [balls.exact(T).tolist() for T in centre.T]
-        self.covering = Covering(evidence.setting.family)
+        self.work = work
+        self.covering = Covering(evidence.setting.family, work)
         self.forms: dict[Any, Theta] = {}
         self.answers: dict[Any, tuple[int, float | None]] = {}
 
@@ -93,6 +95,7 @@ class SmallInequalities:
         key = self._ends(transition)
         if key in self.forms:
             return self.forms[key]
+        self.work.do(cost(self.Pi.nrows()))
         lines, SF = self.Pi.tolist(), None
         if self.s:
             first, last = self._places(transition)

@@ -45,6 +45,7 @@ from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Stretch, Transition
+from deadtime.certificates.proof.work import Work, cost
 from deadtime.numerics.precision import precision
 
 
@@ -69,6 +70,11 @@ class StretchEvidence(Frozen):
     knots: tuple[int, ...]
     rho: float
     mu: float = 1.0
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers it holds."""
+        return self.setting.numbers + self.P.size
 
     def lyapunov(self, mode: int, age: int, lost: int = 0) -> Float[np.ndarray, "order order"]:
         """V_{mode,age}, in floats: what it will be at the next node if the mode lasts so long.
@@ -132,20 +138,27 @@ class Period:
 class StretchInequalities:
     """The inequalities of one piece of evidence of this kind, in balls."""
 
-    def __init__(self, evidence: StretchEvidence) -> None:
+    def __init__(self, evidence: StretchEvidence, work: Work | None = None) -> None:
         from flint import arb
 
         self.evidence = evidence
         self.setting = evidence.setting
         self.rho = arb(evidence.rho)
-        self.covering = Covering(self.setting.family)
+        self.work = Work() if work is None else work
+        self.covering = Covering(self.setting.family, self.work)
         self.rows = [Period.of(self.setting, row) for row in self.setting.rows]
         self.known: dict[tuple[int, int, int], Any] = {}
         self.followed: dict[tuple[int, tuple[int, ...]], Any] = {}
 
     def positive(self) -> bool:
         """Whether V ≻ 0 at every node."""
-        nodes = (P for mode in self.evidence.P for P in mode)
+        graph, knots = self.setting.transitions, self.evidence.knots
+        nodes = (
+            self.evidence.P[graph.place(mode, lost), knot]
+            for mode in range(graph.modes)
+            for lost in range(graph.losses + 1)
+            for knot in range(len(graph.knots_of(mode, knots)))
+        )
         return all(congruent(balls.exact(P)) is not None for P in nodes)
 
     def holds(self, stretch: Stretch) -> tuple[int, float | None]:
@@ -190,6 +203,7 @@ class StretchInequalities:
         late = max(0, start - same)
         key = mode, start - late, end - late
         if key not in self.known:
+            self.work.do(cost(self.setting.order))
             if end == start:
                 product = balls.exact(np.eye(self.setting.order))
             elif end == start + 1:
@@ -211,6 +225,7 @@ class StretchInequalities:
         """The product of full steps under these rows, by halves."""
         key = mode, rows
         if key not in self.followed:
+            self.work.do(cost(self.setting.order))
             half = len(rows) // 2
             self.followed[key] = (
                 self._under(mode, rows[half:]) * self._under(mode, rows[:half])

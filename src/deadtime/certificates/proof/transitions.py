@@ -260,19 +260,15 @@ class Transitions:
 
     def _before(self, mode: int, samples: int) -> dict[int, int]:
         """Which modes may have been seen so many samples before one was, and their least ages."""
-        shortest, least = self.first + 1, dict[int, int]()
+        shortest, least, here = self.first + 1, dict[int, int](), {mode}
         for back in range(1, -(-samples // shortest) + 1):
+            here = {i for i in range(self.modes) if not here.isdisjoint(self.following[i])}
             age = max(0, back * shortest - samples)
-            for i in self._sojourns_back(mode, back):
+            if all(least.get(i, 1) == 0 for i in here):  # then it is so of all sojourns before
+                break
+            for i in here:
                 least[i] = min(age, self.ages - 1, least.get(i, age))
         return least
-
-    def _sojourns_back(self, mode: int, back: int) -> list[int]:
-        """The modes that may have been so many sojourns before one."""
-        found = {mode}
-        for _ in range(back):
-            found = {i for i in range(self.modes) if not found.isdisjoint(self.following[i])}
-        return sorted(found)
 
     def rows_after(self, step: Transition, follows: int) -> list[int]:
         """The rows of the first periods after a switch, as far as the mode before it is told.

@@ -6,7 +6,6 @@ arithmetic of the check neither overflows nor reads a row that the loop would no
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from typing import Any
 
@@ -52,8 +51,8 @@ def _numbers(setting: Setting) -> str:
     for name, value in times.items():
         if value is None and name.startswith("maximum_dwell"):
             continue
-        if not (isinstance(value, float) and math.isfinite(value) and value > 0.0):
-            return f"{name} is not a positive number"
+        if not (isinstance(value, float) and SMALLEST <= value <= LARGEST):
+            return f"{name} is not a positive number, or beyond 1e±100"
     for name in ("ages", "chatter"):
         value = getattr(setting, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
