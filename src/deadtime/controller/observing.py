@@ -22,13 +22,13 @@ class Observing:
     reference : Reference or None
         The law's own.
     reads_mode : bool
-        Whether the observer depends on the mode.
+        Whether what it does depends on the mode.
     """
 
     def __init__(self, law: OutputFeedback, step: float) -> None:
         self._estimator, self.reference, self._step = law.estimator(step), law.reference, step
-        self.reads_mode = law.observer.reads_mode
         self._r = np.zeros(law.reference.size if law.reference else 0)
+        self.reads_mode = self.memory.reads_mode
 
     def begin(self, history: Float[np.ndarray, "N m"]) -> None:
         """Start anew after these inputs, the oldest first."""
@@ -46,7 +46,7 @@ class Observing:
     ) -> tuple[Float[np.ndarray, " z"], bool, bool]:
         """What the law is given; whether y was of no use, and whether the reference was unusable.
 
-        A mode below 0 is not known: then y corrects nothing where C or the gain depends on it.
+        A mode below 0 is not known: then y corrects nothing, if what it would depends on the mode.
         """
         astray = self._follow(reference, samples)
         unknown = mode < 0 and self.reads_mode

@@ -164,6 +164,13 @@ class OutputFeedback(WithMemory, Law):
         return f"{self.law.label}, observed"
 
     @property
+    def observer_alone_reads_mode(self) -> bool:
+        """Whether the mode must be measured for the observer, the law's rows not depending on it."""
+        if not self.observer.reads_mode or not isinstance(self.law, TableLaw) or self.foresees:
+            return False
+        return self.law.digital(self.observer.step).context == "none"
+
+    @property
     def foresees(self) -> bool:
         return self.law.foresees
 
