@@ -105,7 +105,13 @@ class OutputFeedback(WithMemory, Law):
                 raise ArgumentError("reference needs a servo: `Servo` says what tracks it.")
         else:
             instance("servo", servo, Servo)
-            instance("law, with a servo,", law, TableLaw)
+            if not isinstance(law, TableLaw):
+                raise ArgumentError(
+                    f"law must be a table to follow a reference, got {type(law).__name__}: laws on "
+                    "a belief, or on a rule of the state, follow none. Where the mode is not "
+                    "measured, take AveragedPredictor or MeanPredictor on an observer that reads "
+                    'none, luenberger(…, model="mean").'
+                )
             _same("law", law.plant, "servo.plant", servo.plant)
             _same("observer", _with_delays(observer, servo.model), "servo.model", servo.model)
             followed = Reference.of(reference, servo.tracked.shape[0])
