@@ -2,8 +2,8 @@
 
 Both are discrete `NonlinearIOSystem`s at the period h: the mode is an input of each. Their states
 hold the inputs of the last N periods, the latest first, so a loop of the two starts with both
-histories at zero. A law on outputs has its observer among its states, run by the same `Estimator` as
-everywhere, and a reference is an input. Needs the extra `control`.
+histories at zero. A law on outputs has its observer among its states, run by the same `Estimator`
+as everywhere, and a reference is an input. Needs the extra `control`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     -------
     control.NonlinearIOSystem
         Its last two states are the mode sampled last and its age in samples: begin with −1 (none
-        yet) and the age of the first mode, and z with the first estimate, as `loop_to_control` does.
+        yet) and the age of the first mode, z with the first estimate, as `loop_to_control` does.
 
     Raises
     ------
@@ -72,8 +72,8 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     if not isinstance(inner, TableLaw) or inner.foresees:
         why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
         raise ArgumentError(
-            f"law must be a table that can run, or an OutputFeedback of one; {type(inner).__name__} "
-            f"{why}."
+            "law must be a table that can run, or an OutputFeedback of one; "
+            f"{type(inner).__name__} {why}."
         )
     step = positive("step", step)
     table = inner.digital(step)

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -48,7 +47,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 
-Model = Literal["modes", "mean"] | int
+Model = str | int  # "modes", "mean", or the number of a mode
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -177,7 +176,7 @@ def believed_plant(
     """What an observer predicts with, and its C: all modes, or one that stands for all."""
     if model == "modes":
         return plant, C
-    if (C != C[:1]).any():
+    if (C[:1] != C).any():
         raise ArgumentError(
             f"model = {model!r} needs one C for all modes: an observer that reads no mode cannot "
             "tell by which of several its outputs were measured."

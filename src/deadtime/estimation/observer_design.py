@@ -93,7 +93,8 @@ def luenberger(
             )
         M = -step * place_pair(slope.T, C[i].T, asked, i, "C", wanted[i]).T
         gain.append(np.linalg.solve(finite_discretisation(A, B, step)[0], M))
-    return Observer(*in_all_modes(plant, modes, C, np.stack(gain)), step)
+    plant, C, stacked = in_all_modes(plant, modes, C, np.stack(gain))
+    return Observer(plant, C, stacked, step)
 
 
 def kalman(

@@ -97,7 +97,7 @@ class OutputFeedback(WithMemory, Law):
         instance("observer", observer, Observer)
         if law.outputs is not None:
             raise ArgumentError("law must take the state: this one measures outputs already.")
-        model, n = observer.plant, observer.plant.states
+        n = observer.plant.states
         if servo is None:
             _same("law", law.plant, "the observer's plant", _with_delays(observer, law.plant))
             followed = None
@@ -171,7 +171,7 @@ class OutputFeedback(WithMemory, Law):
 
     @property
     def observer_alone_reads_mode(self) -> bool:
-        """Whether the mode must be measured for the observer, the law's rows not depending on it."""
+        """Whether the mode must be measured for the observer, the law's rows not reading it."""
         if not self.observer.reads_mode or not isinstance(self.law, TableLaw) or self.foresees:
             return False
         return self.law.digital(self.observer.step).context == "none"

@@ -124,8 +124,8 @@ def _observer_reads_mode(result: Comparison) -> list[str]:
     last = f" and {names[-1]}" if len(names) > 1 else ""
     return [
         f"The observer needs the mode at every sample, although {', '.join(names[:-1] or names)}"
-        f"{last} {'do' if last else 'does'} not. Where the mode is not measured, [observer] model = "
-        '"mean" needs none.'
+        f"{last} {'do' if last else 'does'} not. Where the mode is not measured, [observer] "
+        'model = "mean" needs none.'
     ]
 
 

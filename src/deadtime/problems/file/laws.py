@@ -126,8 +126,8 @@ class Laws:
         if self.following is not None and not section.follows:
             kinds = ", ".join(dict.fromkeys(k.kind for k in LAWS.values() if k.entry.follows))
             unmeasured = (
-                ' Where the mode is not measured, averaged and mean need none on an [observer] with '
-                'model = "mean".'
+                " Where the mode is not measured, averaged and mean need none on an [observer] "
+                'with model = "mean".'
             )
             raise ArgumentError(
                 f'kind = "{kinds_of(type(section))[0]}" follows no reference: with a [servo] take '

@@ -45,8 +45,8 @@ class _Measured(Section):
     )
     model: Literal["modes", "mean"] | int = Field(
         "modes",
-        description='What it predicts with: "modes" the measured mode; "mean" the mean of all, or a '
-        "number that mode for ever, and then it reads no mode.",
+        description='What it predicts with: "modes" the measured mode; "mean" the mean of all, or '
+        "a number that mode for ever, and then it reads no mode.",
     )
 
 
