@@ -231,10 +231,11 @@ def test_each_reference_holds_from_the_sample_on_at_which_the_law_takes_it():
 def test_rom_and_ram_are_those_of_the_files(made):
     names = ("controller_tables.h", "controller.c", "controller.h")
     text, code, header = ((made[0] / name).read_text() for name in names)
-    assert "static const uint64_t CHANGE[CHANGES] = {\n    UINT64_C(0),\n    UINT64_C(60)," in code
+    change = "static const uint64_t controller_CHANGE[CONTROLLER_CHANGES] = {"
+    assert change + "\n    UINT64_C(0),\n    UINT64_C(60)," in code
     numbers = sum(
         math.prod(map(int, re.findall(r"\[(\d+)\]", one)))
-        for one in re.findall(r"real [A-Z_]+([\[\]\d]+) =", text)
+        for one in re.findall(r"real controller_[A-Z_]+([\[\]\d]+) =", text)
     )
     integers = 4 + 9 * 2  # where the pieces of a mode begin, and their lags
     rom = 8 * numbers + 4 * integers + 8 * len(SCHEDULE[0])
@@ -252,7 +253,10 @@ def test_a_law_on_the_state_has_no_word_of_it_and_one_without_a_servo_none_of_re
     for law, words in ((servo().law, "observ|reference|estimate"), (observed(), "reference")):
         dt.Controller(law, STEP).export_c(tmp_path)
         for file in tmp_path.glob("*.[ch]"):
-            assert not re.search(words, file.read_text(), re.IGNORECASE), file
+            text = file.read_text()
+            said = re.findall("#define CONTROLLER_READS_REFERENCE 0 .*", text)
+            assert len(said) == (file.name == "controller.h")
+            assert not re.search(words, text.replace("".join(said), ""), re.IGNORECASE), file
 
 
 def test_what_cannot_be_is_refused_by_name(tmp_path):
@@ -299,6 +303,7 @@ def test_a_problem_file_with_an_observer_becomes_c_and_an_fmu(tmp_path, monkeypa
         main(["export", "problem.toml", "--c", "out", "--fmu", "law.fmu"])
     assert stopped.value.code == 0
     header = (tmp_path / "out" / "controller.h").read_text()
+    assert "The mode must be given at every call: the observer" in header
     assert "States: z[0]: angle (rad), z[1]: rate (rad/s)." in header
     assert "const controller_real *y, int32_t mode," in header
     assert (tmp_path / "law.fmu").stat().st_size > 5_000

@@ -9,6 +9,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.controller import law_to_control, loop_to_control, plant_to_control
+from observed_laws import LAWS as OBSERVED
 
 control = pytest.importorskip("control")
 
@@ -131,3 +132,39 @@ def test_where_python_control_is_missing_the_extra_is_named(monkeypatch):
     plant = dt.problems.paper().plant
     with pytest.raises(dt.ArgumentError, match=r'pip install "deadtime\[control\]"'):
         plant_to_control(plant, 0.3)
+
+
+@pytest.mark.parametrize("name", ["servo", "dwell-aware", "observed", "rows by mode", "one mode"])
+def test_with_an_observer_the_loop_is_that_of_simulate(name):
+    """A plant that is not the model, first estimates that are not 0, references that move."""
+    law = OBSERVED[name]()
+    step, modes, n = law.observer.step, law.plant.modes, law.plant.states
+    plant = law.plant.like(1.01 * law.plant.A, 0.99 * law.plant.B)
+    times, x0 = step * np.arange(121), np.linspace(1.0, -1.0, n)
+    signal = dt.SwitchingSignal.constant(0)
+    if modes > 1:
+        signal = dt.SwitchingSignal(step * np.array([0.0, 20.0, 50.0, 77.0]), [0, 2, 1, 0])
+    loop, initial = loop_to_control(plant, law, step)
+    initial[:n] = x0
+    given = np.array([[signal(t + 1e-9) for t in times]], float)
+    if law.reference is not None:
+        given = np.vstack((given, law.reference.along(times).T))
+    assert loop.input_labels == ["mode", *(f"r[{i}]" for i in range(len(given) - 1))]
+    found = control.input_output_response(loop, times, given, initial)
+    run = dt.simulate(plant, law, signal, x0, times[-1], step)
+    plants.close(found.outputs[:n], run.states, 1e-12)
+    plants.close(found.outputs[n:, :-1], run.inputs[:, :-1], 1e-12)
+
+
+def test_the_loop_of_an_observer_grows_as_it_is_said_to():
+    """With a mode held, once begun, it is linear: its spectral radius is e^(rate h)."""
+    law = OBSERVED["observed"]()
+    step = law.observer.step
+    loop, initial = loop_to_control(law.plant, law, step)
+    for mode in range(3):
+        begun = np.zeros(initial.size)
+        begun[-2:] = mode, 0.0
+        starts = np.eye(initial.size)[:-2] + begun
+        matrix = [loop.dynamics(0.0, start, [float(mode)])[:-2] for start in starts]
+        rate = np.log(np.abs(np.linalg.eigvals(matrix)).max()) / step
+        assert rate == pytest.approx(dt.growth_rate(law.plant, law, mode, step), abs=1e-7)

@@ -359,7 +359,7 @@ ZERO = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -1.0]]], [[[0.0], [1.0]]], 0.3)
                 tracking().observer,
                 servo=SERVO,
             ),
-            "law, with a servo, must be a TableLaw, got StateDependentPredictor.",
+            "law must be a table to follow a reference, got StateDependentPredictor: laws on a ",
         ),
     ],
 )  # fmt: skip

@@ -78,7 +78,9 @@ def test_a_file_is_told_what_is_wrong(tmp_path, old, new, message):
         (lambda: dt.Controller(LOOP, 0.1).update([1.0, 2.0], mode=0), "y must have shape (1,)"),
         (
             lambda: dt.Controller(LOOP, 0.1).update([1.0]),
-            "mode must be given: its observer and its law depend on it. It is one of 0 to 1",
+            "mode must be given: the observer depends on it. It is one of 0 to 1; where nothing "
+            "measures it, a `BeliefPredictor` tells it from x or y; an observer designed with "
+            'model="mean" reads none.',
         ),
         (lambda: SERVO.complete(-GAINS[:, :, :3]), "gains must make (x, q) decay in every mode"),
         (lambda: SERVO.steady_input(1.0, [1.0]), "force must have shape (n,) = (2,) or (modes, n)"),

@@ -105,3 +105,41 @@ def test_a_study_does_not_take_a_problem_with_an_observer(tmp_path):
     study.write_text(re.sub(r'problem = ".*?"', 'problem = "mine.toml"', text, count=1), "utf-8")
     with pytest.raises(dt.StudyFileError, match=r"read the state, remove its \[observer\]"):
         load_study(study)
+
+
+@pytest.mark.parametrize("model", ['"mean"', "0", "1"])
+def test_an_observer_of_one_model_reads_no_mode_and_the_other_is_said_to_need_it(
+    tmp_path, model, capsys
+):
+    one = load_problem(write(tmp_path, PLACED, f"model = {model}\n", RUN))
+    law, name = one.laws["averaged"], model.strip('"')
+    told = name if name == "mean" else int(name)
+    same = dt.luenberger(law.plant, [[1.0, 0.0]], [-3 + 1j, -3 - 1j], 0.1, model=told)
+    assert law.observer.gain.tolist() == same.gain.tolist()
+    assert not law.observer.reads_mode
+    assert one.observer_alone_reads_mode == ()
+    both = load_problem(write(tmp_path, PLACED, RUN))
+    assert both.observer_alone_reads_mode == ("averaged",)
+    said = "The observer needs the mode at every sample, although the averaged law does not. Where"
+    for more, needs in ((f"model = {model}\n", False), ("", True)):
+        path = write(tmp_path, PLACED, more, RUN)
+        with pytest.raises(SystemExit) as stopped:
+            main(["simulate", str(path), "--out", str(tmp_path / "a.png")])
+        assert stopped.value.code == 0
+        assert (said in " ".join(capsys.readouterr().out.split())) == needs
+
+
+def test_a_model_that_is_none_is_refused(tmp_path):
+    for model, message in (
+        ('"median"', "should be 'modes' or 'mean' or"),
+        ("2", "must be in 0..1"),
+    ):
+        with pytest.raises(dt.ProblemFileError, match=re.escape(message)):
+            load_problem(write(tmp_path, PLACED, f"model = {model}\n", RUN))
+
+
+def test_a_law_on_a_belief_refuses_a_servo_and_says_what_needs_no_mode(tmp_path):
+    parts = '[[law]]\nkind = "belief"\n', "[servo]\nintegral = false\n", PLACED
+    words = r'follows no reference: .* need none on an \[observer\] with model = "mean"'
+    with pytest.raises(dt.ProblemFileError, match=words):
+        load_problem(write(tmp_path, *parts, RUN))

@@ -129,6 +129,11 @@ def export(
         print_json(told, _files_of(told))
     else:
         print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}")
+        if called in chosen.observer_alone_reads_mode:
+            print(
+                "The mode must be given at every call: the observer reads it, though the law does "
+                'not; [observer] model = "mean" reads none.'
+            )
         print("\n".join(_lines(code, precision, law_fmu, model)))
     return 1 if code is not None and code.check.passed is False else 0
 

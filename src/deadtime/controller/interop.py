@@ -2,7 +2,8 @@
 
 Both are discrete `NonlinearIOSystem`s at the period h: the mode is an input of each. Their states
 hold the inputs of the last N periods, the latest first, so a loop of the two starts with both
-histories at zero. Needs the extra `control`.
+histories at zero. A law on outputs has its observer among its states, run by the same `Estimator`
+as everywhere, and a reference is an input. Needs the extra `control`.
 """
 
 from __future__ import annotations
@@ -11,10 +12,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.libraries import python_control
+from deadtime.estimation import OutputFeedback
+from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -28,20 +32,24 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
 
         u_k = F_c x_k + Σ_j G_{c,j} u_{k−j},    states: u_{k−1}, …, u_{k−N}, mode, age
 
+    Of an `OutputFeedback` y comes in instead of x, with a servo after the mode the reference r too,
+    in place of the law's own; before the mode among the states is what its observer keeps: z, what
+    the law was given last, and the tracked outputs of that sample.
+
     Parameters
     ----------
     law : Law
-        A law that is a table, and not one that must know the future.
+        A law that is a table, and not one that must know the future; or an `OutputFeedback` of one.
     step : float
         Sampling period h, s.
     name : str
-        Of the system; its inputs are x[0], …, mode, its outputs u[0], ….
+        Of the system; its inputs are x[0], … or y[0], …, mode, r[0], …, its outputs u[0], ….
 
     Returns
     -------
     control.NonlinearIOSystem
         Its last two states are the mode sampled last and its age in samples: begin with −1 (none
-        yet) and the age of the first mode, as `loop_to_control` does.
+        yet) and the age of the first mode, z with the first estimate, as `loop_to_control` does.
 
     Raises
     ------
@@ -60,41 +68,103 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     control = python_control("systems of python-control")
 
     instance("law", law, Law)
-    if not isinstance(law, TableLaw) or law.foresees:
-        why = "foresees the signal" if isinstance(law, TableLaw) else "is no table of the state"
-        raise ArgumentError(f"law must be a table that can run; {type(law).__name__} {why}.")
-    table = law.digital(positive("step", step))
-    taps, m, G = table.taps, law.plant.inputs, table.latest_first
-    n, modes, last = law.plant.states, law.plant.modes, taps * m
+    inner = law.law if isinstance(law, OutputFeedback) else law
+    if not isinstance(inner, TableLaw) or inner.foresees:
+        why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
+        raise ArgumentError(
+            "law must be a table that can run, or an OutputFeedback of one; "
+            f"{type(inner).__name__} {why}."
+        )
+    step = positive("step", step)
+    table = inner.digital(step)
+    observed = _Observed(law, step) if isinstance(law, OutputFeedback) else None
+    m, G, modes = law.plant.inputs, table.latest_first, law.plant.modes
+    past = table.taps if observed is None else max(table.taps, observed.past)
+    kept = [] if observed is None else observed.states
+    n = law.plant.states if law.outputs is None else law.outputs.shape[1]
+    last = past * m + len(kept)
 
     def age_at(state: np.ndarray, mode: int) -> int:
         before, age = round(state[last]), round(state[last + 1])
         return age if before < 0 else age + 1 if before == mode else 0
 
+    def seen(state: np.ndarray, given: np.ndarray, mode: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the rows are multiplied with, and what is kept of this sample."""
+        if observed is None:
+            return given[:n], np.zeros(0)
+        inputs = state[: past * m].reshape(past, m)
+        return observed(state[past * m : last], inputs, round(state[last]), given, mode)
+
     def output(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         mode = _mode(given[n], modes)
         row = table.row(mode, age_at(state, mode))
-        return table.state_gain[row] @ given[:n] + G[row] @ state[:last]
+        x, _ = seen(state, given, mode)
+        return table.state_gain[row] @ x + G[row] @ state[: G.shape[2]]
 
     def update(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         u, mode = output(t, state, given, params), _mode(given[n], modes)
-        return np.concatenate((u, state[: last - m], [mode, age_at(state, mode)]))
+        _, now = seen(state, given, mode)
+        return np.concatenate((u, state[: (past - 1) * m], now, [mode, age_at(state, mode)]))
 
+    symbol, followed = ("x", []) if observed is None else ("y", observed.references)
     return control.NonlinearIOSystem(
         update,
         output,
         dt=table.step,
-        inputs=[*(f"x[{i}]" for i in range(n)), "mode"],
-        outputs=[f"u[{i}]" for i in range(m)],
-        states=[*_past(taps, m), "mode", "age"],
+        inputs=[*_each(symbol, n), "mode", *followed],
+        outputs=_each("u", m),
+        states=[*_past(past, m), *kept, "mode", "age"],
         name=name,
     )
 
 
-def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant") -> Any:
+class _Observed:
+    """The observer of a law as a function of what it keeps from sample to sample.
+
+    Attributes
+    ----------
+    past : how many past inputs it reads
+    states : names of what it keeps: z and the tracked outputs
+    references : names of the references
+    """
+
+    def __init__(self, law: OutputFeedback, step: float) -> None:
+        self._estimator = estimator = law.estimator(step)
+        self.past, r = len(estimator.ring), estimator.before.size
+        self.references = _each("r", r)
+        self.states = _each("z", estimator.z.size) + _each("tracked", r)
+
+    def __call__(
+        self,
+        kept: Float[np.ndarray, " kept"],
+        inputs: Float[np.ndarray, "past m"],
+        before: int,
+        given: Float[np.ndarray, " given"],
+        mode: int,
+    ) -> tuple[Float[np.ndarray, " z"], Float[np.ndarray, " kept"]]:
+        """z at this sample, and what is kept; `inputs` the latest first, `before` the last mode."""
+        estimator, place = self._estimator, self.past - 1
+        size, outputs = estimator.z.size, estimator.observer.outputs
+        estimator.load(
+            {
+                "z": kept[:size],
+                "ring": inputs[: self.past][::-1],
+                "counters": [int(before >= 0), place, max(before, 0)],
+                "asked": inputs[0],
+                "before": kept[size:],
+            }
+        )
+        z = estimator.update(inputs[0], given[:outputs], mode, given[outputs + 1 :])
+        return z.copy(), np.concatenate((z, estimator.before))
+
+
+def plant_to_control(
+    plant: SwitchedSystem, step: float, *, C: ArrayLike | None = None, name: str = "plant"
+) -> Any:
     """A plant with its input delay at a period, exactly discretised: from u and the mode to x.
 
-    The mode holds for a whole period, so switches fall on the grid; the delay need not.
+    The mode holds for a whole period, so switches fall on the grid; the delay need not. With a C,
+    shape (p, n) or (modes, p, n), y = C_σ x comes out after x.
 
     Examples
     --------
@@ -109,8 +179,12 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
     n, m, N = plant.states, plant.inputs, sampled.longest_lag
     pieces = [sampled.pieces(i) for i in range(plant.modes)]
 
+    measured = None if C is None else output_matrices(C, plant)
+
     def output(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
-        return state[:n]
+        if measured is None:
+            return state[:n]
+        return np.concatenate((state[:n], measured[_mode(given[m], plant.modes)] @ state[:n]))
 
     def update(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         i, u = _mode(given[m], plant.modes), given[:m]
@@ -124,9 +198,9 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
         update,
         output,
         dt=sampled.step,
-        inputs=[*(f"u[{i}]" for i in range(m)), "mode"],
-        outputs=[f"x[{i}]" for i in range(n)],
-        states=[*(f"x[{i}]" for i in range(n)), *_past(N, m)],
+        inputs=[*_each("u", m), "mode"],
+        outputs=_each("x", n) + ([] if measured is None else _each("y", measured.shape[1])),
+        states=[*_each("x", n), *_past(N, m)],
         name=name,
     )
 
@@ -140,7 +214,8 @@ def loop_to_control(
     -------
     (control.InterconnectedSystem, array)
         Put x₀ into the first n entries of the array, and give both to
-        `control.input_output_response`, with the modes at the samples as the input.
+        `control.input_output_response`, with the modes at the samples as the input, and below them
+        the reference of a law with a servo, row by row.
 
     Examples
     --------
@@ -161,12 +236,16 @@ def loop_to_control(
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    one, other = plant_to_control(plant, step), law_to_control(law, step)
-    signals = [*one.output_labels, *other.output_labels]
+    one, other = plant_to_control(plant, step, C=law.outputs), law_to_control(law, step)
+    inputs = other.input_labels[other.input_labels.index("mode") :]
+    signals = [*one.output_labels[: plant.states], *other.output_labels]
     loop = control.interconnect(
-        [one, other], inputs=["mode"], outputs=signals, inplist=["mode"], outlist=signals
+        [one, other], inputs=inputs, outputs=signals, inplist=inputs, outlist=signals
     )
     initial = np.zeros(one.nstates + other.nstates)
+    if isinstance(law, OutputFeedback):
+        z = one.nstates + other.state_labels.index("z[0]")
+        initial[z : z + law.estimate.size] = law.estimate
     initial[-2:] = -1.0, count("mode_age", mode_age, 0)
     return loop, initial
 
@@ -176,6 +255,10 @@ def _mode(value: float, modes: int) -> int:
     if not 0 <= mode < modes or abs(mode - value) > _DISTURBED:
         raise ArgumentError(f"mode must be in 0..{modes - 1} at every sample, got {value:g}.")
     return mode
+
+
+def _each(symbol: str, size: int) -> list[str]:
+    return [f"{symbol}[{i}]" for i in range(size)]
 
 
 def _past(taps: int, m: int) -> list[str]:

@@ -21,11 +21,14 @@ class Observing:
     ----------
     reference : Reference or None
         The law's own.
+    reads_mode : bool
+        Whether what it does depends on the mode.
     """
 
     def __init__(self, law: OutputFeedback, step: float) -> None:
         self._estimator, self.reference, self._step = law.estimator(step), law.reference, step
         self._r = np.zeros(law.reference.size if law.reference else 0)
+        self.reads_mode = self.memory.reads_mode
 
     def begin(self, history: Float[np.ndarray, "N m"]) -> None:
         """Start anew after these inputs, the oldest first."""
@@ -43,10 +46,10 @@ class Observing:
     ) -> tuple[Float[np.ndarray, " z"], bool, bool]:
         """What the law is given; whether y was of no use, and whether the reference was unusable.
 
-        A mode below 0 is not known: then y corrects nothing, for neither is C.
+        A mode below 0 is not known: then y corrects nothing, if what it would depends on the mode.
         """
         astray = self._follow(reference, samples)
-        unknown = mode < 0 and self._estimator.observer.plant.modes > 1
+        unknown = mode < 0 and self.reads_mode
         z = self._estimator.update(latest, None if unknown else y, mode, self._r)
         return z, not self._estimator.corrected, astray
 

@@ -58,7 +58,7 @@ class RunningLaw:
         self.low, self.high = limits_of(limits, law.plant.inputs)
         self._past = past_inputs(self.table)
         self._reads_row = self.table.context != "none" and self.believing is None
-        self.reads_mode = self._reads_row or (self.observing is not None and law.plant.modes > 1)
+        self.reads_mode = self._reads_row or bool(self.observing and self.observing.reads_mode)
         self.measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
         self._clock, self._nothing = Clock(self.step), np.full(self.measured, np.nan)
         self._u, self._latest, self._asked = np.zeros((3, law.plant.inputs))
@@ -169,13 +169,15 @@ class RunningLaw:
     def _require(self, mode: int | None, reference: ArrayLike | None) -> None:
         """Refuse a call that lacks or misshapes something, before anything is changed."""
         if self.reads_mode and mode is None:
-            reader = (
-                "the rows of this law" if self.observing is None else "its observer and its law"
-            )
+            readers = ["the rows of this law"] * self._reads_row
+            other = "a `BeliefPredictor` tells it from x or y"
+            if self.observing and self.observing.reads_mode:
+                readers.append("the observer")
+                other += '; an observer designed with model="mean" reads none'
+            verb = "depends" if readers == ["the observer"] else "depend"
             raise ArgumentError(
-                f"mode must be given: {reader} depend on it. It is one of 0 to "
-                f"{self.law.plant.modes - 1}; where nothing measures it, a `BeliefPredictor` tells "
-                "it from x or y."
+                f"mode must be given: {' and '.join(readers)} {verb} on it. It is one of 0 to "
+                f"{self.law.plant.modes - 1}; where nothing measures it, {other}."
             )
         if reference is None:
             return

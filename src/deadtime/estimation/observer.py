@@ -14,6 +14,14 @@ Where the model is the plant and switches fall on samples the errors obey
 whatever the law does and whatever the state: a switched linear system of its own, in which the
 mode of a period chooses the matrix. After a switch between samples the rest of the period is
 predicted with the mode of its start, an error in proportion to the state, which then decays.
+
+An observer of *one model* has the same matrices in all modes, the mean's or those of one mode, and
+so reads no mode. The plant then differs from its model, and the errors do not obey the equation:
+
+    x_{k+1} − x̄_{k+1} = Φ (I − L C) (x_k − x̄_k) + (Φ_i − Φ) x_k + (what inputs do otherwise),
+
+so that the error decays with the state and the inputs, and no separation holds; what the whole loop
+does, `growth_rate` and `certify` say.
 """
 
 from __future__ import annotations
@@ -25,11 +33,21 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, instance, positive, read_only, real_array, require_shape
+from deadtime.base.checks import (
+    as_floats,
+    index,
+    instance,
+    positive,
+    read_only,
+    real_array,
+    require_shape,
+)
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
+
+Model = str | int  # "modes", "mean", or the number of a mode
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -106,6 +124,13 @@ class Observer(Frozen):
         return self.C.shape[1]
 
     @cached_property
+    def reads_mode(self) -> bool:
+        """Whether what it does depends on the mode: not of one mode, nor of one model."""
+        plant = self.plant
+        parts = (plant.A, plant.B, plant.delays, self.C, self.gain)
+        return any(bool((part != part[:1]).any()) for part in parts)
+
+    @cached_property
     def error_matrices(self) -> Float[np.ndarray, "mode n n"]:
         """Φ_i (I − L_i C_i), what a period in mode i does to x − x̄."""
         n = self.plant.states
@@ -118,7 +143,8 @@ class Observer(Frozen):
         """How fast the error grows with each mode held, 1/s; negative for decay.
 
         In such a mode the loop of plant, law and observer grows at the larger of this and of what
-        `growth_rate` says of the law on the true state (separation), the model being right.
+        `growth_rate` says of the law on the true state (separation), the model being right; of one
+        model it is in the mode of that alone.
         """
         radius = np.abs(np.linalg.eigvals(self.error_matrices)).max(axis=1)
         with np.errstate(divide="ignore"):
@@ -142,6 +168,37 @@ class Observer(Frozen):
             f"Observer(modes={self.plant.modes}, states={self.plant.states}, "
             f"outputs={self.outputs}, step={self.step:g})"
         )
+
+
+def believed_plant(
+    plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"], model: Model
+) -> tuple[SwitchedSystem, Float[np.ndarray, "believed p n"]]:
+    """What an observer predicts with, and its C: all modes, or one that stands for all."""
+    if model == "modes":
+        return plant, C
+    if (C[:1] != C).any():
+        raise ArgumentError(
+            f"model = {model!r} needs one C for all modes: an observer that reads no mode cannot "
+            "tell by which of several its outputs were measured."
+        )
+    if model == "mean":
+        return plant.mean(), C[:1]
+    if isinstance(model, str):
+        raise ArgumentError(
+            f'model must be "modes", "mean" or the number of a mode, got {model!r}.'
+        )
+    i = index("model", model, plant.modes)
+    return plant.like(plant.A[i : i + 1], plant.B[i : i + 1], plant.delays[i : i + 1]), C[:1]
+
+
+def in_all_modes(
+    one: SwitchedSystem, modes: int, *parts: Float[np.ndarray, "believed ..."]
+) -> tuple[SwitchedSystem, *tuple[np.ndarray, ...]]:
+    """A model and what was designed for it, repeated in every mode where it has but one."""
+    if one.modes == modes:
+        return one, *parts
+    whole = [np.tile(a, (modes,) + (1,) * (a.ndim - 1)) for a in (one.A, one.B, one.delays, *parts)]
+    return one.like(*whole[:3]), *whole[3:]
 
 
 def output_matrices(C: ArrayLike, plant: SwitchedSystem) -> Float[np.ndarray, "mode p n"]:

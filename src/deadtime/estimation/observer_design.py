@@ -10,7 +10,13 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation.observer import Observer, output_matrices
+from deadtime.estimation.observer import (
+    Model,
+    Observer,
+    believed_plant,
+    in_all_modes,
+    output_matrices,
+)
 from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, unseen_pole
 from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
@@ -19,7 +25,12 @@ from deadtime.plant.weight import weight_matrix
 
 
 def luenberger(
-    plant: SwitchedSystem, C: ArrayLike, poles: ArrayLike | Sequence[ArrayLike], step: float
+    plant: SwitchedSystem,
+    C: ArrayLike,
+    poles: ArrayLike | Sequence[ArrayLike],
+    step: float,
+    *,
+    model: Model = "modes",
 ) -> Observer:
     """An observer whose error decays as poles say, in every mode.
 
@@ -36,12 +47,15 @@ def luenberger(
         Poles of the error for all modes, or one list per mode, in 1/s.
     step : float
         Sampling period h, in seconds.
+    model : "modes", "mean" or int
+        What it predicts with: each mode in its turn, so that it must be told the mode; or, so that
+        it needs none, the mean of all modes, or the mode of this number.
 
     Raises
     ------
     ArgumentError
-        If a mode is not observable, or not at this period; or the poles cannot be placed or do
-        not decay.
+        If a mode is not observable, or not at this period; the poles cannot be placed or do not
+        decay; or one model is to have a C per mode.
 
     Examples
     --------
@@ -50,9 +64,18 @@ def luenberger(
     >>> observer = dt.luenberger(plant, [[1.0]], poles=[-2.0], step=0.1)
     >>> observer.gain.round(4)      # e^{0.1} (1 − L) = e^{−0.2}
     array([[[0.2592]]])
+
+    With the mean as its model it reads no mode:
+
+    >>> problem = dt.problems.paper()
+    >>> one = dt.luenberger(problem.plant, [[1.0, 0.0]], [-4, -5], step=0.02, model="mean")
+    >>> law = dt.AveragedPredictor(problem.plant, problem.gains)
+    >>> dt.Controller(dt.OutputFeedback(law, one), step=0.02).update([1.0]).shape
+    (1,)
     """
     instance("plant", plant, SwitchedSystem)
-    C, step = output_matrices(C, plant), positive("step", step)
+    modes, step = plant.modes, positive("step", step)
+    plant, C = believed_plant(plant, output_matrices(C, plant), model)
     wanted = pole_lists(poles, plant.modes, plant.states)
     slowest = float(np.real(wanted).max())
     if slowest >= 0.0:
@@ -70,11 +93,18 @@ def luenberger(
             )
         M = -step * place_pair(slope.T, C[i].T, asked, i, "C", wanted[i]).T
         gain.append(np.linalg.solve(finite_discretisation(A, B, step)[0], M))
-    return Observer(plant, C, np.stack(gain), step)
+    plant, C, stacked = in_all_modes(plant, modes, C, np.stack(gain))
+    return Observer(plant, C, stacked, step)
 
 
 def kalman(
-    plant: SwitchedSystem, C: ArrayLike, process: ArrayLike, measurement: ArrayLike, step: float
+    plant: SwitchedSystem,
+    C: ArrayLike,
+    process: ArrayLike,
+    measurement: ArrayLike,
+    step: float,
+    *,
+    model: Model = "modes",
 ) -> Observer:
     """The steady-state Kalman filter of every mode.
 
@@ -103,11 +133,14 @@ def kalman(
         R, symmetric, positive definite.
     step : float
         Sampling period h, in seconds.
+    model : "modes", "mean" or int
+        As of `luenberger`. Of one model the covariances are those where the plant is it.
 
     Raises
     ------
     ArgumentError
-        If a shape is wrong, a covariance is not definite, or a mode has no stabilising gain.
+        If a shape is wrong, a covariance is not definite, a mode has no stabilising gain, or one
+        model is to have a C per mode.
 
     Examples
     --------
@@ -118,11 +151,13 @@ def kalman(
     0.618
     """
     instance("plant", plant, SwitchedSystem)
-    C, step = output_matrices(C, plant), positive("step", step)
+    modes, step = plant.modes, positive("step", step)
+    plant, C = believed_plant(plant, output_matrices(C, plant), model)
     W = weight_matrix("process", process, plant.states, "n", strict=False)
     R = weight_matrix("measurement", measurement, C.shape[1], "p", strict=True)
     found = [_filter(plant.A[i], C[i], W, R, step, i) for i in range(plant.modes)]
-    gain, prior, covariance = (np.stack(arrays) for arrays in zip(*found, strict=True))
+    designed = (np.stack(arrays) for arrays in zip(*found, strict=True))
+    plant, C, gain, prior, covariance = in_all_modes(plant, modes, C, *designed)
     observer = Observer(plant, C, gain, step)
     prior.flags.writeable = covariance.flags.writeable = False
     vars(observer).update(prior=prior, covariance=covariance)

@@ -41,7 +41,8 @@ class OutputFeedback(WithMemory, Law):
     law : Law
         The law, of the observed plant; with a servo, a law with a table, of `servo.plant`.
     observer : Observer
-        Of the same plant; with a servo, of `servo.model`. It fixes the period.
+        Of the same plant; with a servo, of `servo.model`. It fixes the period. It reads the mode,
+        whether or not the law does, unless it is of one model (`luenberger(…, model="mean")`).
     servo : Servo, optional
         What is tracked.
     reference : optional
@@ -96,17 +97,23 @@ class OutputFeedback(WithMemory, Law):
         instance("observer", observer, Observer)
         if law.outputs is not None:
             raise ArgumentError("law must take the state: this one measures outputs already.")
-        model, n = observer.plant, observer.plant.states
+        n = observer.plant.states
         if servo is None:
-            _same("law", law.plant, "the observer's plant", model)
+            _same("law", law.plant, "the observer's plant", _with_delays(observer, law.plant))
             followed = None
             if not (np.isscalar(reference) and reference == 0.0):
                 raise ArgumentError("reference needs a servo: `Servo` says what tracks it.")
         else:
             instance("servo", servo, Servo)
-            instance("law, with a servo,", law, TableLaw)
+            if not isinstance(law, TableLaw):
+                raise ArgumentError(
+                    f"law must be a table to follow a reference, got {type(law).__name__}: laws on "
+                    "a belief, or on a rule of the state, follow none. Where the mode is not "
+                    "measured, take AveragedPredictor or MeanPredictor on an observer that reads "
+                    'none, luenberger(…, model="mean").'
+                )
             _same("law", law.plant, "servo.plant", servo.plant)
-            _same("observer", model, "servo.model", servo.model)
+            _same("observer", _with_delays(observer, servo.model), "servo.model", servo.model)
             followed = Reference.of(reference, servo.tracked.shape[0])
         first = np.zeros(n) if estimate is None else estimate
         first = require_shape("estimate", real_array("estimate", first, "(n,)", 1), (n,), "(n,)")
@@ -114,7 +121,7 @@ class OutputFeedback(WithMemory, Law):
             covariance = weight_matrix("covariance", covariance, n, "n", strict=False)
         states = n if servo is None else servo.base.states
         vars(self).update(
-            plant=model if servo is None else servo.base,
+            plant=law.plant if servo is None else servo.base,
             gains=law.gains if servo is None else None,
             outputs=observer.C[:, :, :states],
             law=law,
@@ -161,6 +168,13 @@ class OutputFeedback(WithMemory, Law):
     @property
     def label(self) -> str:
         return f"{self.law.label}, observed"
+
+    @property
+    def observer_alone_reads_mode(self) -> bool:
+        """Whether the mode must be measured for the observer, the law's rows not reading it."""
+        if not self.observer.reads_mode or not isinstance(self.law, TableLaw) or self.foresees:
+            return False
+        return self.law.digital(self.observer.step).context == "none"
 
     @property
     def foresees(self) -> bool:
@@ -249,6 +263,15 @@ class OutputUpdate(Remembering):
         u = self._inner(self.estimates[-1], past, max(mode, 0), age)
         estimator.asked[:] = u
         return u
+
+
+def _with_delays(observer: Observer, plant: SwitchedSystem) -> SwitchedSystem:
+    """The observer's model; one that stands for all modes has delays between those of the modes."""
+    mine, low, high = observer.plant, plant.delays.min(axis=0), plant.delays.max(axis=0)
+    if observer.reads_mode or mine.delays.shape[1] != low.size:
+        return mine
+    between = ((low <= mine.delays) & (mine.delays <= high)).all()
+    return mine.like(mine.A, mine.B, plant.delays) if between else mine
 
 
 def _same(name: str, mine: SwitchedSystem, whose: str, other: SwitchedSystem) -> None:

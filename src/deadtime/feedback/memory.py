@@ -53,6 +53,16 @@ class Memory(NamedTuple):
     value: Float[np.ndarray, "sample r"]
     step: float
 
+    @property
+    def reads_mode(self) -> bool:
+        """Whether how z moves depends on the mode."""
+        counts = np.diff(self.first)
+        if (counts != counts[0]).any():
+            return True
+        each = [part.reshape(counts.size, -1) for part in (self.Phi, self.Gamma, self.lag)]
+        each += [self.C, self.gain, self.push]
+        return any(bool((part != part[:1]).any()) for part in each)
+
 
 class Tables(NamedTuple):
     """A law as tables: its rows, and what they are multiplied with where that is not x or y.

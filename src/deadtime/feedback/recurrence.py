@@ -103,7 +103,7 @@ def _joined(
 ) -> Feedback:
     """The table of (w, u) from those of u and of w, `outputs` being the plant's C."""
     modes, _, n = outputs.shape
-    by_mode = feedback.context == "none" and modes > 1
+    by_mode = feedback.context == "none" and memory.reads_mode
     context = "mode" if by_mode else feedback.context
     rows = range(modes if by_mode else len(feedback.state_gain))
     pairs = [(c, 0) if by_mode else (c // feedback.ages, c) for c in rows]

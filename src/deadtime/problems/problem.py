@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import input_names, numbered
+from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
 from deadtime.imperfections.words import in_words
@@ -151,6 +152,15 @@ class Problem(Frozen):
         ['Noise(std=0.1)']
         """
         return [in_words(each) for each in self.imperfections]
+
+    @property
+    def observer_alone_reads_mode(self) -> tuple[str, ...]:
+        """Names of the laws on outputs whose observer needs the mode, which their rows do not."""
+        return tuple(
+            name
+            for name, law in self.laws.items()
+            if isinstance(law, OutputFeedback) and law.observer_alone_reads_mode
+        )
 
     def simulate(self, law: str | Law, signal: SwitchingSignal | None = None) -> Trajectory:
         """Run a law, one of the problem's by its name or any other, on its signal or on another.

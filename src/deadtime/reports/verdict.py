@@ -42,7 +42,8 @@ def verdict(result: Comparison) -> list[str]:
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
     sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
-    sentences += _imperfections(result) + _cost(result) + _best_follower(result)
+    sentences += _imperfections(result) + _observer_reads_mode(result)
+    sentences += _cost(result) + _best_follower(result)
     early = [name for name, run in result.runs.items() if _ends_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
@@ -113,6 +114,19 @@ def _imperfections(result: Comparison) -> list[str]:
             parts.append(f"the true delay is {true} s, the model's {believed} s")
     parts += problem.imperfections_in_words
     return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
+
+
+def _observer_reads_mode(result: Comparison) -> list[str]:
+    """Which laws need the mode for their observer alone."""
+    names = [the_problem_law(name) for name in result.problem.observer_alone_reads_mode]
+    if not names:
+        return []
+    last = f" and {names[-1]}" if len(names) > 1 else ""
+    return [
+        f"The observer needs the mode at every sample, although {', '.join(names[:-1] or names)}"
+        f"{last} {'do' if last else 'does'} not. Where the mode is not measured, [observer] "
+        'model = "mean" needs none.'
+    ]
 
 
 def _cost(result: Comparison) -> list[str]:

@@ -25,7 +25,7 @@ from deadtime.controller.export.forms import (
     require_budget,
     rom_bytes,
 )
-from deadtime.controller.export.literals import brackets, hexadecimal, initializer, literal
+from deadtime.controller.export.literals import brackets, exact, initializer, literal
 from deadtime.controller.export.names import Names, in_comment
 from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.controller.export.prediction_code import PredictionForm
@@ -171,13 +171,16 @@ def environment(folder: str) -> Environment:
     """The templates of a folder, for C: whitespace as it stands, nothing escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    return Environment(
+    made = Environment(
         loader=PackageLoader("deadtime.controller.export", f"templates/{folder}"),
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         undefined=StrictUndefined,
     )
+    made.filters["two"] = lambda power: literal(2.0**power, "double")
+    made.filters["exact"] = lambda value: exact(value, "double")
+    return made
 
 
 def description(form: Form) -> str:
@@ -229,7 +232,7 @@ def _values(
     observer_values = None if observer is None else observer_code.values(observer, precision)
     beside = [values for values in (belief_values, observer_values) if values is not None]
     return {
-        **{key: hexadecimal(value, precision) for key, value in limits.items()},
+        **{key: exact(value, precision) for key, value in limits.items()},
         **form.sizes,
         "decimal": f"{limits['bound']:.0e}",
         "version": __version__,
@@ -274,7 +277,7 @@ def _sizes(controller: RunningLaw, form: Form, prefix: str) -> dict[str, Any]:
         "windows": form.windows,
         "starts": np.cumsum([0, *form.windows])[:-1].tolist(),
         "length": ("{0}_PAST" if form.windows else "{0}_TAPS * {0}_INPUTS").format(prefix),
-        "count": "count" if form.windows else "LENGTH",
+        "count": "count" if form.windows else f"{prefix}_LENGTH",
     }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 import numpy as np
 
 from deadtime.controller.export.forms import DTYPE, Precision
@@ -17,15 +19,19 @@ def literal(value: float, precision: Precision) -> str:
     return _with_point(repr(float(value)))
 
 
-def hexadecimal(value: float, precision: Precision) -> str:
-    """A power of two as C99 writes it exactly."""
-    mantissa, exponent = value.hex().split("p")
-    assert float.fromhex(mantissa) == 1.0
-    return f"0x1p{int(exponent)}" + ("f" if precision == "float" else "")
+def exact(value: float, precision: Precision) -> str:
+    """All decimals of a number: the same real in C, in C++ and in contracts, which do not round.
+
+    Examples
+    --------
+    >>> exact(2.0**70, "double"), exact(2.0**-10, "float")
+    ('1180591620717411303424.0', '9.765625E-4f')
+    """
+    return _with_point(str(Decimal(value))) + ("f" if precision == "float" else "")
 
 
 def _with_point(text: str) -> str:
-    return text if set(text) & set(".e") else text + ".0"
+    return text if set(text) & set(".eE") else text + ".0"
 
 
 def initializer(array: np.ndarray, precision: Precision, indent: int = 0) -> str:

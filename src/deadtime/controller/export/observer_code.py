@@ -18,6 +18,7 @@ from deadtime.controller.observing import Observing
 from deadtime.feedback.memory import Memory
 
 _COUNTERS = 8  # bytes of integers in a controller's state
+_PIECES = ("Phi", "Gamma", "lag")
 _NEVER = 2**63  # samples
 # Of the input asked for: less is not told from the one applied, `_ROUND_OFF` of the kernel.
 _ROUND_OFF = {"double": 1e-9, "float": 1e-5}
@@ -32,8 +33,15 @@ class ObserverForm(NamedTuple):
 
     @classmethod
     def of(cls, observing: Observing) -> ObserverForm:
-        """Of a controller's; its reference is a schedule (`require_schedule`)."""
+        """Of a controller's; its reference is a schedule (`require_schedule`).
+
+        What depends on no mode is that of one.
+        """
         memory, reference = observing.memory, observing.reference
+        if not observing.reads_mode:
+            first = {name: getattr(memory, name)[:1] for name in ("C", "gain", "push")}
+            pieces = {name: getattr(memory, name)[: memory.first[1]] for name in _PIECES}
+            memory = memory._replace(first=memory.first[:2], **first, **pieces)
         if reference is None or reference.schedule is None:
             return cls(memory, [0], memory.reference)
         times, slack = reference.schedule.times, reference.schedule.slack
@@ -106,6 +114,7 @@ def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
         "sums": q,
         "tracked": r,
         "first": form.memory.first.tolist(),
+        "reads_mode": len(form.memory.C) > 1,
         "lags": form.memory.lag.tolist(),
         "sent": _sent(form),
         "changes": form.changes,

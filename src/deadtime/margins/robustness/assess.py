@@ -212,7 +212,7 @@ def _is_told_the_mode(law: Law, inner: Law, step: float, signal: SwitchingSignal
     """Whether a law, or the observer before it, acts on a mode that somebody measures."""
     if isinstance(law, BeliefPredictor):
         return False
-    if inner is not law and law.plant.modes > 1:
+    if isinstance(law, OutputFeedback) and law.observer.reads_mode:
         return True
     if not isinstance(inner, TableLaw):
         return True

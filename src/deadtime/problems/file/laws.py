@@ -125,9 +125,13 @@ class Laws:
         """Refuse a law that follows no reference, where the file has one."""
         if self.following is not None and not section.follows:
             kinds = ", ".join(dict.fromkeys(k.kind for k in LAWS.values() if k.entry.follows))
+            unmeasured = (
+                " Where the mode is not measured, averaged and mean need none on an [observer] "
+                'with model = "mean".'
+            )
             raise ArgumentError(
                 f'kind = "{kinds_of(type(section))[0]}" follows no reference: with a [servo] take '
-                f"one of {kinds}."
+                f"one of {kinds}.{unmeasured if 'mode_filter' in section.needs else ''}"
             )
 
     def _usual(self, setting: Setting) -> tuple[dict[str, Law], dict[str, Servo]]:

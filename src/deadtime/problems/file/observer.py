@@ -43,6 +43,11 @@ class _Measured(Section):
     covariance: Annotated[Matrix | None, Shape("(n, n)", [[0.1, 0.0], [0.0, 0.1]])] = Field(
         None, description="Covariance of the first estimate: every run draws its own."
     )
+    model: Literal["modes", "mean"] | int = Field(
+        "modes",
+        description='What it predicts with: "modes" the measured mode; "mean" the mean of all, or '
+        "a number that mode for ever, and then it reads no mode.",
+    )
 
 
 class LuenbergerObserver(_Measured):
@@ -127,7 +132,7 @@ def observer_of(
     C: ArrayLike | None = None,
 ) -> Observer:
     """The observer of a section, designed for a plant; with a C of its own where that is given."""
-    C = section.C if C is None else C
+    C, model = section.C if C is None else C, section.model
     if isinstance(section, KalmanObserver):
-        return kalman(plant, C, section.process, section.measurement, step)
-    return luenberger(plant, C, numbers(section.poles), step)
+        return kalman(plant, C, section.process, section.measurement, step, model=model)
+    return luenberger(plant, C, numbers(section.poles), step, model=model)
