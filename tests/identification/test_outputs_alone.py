@@ -147,21 +147,26 @@ def test_an_order_too_high_by_one_is_named(plant, order):
 
 
 @pytest.mark.parametrize("rest", [0.0, 5.0])
-def test_where_a_log_is_not_explained_a_column_that_stays_away_from_0_is_named(rest):
+def test_an_output_that_rests_elsewhere_than_at_0_has_an_operating_point(rest):
     table = logged(MOTOR, [[1.0, 0.0]], 300)
+    plain = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
+    assert plain.operating_point is None
     table["y1"] += rest
-    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=1)
-    assert not fit.tests.white
-    named = re.search(r"0 is not where y1 \(([\d.]+)\) would rest \(subtract that\)", fit.message)
-    assert (named is not None) == (rest > 0.0)
-    assert named is None or abs(float(named[1]) - rest) < 0.5
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
+    assert (fit.operating_point is None) == (rest == 0.0)
+    assert fit.delays == pytest.approx(plain.delays, abs=0.01)
+    if fit.operating_point is not None:
+        x, u = fit.operating_point.x, fit.operating_point.u
+        assert x[0] - rest - u[0] / -fit.plant.A[0, 1, 0] * fit.plant.B[0, 1, 0] == pytest.approx(
+            0.0, abs=0.2
+        )
 
 
 def test_an_order_too_low_is_told_to_be_raised():
     table = logged(MOTOR, [[1.0, 0.0]], 300)
     fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=1)
     assert not fit.tests.white
-    assert "a state is missing (raise order, --order, to 2)" in fit.message
+    assert "say how many each column has: order=2, --order 2)" in fit.message
 
 
 def test_noise_that_is_not_told_is_less_than_where_the_likelihood_has_fallen():

@@ -246,10 +246,10 @@ def _states(found: Estimate, recording: Recording) -> list[str]:
 
 
 def _larger(found: Estimate) -> str:
-    """Of outputs alone, how to ask for one more state."""
+    """How to ask for one more state."""
     shape = found.of_outputs and found.of_outputs.embedding
     if shape is None:
-        return ""
+        return " (if not all states are logged, say how many each column has: order=2, --order 2)"
     more = tuple(count + 1 for count in shape.order)
     text = f"{more[0]}" if len(more) == 1 else f"up to {more}"
     return f" (raise order, --order, to {text})"
