@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.brackets import about, for_json, least_dwell_times, longest_mode_lags
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
-from deadtime.cli.printing import print_json, print_table, progress_bar
+from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
 from deadtime.cli.problems import numbers_of, problem_of
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def certify(
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
     if out is not None:
-        require_json("--out", out)  # before the search, which may take minutes
+        out = output_file("--out", require_json("--out", out), kinds=(".json",))
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
         ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))

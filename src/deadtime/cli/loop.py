@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
+from deadtime.cli.printing import output_file, print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_with
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def loop(
     from deadtime.reports.figures.loop import plot_loop
 
     chosen = problem_with(problem, step, None, None)
+    path = output_file("out", out, f"{chosen.name}-loop")
     name = next(iter(chosen.laws)) if law is None else law
     asked = chosen.law(name)
     view, steps = loop_view(chosen.plant, asked, chosen.step, at), []
@@ -83,8 +84,6 @@ def loop(
             pushed = "its reference"
         elif len(chosen.inputs) > 1:
             pushed = f"input {chosen.inputs[channel]}"
-    path = Path(f"{chosen.name}-loop.png") if out is None else out
-    path = path if path.suffix else path.with_suffix(".png")
     title = f"{chosen.title}: law “{name}”"
     save_figure(plot_loop(view, title, chosen.modes, steps, shown, pushed), path)
     stable = bool((view.gain.growth < 0.0).all())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
 from deadtime.cli.printing import (
-    PICTURES,
+    output_file,
     print_heading,
     print_json,
     print_never,
@@ -96,10 +96,7 @@ def monte_carlo(
     if model is None or asked:
         sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
         model = _model(chosen, sojourn, mean_sojourn)
-    picture = Path(f"{chosen.name}-monte-carlo.png") if out is None else out
-    picture = picture if picture.suffix else picture.with_suffix(".png")
-    # Before the run: an hour of work should not end at a name that cannot be written.
-    require_writable("out", picture, PICTURES)
+    picture = output_file("out", out, f"{chosen.name}-monte-carlo")
     require_writable("data", data, _DATA)
     result = compare(
         chosen.plant,
@@ -141,18 +138,18 @@ def save_data(data: xr.Dataset, path: Path) -> None:
 
     Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text.
     """
-    try:
+    from deadtime.base.staging import replacing
+
+    with replacing(path, "data") as place:
         if path.suffix.lower() == ".csv":
             frame = _flat(data).to_dataframe(dim_order=["law", "scenario"])
-            frame.reset_index().to_csv(path, index=False)
+            frame.reset_index().to_csv(place, index=False)
             return
         texts = {
             name: "; ".join(value) if isinstance(value, list) else value
             for name, value in data.attrs.items()
         }
-        data.assign_attrs(texts).to_netcdf(path, engine="scipy")
-    except OSError as error:
-        raise ArgumentError(f"data {str(path)!r} cannot be written: {error.strerror}.") from None
+        data.assign_attrs(texts).to_netcdf(place, engine="scipy")
 
 
 def _flat(data: xr.Dataset) -> xr.Dataset:

@@ -144,13 +144,44 @@ def _live(*columns: ProgressColumn) -> Progress:
 
 def on_terminal() -> bool:
     """Whether somebody watches stderr; FORCE_COLOR, which is about colours, does not matter."""
-    return sys.stderr is not None and sys.stderr.isatty()
+    return sys.stderr.isatty()
+
+
+def output_file(
+    name: str, given: Path | None, default: str = "", kinds: tuple[str, ...] = PICTURES
+) -> Path:
+    """The file to write, with an ending; one that could not be is refused before there is work.
+
+    Examples
+    --------
+    >>> output_file("out", None, "paper").name, output_file("out", Path("run"), "paper").name
+    ('paper.png', 'run.png')
+    """
+    path = Path(default) if given is None else given
+    if path.name and not path.suffix:
+        path = path.with_name(f"{path.name}{kinds[0]}")
+    require_writable(name, path, kinds)
+    return path
+
+
+def output_folder(name: str, path: Path) -> Path:
+    """A folder to write into, made if it is not there; refused before there is work."""
+    around = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
+    if not around.is_dir():
+        reason = f"{str(around)!r} is no folder"
+    elif not os.access(around, os.W_OK):
+        reason = "permission denied"
+    else:
+        return path
+    raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
 def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
     """Refuse a file that could not be written, or of no such kind, before there is work to lose."""
     if path is None:
         return
+    if not path.name or path.name == "..":  # of --out= nothing else is left
+        raise ArgumentError(f"{name} must be the name of a file, got {str(path)!r}.")
     if kinds and path.suffix.lower() not in kinds:
         raise ArgumentError(f"{name} must end in {' or '.join(kinds)}, got {str(path)!r}.")
     if not path.parent.is_dir():
@@ -165,7 +196,7 @@ def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) 
 
 
 def save_figure(figure: Figure, target: Path) -> None:
-    try:
-        figure.savefig(target)
-    except (OSError, ValueError) as error:
-        raise ArgumentError(f"figure {str(target)!r} cannot be written: {error}") from None
+    from deadtime.base.staging import replacing
+
+    with replacing(target, "figure") as place:
+        figure.savefig(place)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import (
+    output_file,
     print_heading,
     print_json,
     print_table,
@@ -67,6 +68,7 @@ def robustness(
     from deadtime.reports.tables import drawn_plants
 
     chosen = problem_of(problem)
+    path = output_file("out", out, f"{chosen.name}-robustness")
     name = next(iter(chosen.laws)) if law is None else law
     chosen_law = chosen.law(name)
     period = step_of(chosen) if step is None else positive("step", step)
@@ -86,8 +88,6 @@ def robustness(
             names=chosen.inputs,
             progress=advance,
         )
-    path = Path(f"{chosen.name}-robustness.png") if out is None else out
-    path = path if path.suffix else path.with_suffix(".png")
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
     slips = slips_of(chosen, period)
     drawn = drawn_plants.drawn_of(chosen, period, seed)

@@ -26,7 +26,7 @@ from deadtime.reports.figures.comparison import (
     plot_window,
 )
 from deadtime.reports.metrics import metrics_of
-from deadtime.reports.page import save_figure, write_metrics, write_page, writing
+from deadtime.reports.page import PAGE, save_figure, write_metrics, write_page, writing
 from deadtime.reports.tables import tracking
 from deadtime.reports.tables.certificates import delay_sentence
 from deadtime.reports.tables.constants import (
@@ -109,8 +109,9 @@ def write_report(
         If the folder cannot be written.
     """
     folder = Path(folder)
-    with writing(folder):
-        return _write(problem, folder, progress, command, certificates)
+    with writing(folder) as place:
+        sentences, result = _write(problem, place, progress, command, certificates)
+    return Report(folder / PAGE, sentences, result)
 
 
 def _whose(result: Comparison) -> str:
@@ -134,7 +135,7 @@ def steps_of(problem: Problem, certificates: bool = True) -> int:
 
 def _write(
     problem: Problem, folder: Path, progress: Progress, command: str, certificates: bool
-) -> Report:
+) -> tuple[list[str], Comparison]:
     result = compare(problem, progress)
     sentences = [*verdict(result), *delay_sentence(problem)]
     progress("drawing: verdict")
@@ -151,7 +152,7 @@ def _write(
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
-    path = write_page(
+    write_page(
         folder,
         "report.html.j2",
         **_setting(problem),
@@ -171,7 +172,7 @@ def _write(
         certified=certified,
         command=f" with “{command}”" if command else "",
     )
-    return Report(path, sentences, result)
+    return sentences, result
 
 
 def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any] | None:
