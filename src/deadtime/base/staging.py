@@ -10,7 +10,7 @@ import errno
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from uuid import uuid4
@@ -97,7 +97,8 @@ class Staging:
                 if place.is_dir():
                     shutil.rmtree(place, ignore_errors=True)
                 else:
-                    place.unlink(missing_ok=True)
+                    with suppress(OSError):  # never made, or its folder has become read-only
+                        place.unlink()
             for parent in reversed(self._parents):
                 if not any(parent.iterdir()):
                     parent.rmdir()

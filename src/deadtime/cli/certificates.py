@@ -358,7 +358,7 @@ def _print_judged(
     in_full: bool,
     left_open: tuple[bool, object],
 ) -> None:
-    from deadtime.base.wording import number_of
+    from deadtime.base.wording import number_of, with_names
     from deadtime.cli.console import Terminal
     from deadtime.reports.tables.certificates import (
         HEADINGS,
@@ -375,7 +375,8 @@ def _print_judged(
     stays, switches = asked.constraint.in_words()
     console.print(problem.title, style="bold", markup=False)
     console.print(
-        f"Every signal that {stays} ({asked.dwell.source}), {switches}; "
+        f"Every signal that {with_names(stays, problem.modes)} ({asked.dwell.source}), "
+        f"{with_names(switches, problem.modes)}; "
         f"sampling period {step:g} s{late}.",
         markup=False,
     )
@@ -385,11 +386,12 @@ def _print_judged(
     print_table(HEADINGS, certificate_rows(judged))
     console.print(f"{LEGEND}\n", style="dim", markup=False)
     for sentence in certificate_sentences(judged):
-        console.print(f"• {sentence}", markup=False)
+        console.print(f"• {with_names(sentence, problem.modes)}", markup=False)
     if not in_full:
         return
     for one in judged:
         for sentence in one.certificate.statement if one.certificate is not None else ():
             console.print(f"  – {sentence}", markup=False)
         if one.margin is not None:
-            console.print(f"• Delay: {one.margin.message}.", markup=False)
+            text = with_names(one.margin.message, problem.modes)
+            console.print(f"• Delay: {text}.", markup=False)

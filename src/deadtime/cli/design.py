@@ -16,6 +16,7 @@ from deadtime.cli.printing import (
     print_json,
     print_table,
     progress_bar,
+    require_name,
     save_figure,
 )
 from deadtime.cli.problems import numbers_of, one_or_several, problem_of
@@ -104,6 +105,7 @@ def design(
     from deadtime.synthesis import design as designed
 
     chosen = problem_of(problem)
+    require_name("out", out)
     both = ((".toml",), PICTURES)
     written = [output_file("out", Path(f"{out}{kinds[0]}"), kinds=kinds) for kinds in both]
     if chosen.tracked:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import functools
+import logging
 import os
 import shlex
 import sys
@@ -127,6 +128,8 @@ def _mend_surroundings() -> None:
             stream = os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w")
             setattr(sys, name, stream)
             setattr(sys, f"__{name}__", stream)
+    # That there is no home to keep fonts in is no news of the command's.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     for name in ("COLUMNS", "LINES"):  # 0 stands for a size that nobody knows
         if not os.environ.get(name, "").strip("0"):
             os.environ.pop(name, None)

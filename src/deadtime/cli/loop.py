@@ -62,7 +62,7 @@ def loop(
     json_output
         Print the margins as JSON instead of text.
     """
-    from deadtime.base.wording import sentence_of
+    from deadtime.base.wording import sentence_of, with_names
     from deadtime.margins.loop_view import loop_view
     from deadtime.margins.step_response import step_response
     from deadtime.reports.figures.loop import plot_loop
@@ -91,7 +91,8 @@ def loop(
         setting = {"problem": chosen.name, "law": name, "step": chosen.step, "at": at}
         print_json(setting | _record(view, steps), [path])
         return 0 if stable else 1
-    print_heading(chosen.title, map(sentence_of, (view.gain.message, view.delay.message)))
+    said = (sentence_of(margin.message) for margin in (view.gain, view.delay))
+    print_heading(chosen.title, [with_names(text, chosen.modes) for text in said])
     print()
     growth = view.gain.growth.tolist()
     names = chosen.modes or [f"{each.mode}" for each in view.modes]

@@ -266,6 +266,7 @@ def _print(
     outcome: Summary,
 ) -> None:
     """Heading, remarks and tables on the terminal."""
+    from deadtime.base.wording import with_names
     from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
     from deadtime.reports.tables import tracking
@@ -275,7 +276,8 @@ def _print(
     print(_drawn(problem, model, sojourn, data, outcome))
     if _is_limited(problem):
         assert problem.constraint is not None
-        print(f"• Every signal {problem.constraint.in_words()[1]}.")
+        switches = with_names(problem.constraint.in_words()[1], problem.modes)
+        print(f"• Every signal {switches}.")
     elif sojourn is not None:
         print(
             f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "

@@ -158,7 +158,8 @@ def output_file(
     ('paper.png', 'run.png')
     """
     path = Path(default) if given is None else given
-    if path.name and not path.suffix:
+    require_name(name, path)
+    if not path.suffix:
         path = path.with_name(f"{path.name}{kinds[0]}")
     require_writable(name, path, kinds)
     return path
@@ -180,8 +181,7 @@ def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) 
     """Refuse a file that could not be written, or of no such kind, before there is work to lose."""
     if path is None:
         return
-    if not path.name or path.name == "..":  # of --out= nothing else is left
-        raise ArgumentError(f"{name} must be the name of a file, got {str(path)!r}.")
+    require_name(name, path)
     if kinds and path.suffix.lower() not in kinds:
         raise ArgumentError(f"{name} must end in {' or '.join(kinds)}, got {str(path)!r}.")
     if not path.parent.is_dir():
@@ -195,8 +195,19 @@ def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) 
     raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
+def require_name(name: str, path: Path) -> None:
+    """Refuse a path that names no file, such as a dot, before there is work to lose."""
+    if path.name in ("", ".."):  # of --out= a dot is left, which has no name
+        raise ArgumentError(f"{name} must be the name of a file, got {str(path)!r}.")
+
+
 def save_figure(figure: Figure, target: Path) -> None:
+    """Write a figure, of the kind that its ending says."""
+    from io import BytesIO
+
     from deadtime.base.staging import replacing
 
+    drawn = BytesIO()  # on a full disk writers of PDF fail in ways of their own
+    figure.savefig(drawn, format=target.suffix[1:])
     with replacing(target, "figure") as place:
-        figure.savefig(place)
+        place.write_bytes(drawn.getvalue())

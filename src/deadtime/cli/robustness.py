@@ -60,6 +60,7 @@ def robustness(
         Print the results as JSON instead of text.
     """
     from deadtime.base.checks import positive
+    from deadtime.base.wording import with_names
     from deadtime.margins import robustness as assess
     from deadtime.margins.robustness.assess import STEPS
     from deadtime.problems.asked import step_of
@@ -98,7 +99,7 @@ def robustness(
     print_heading(chosen.title)
     print(f"Law “{name}”, sampled every {period:g} s:")
     for sentence in (*result.sentences, *slips):
-        print(f"• {sentence}")
+        print(f"• {with_names(sentence, chosen.modes)}")
     if drawn:
         print("\nPlants drawn from [uncertainty]:")
         print_table(drawn_plants.HEADINGS, drawn_plants.drawn_rows(drawn))
