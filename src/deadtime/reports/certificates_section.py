@@ -72,7 +72,8 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
         *(with_names(one, problem.modes) for one in certificate_sentences(judged)),
     ]
     if not signals.constraint.is_plain:
-        stays, switches = signals.constraint.in_words()
+        both = signals.constraint.in_words()
+        stays, switches = (with_names(one, problem.modes) for one in both)
         sentences.insert(0, f"Certificates are about every signal that {stays}, and {switches}.")
     figures = []
     reach = _tightness_figure(problem, dwell, step, progress)

@@ -80,7 +80,8 @@ def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
     how = f", {of_cells(capped, regret.size)} counted as {LOST:g} times" if capped else ""
     return (
         f"Knowing {WORDS[level]}: {the_law(law)}. Its ∫|x|² is {amount(typical)} times the "
-        f"oracle’s, the geometric mean over the grid{how}, and {amount(worst)} times in the worst cell. "
+        f"oracle’s, the geometric mean over the grid{how}, and {amount(worst)} times in "
+        "the worst cell. "
         f"It stabilises more than {percent(MOST)} of the signals in "
         f"{of_cells(int(np.sum(calm > MOST)), regret.size)}, and no law that knows as much beats "
         f"it in {of_cells(cells, regret.size)}."
