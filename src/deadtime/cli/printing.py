@@ -58,8 +58,8 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
     print_table(headings_of(result), rows)
     shown: list[Sequence[Sequence[str]]] = [rows]
     for i in range(len(problem.tracked)):
-        print(f"\n{tracking.heading_of(problem, i)}")
-        shown.append(tracking.rows_of_runs(result.runs, i))
+        print(f"\n{tracking.heading_of_runs(problem, result.runs, i)}")
+        shown.append(tracking.rows_of_runs(problem, result.runs, i))
         print_table(tracking.HEADINGS, shown[-1])
     print_never(shown)
 

@@ -161,7 +161,10 @@ def _write(
         headings=headings_of(result),
         rows=table(result),
         tracking=[
-            (tracking.heading_of(problem, i), tracking.rows_of_runs(result.runs, i))
+            (
+                tracking.heading_of_runs(problem, result.runs, i),
+                tracking.rows_of_runs(problem, result.runs, i),
+            )
             for i in range(len(problem.tracked))
         ],
         tracking_headings=tracking.HEADINGS,

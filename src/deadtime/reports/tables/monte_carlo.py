@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 ORACLE = "oracle"
 LEVELS = (0.05, 0.5, 0.95)
-GROWN = (
-    1e6  # times a peak that x has when something pushes it: no push that a law answers does that
-)
+GROWN = 1e6  # times a peak of x under the same push: no push does that to a loop that decays
 
 
 class Quantiles(NamedTuple):
