@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -83,7 +84,7 @@ def test_the_ending_of_a_figure_is_checked_before_the_work(folder, capsys, monke
         raise AssertionError("the work began")
 
     monkeypatch.setattr("deadtime.problems.comparison.compare", worked)
-    monkeypatch.setattr("deadtime.margins.loop_view.loop_view", worked)
+    monkeypatch.setattr(import_module("deadtime.margins.loop_view"), "loop_view", worked)
     monkeypatch.setattr("deadtime.margins.robustness", worked)
     monkeypatch.setattr(dt.SwitchingSignal, "from_csv", worked)
     assert code_of(*FILES[command], "run.xyz") == 2
@@ -96,9 +97,14 @@ def test_a_file_that_is_not_made_whole_leaves_the_old_one_and_nothing_beside_it(
     target.write_text("old")
     target.chmod(0o640)
     expected = KeyboardInterrupt if error is KeyboardInterrupt else dt.ArgumentError
-    with pytest.raises(expected), replacing(target, "csv") as place:
-        place.write_text("half")
-        raise error
+
+    def stopped():
+        with replacing(target, "csv") as place:
+            place.write_text("half")
+            raise error
+
+    with pytest.raises(expected):
+        stopped()
     assert (target.read_text(), [one.name for one in tmp_path.iterdir()]) == ("old", ["a.csv"])
     with replacing(target) as place:
         place.write_text("new")

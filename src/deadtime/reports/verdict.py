@@ -86,7 +86,7 @@ def _headline(result: Comparison) -> str:
         count = f"{switches} switches" if switches > 1 else "one switch"
         setting = (
             f"on a signal with {count} in {problem.horizon:g} s "
-            f"(dwell time {signal.dwell_time:.2g} s)"
+            f"(dwell time {float(f'{signal.dwell_time:.2g}'):g} s)"
         )
     law = the_problem_law(result.lead)
     law = law[0].upper() + law[1:]

@@ -221,7 +221,7 @@ class Trajectory(Frozen):
         begin = self.followed.changes(self.end, output)[-1] if since is None else since
         if until is not None and not begin < number("until", until):
             raise ArgumentError(f"until must be after the step, at {begin:g} s, got {until:g}.")
-        where, r = self.followed.window(time, output, since, math.inf if until is None else until)
+        where, r = self.followed.window(time, output, since, np.inf if until is None else until)
         found = step_info(time[where], y[output, where], r, settling, rise)
         found |= {} if stepped else dict.fromkeys(OF_STEPS, np.array(np.nan))
         return {name: float(value) for name, value in found.items()}

@@ -22,7 +22,7 @@ else:
 
 HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
 NEVER = "–"
-LEGEND = f"{NEVER}: not settled within the horizon, or by the next event"
+LEGEND = f"{NEVER}: not settled within the horizon"
 _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
 
 
