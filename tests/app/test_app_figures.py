@@ -1,4 +1,4 @@
-"""What is drawn on the page and in its figure: references, the mismatch where there is one, names."""
+"""What is drawn on the page and in its figure: references, the mismatch if there is one, names."""
 
 import io
 

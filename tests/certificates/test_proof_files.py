@@ -83,7 +83,7 @@ def test_an_altered_file_is_refused(saved, tmp_path):
     saved.write_bytes(b'{"format": "\xff"}')
     for path in (tmp_path, tmp_path / "nowhere.json", saved):
         assert_refused(path, "must be a certificate's JSON file")
-    with pytest.raises(CertificateFileError, match="cannot be written"):
+    with pytest.raises(dt.ArgumentError, match="cannot be written: No such file"):
         made("common")[2].save(tmp_path / "no" / "such" / "folder.json")
 
 

@@ -106,10 +106,13 @@ def test_reproduce_runs_a_problem_file_and_reports_json(folder, capsys):
     [
         (["simulate", "none.toml"], "none.toml cannot be read: No such file or directory"),
         (["simulate", "papr"], "problem must be one of paper, three-mode, follower, or a file"),
-        (["simulate", "paper", "--out", "run.xyz"], "figure 'run.xyz' cannot be written"),
-        (["simulate", "paper", "--out", "no/run.png"], "figure 'no/run.png' cannot be written"),
-        (["reproduce", "--out", "/proc/report"], "folder '/proc/report' cannot be written"),
-        (["init", "no/problem.toml"], "no/problem.toml cannot be written"),
+        (
+            ["simulate", "paper", "--out", "run.xyz"],
+            "out must end in .png or .svg or .pdf, got",
+        ),
+        (["simulate", "paper", "--out", "no/run.png"], "out 'no/run.png' cannot be written"),
+        (["reproduce", "--out", "/proc/report"], " '/proc/report' cannot be written"),
+        (["init", "no/problem.toml"], "path 'no/problem.toml' cannot be written"),
         (["simulat", "paper"], 'Unknown command "simulat"'),
         (["simulate"], "requires an argument"),
         (["simulate", "paper", "--fast"], "Unknown option: --fast"),

@@ -12,8 +12,9 @@ import pytest
 
 import deadtime as dt
 import plants
+from deadtime.base.staging import Staging
 from deadtime.cli.entry import main
-from deadtime.controller.export import Staging, compiler, export_c, export_fmu
+from deadtime.controller.export import compiler, export_c, export_fmu
 from deadtime.problems.file import load_problem
 from shares import mostly_long
 

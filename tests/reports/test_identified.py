@@ -103,5 +103,5 @@ def test_an_input_that_the_model_lacks_sticks_out(log):
 
 
 def test_a_page_that_cannot_be_written_is_refused(fit, tmp_path):
-    with pytest.raises(dt.ArgumentError, match=r"cannot be written .*choose another file"):
+    with pytest.raises(dt.ArgumentError, match=r"report .* cannot be written: "):
         write_identification(fit, tmp_path / "nowhere" / "page.html")

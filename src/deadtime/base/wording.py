@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from decimal import ROUND_CEILING, ROUND_DOWN, ROUND_FLOOR, Decimal
 
 # Malformed in XML, refused by compilers or Python, or able to show text in another order than it
@@ -11,6 +12,27 @@ from decimal import ROUND_CEILING, ROUND_DOWN, ROUND_FLOOR, Decimal
 _UNPRINTABLE = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
 )
+
+
+def with_names(text: str, modes: Sequence[str]) -> str:
+    """A sentence with the names of modes in place of their numbers; words are names of their own.
+
+    Examples
+    --------
+    >>> with_names("held in mode 1 it grows", ["low flow", "high flow"])
+    'held in high flow it grows'
+    >>> with_names("0.5 s in mode 0, from mode 1 to 0 or 2", ["slow", "mode 1", "fast"])
+    '0.5 s in slow, from mode 1 to slow or fast'
+    """
+
+    def named(match: re.Match[str]) -> str:
+        numbers = re.findall(r"\d+", match[0])
+        if any(int(number) >= len(modes) for number in numbers):
+            return match[0]
+        told = re.sub(r"\d+", lambda number: modes[int(number[0])], match[0])
+        return told.removeprefix("modes ").removeprefix("mode ")
+
+    return re.sub(r"\bmodes? \d+(?:(?: to| or| and) \d+(?![\d.]))*(?![\d.]\d)", named, text)
 
 
 def one_line(text: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import with_names
 from deadtime.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def least_dwell_times(
         print_json(record | {"least_dwell_times": each})
     else:
         said = [f"Sampling period {period:g} s.", *_limits(signals), *left_out(problem)]
-        print("\n".join((problem.title, *said, "")))
+        print("\n".join((problem.title, *(with_names(one, problem.modes) for one in said), "")))
         rows = [
             (
                 name,
@@ -68,7 +69,7 @@ def least_dwell_times(
         ]
         print_table(("law", "proved from", "refuted up to"), rows)
         for name, one in brackets.items():
-            print(f"• {name}: {one.message}")
+            print(f"• {name}: {with_names(one.message, problem.modes)}")
     return 0 if law is None or brackets[law].certified is not None else 1
 
 
@@ -107,11 +108,12 @@ def longest_mode_lags(
         if not asked.constraint.is_plain:
             stays, switches = asked.constraint.in_words()
             said = f"Sampling period {period:g} s; every signal that {stays}, {switches}."
+            said = with_names(said, problem.modes)
         print("\n".join((problem.title, said, *left_out(problem), "")))
         rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
         print_table(("law", "proved up to", "refuted at"), rows)
         for name, one in brackets.items():
-            print(f"• {name}: {one.message}")
+            print(f"• {name}: {with_names(one.message, problem.modes)}")
     return 0 if law is None or brackets[law].certified is not None else 1
 
 

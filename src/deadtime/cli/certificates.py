@@ -16,7 +16,7 @@ from deadtime.cli.asked_signals import (
 )
 from deadtime.cli.brackets import about, for_json, least_dwell_times, longest_mode_lags
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
-from deadtime.cli.printing import print_json, print_table, progress_bar
+from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def certify(
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
     if out is not None:
-        require_json("--out", out)  # before the search, which may take minutes
+        out = output_file("--out", require_json("--out", out), kinds=(".json",))
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
         ranges = None if delays is None else (delays_from(delays[0]), delays_from(delays[1]))
@@ -322,7 +322,7 @@ def _print_judged(
     in_full: bool,
     left_open: tuple[bool, object],
 ) -> None:
-    from deadtime.base.wording import number_of
+    from deadtime.base.wording import number_of, with_names
     from deadtime.cli.console import Terminal
     from deadtime.reports.tables.certificates import (
         HEADINGS,
@@ -339,7 +339,8 @@ def _print_judged(
     stays, switches = asked.in_words()
     console.print(problem.title, style="bold", markup=False)
     console.print(
-        f"Every signal that {stays} ({asked.dwell.source}), {switches}; "
+        f"Every signal that {with_names(stays, problem.modes)} ({asked.dwell.source}), "
+        f"{with_names(switches, problem.modes)}; "
         f"sampling period {step:g} s{late}.",
         markup=False,
     )
@@ -349,11 +350,12 @@ def _print_judged(
     print_table(HEADINGS, certificate_rows(judged))
     console.print(f"{LEGEND}\n", style="dim", markup=False)
     for sentence in certificate_sentences(judged):
-        console.print(f"• {sentence}", markup=False)
+        console.print(f"• {with_names(sentence, problem.modes)}", markup=False)
     if not in_full:
         return
     for one in judged:
         for sentence in one.certificate.statement if one.certificate is not None else ():
             console.print(f"  – {sentence}", markup=False)
         if one.margin is not None:
-            console.print(f"• Delay: {one.margin.message}.", markup=False)
+            text = with_names(one.margin.message, problem.modes)
+            console.print(f"• Delay: {text}.", markup=False)

@@ -72,9 +72,12 @@ def _script(shell: Shell) -> str:
 
 
 def _install(shell: Shell, script: str) -> Path:
+    from deadtime.base.staging import replacing
+
     try:
         path = app.install_completion(shell=shell)
-        path.write_text(script, encoding="utf-8")
+        with replacing(path) as place:
+            place.write_text(script, encoding="utf-8")
     except OSError as error:
         raise ArgumentError(
             f"the script cannot be written ({error.strerror}): print it with deadtime completion "

@@ -9,7 +9,16 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, Flag, Folder, app, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, progress_bar, save_figure
+from deadtime.cli.printing import (
+    PICTURES,
+    output_file,
+    print_heading,
+    print_json,
+    print_table,
+    progress_bar,
+    require_name,
+    save_figure,
+)
 from deadtime.cli.problems import numbers_of, one_or_several, problem_of
 
 if TYPE_CHECKING:
@@ -89,12 +98,16 @@ def design(
         Print the result as JSON instead of text.
     """
     from deadtime.base.checks import index, positive
+    from deadtime.base.staging import replacing
     from deadtime.problems.asked import step_of
     from deadtime.reports.figures.design import plot_designs
     from deadtime.reports.tables.design import design_record, problem_sections
     from deadtime.synthesis import design as designed
 
     chosen = problem_of(problem)
+    require_name("out", out)
+    both = ((".toml",), PICTURES)
+    written = [output_file("out", Path(f"{out}{kinds[0]}"), kinds=kinds) for kinds in both]
     if chosen.tracked:
         raise ArgumentError(
             f"the problem {chosen.name!r} follows a reference, and design is for laws that bring "
@@ -128,9 +141,10 @@ def design(
             weight=chosen.weight,
             progress=advance,
         )
-    written = [out.with_name(f"{out.name}.toml"), out.with_name(f"{out.name}.png")]
     title = chosen.name if mode is None else f"{chosen.name}, {chosen.modes[mode]}"
-    _write(written[0], problem_sections(found, law, chosen.plant, chosen.gains, mode))
+    with replacing(written[0], "out") as place:
+        sections = problem_sections(found, law, chosen.plant, chosen.gains, mode)
+        place.write_text(sections, encoding="utf-8")
     save_figure(plot_designs({title: found}), written[1])
     if json_output:
         print_json(design_record(found), written)
@@ -187,13 +201,6 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
         )
     W = W[0] if (W[0] == W).all() else W
     return StationaryNoise(W, V, 0.99 if probability is None else probability)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError(f"{path} cannot be written: {error.strerror}.") from None
 
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import functools
+import logging
 import os
 import shlex
 import sys
@@ -19,6 +20,7 @@ from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
 from deadtime.base import notices
 from deadtime.base.errors import DeadtimeError
+from deadtime.base.interrupts import INTERRUPTED, raising_on_interrupt
 from deadtime.base.threads import at_work
 from deadtime.base.version import __version__
 
@@ -76,6 +78,7 @@ def command_line() -> str:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; a command returns its code, every error becomes one line."""
+    _mend_surroundings()
     from deadtime.cli.console import Terminal
 
     # Before NumPy is loaded: the matrices here are small, and a second thread costs them more
@@ -89,19 +92,19 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        code = app(
-            tokens,
-            console=Terminal(),
-            exit_on_error=False,
-            print_error=False,
-            result_action="return_value",
-        )
-        if sys.stdout is not None:
+        with raising_on_interrupt():
+            code = app(
+                tokens,
+                console=Terminal(),
+                exit_on_error=False,
+                print_error=False,
+                result_action="return_value",
+            )
             sys.stdout.flush()
     except (DeadtimeError, CycloptsError) as error:
         _stop(2, f"error: {_one_line(error)}{_where_to_look(error)}")
     except KeyboardInterrupt:
-        _stop(130, "interrupted")
+        _stop(INTERRUPTED, "interrupted")
     except BrokenPipeError:  # `| head` has seen enough: stop as other commands do, in silence
         _abandon_stdout()
         _stop(141, "")
@@ -118,10 +121,25 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     raise SystemExit(code if isinstance(code, int) else 0)
 
 
+def _mend_surroundings() -> None:
+    """What a process may be started with that libraries stumble over."""
+    # Closed, as by `>&-`: what is opened first would be taken for it.
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            stream = os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w")
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)
+    # That there is no home to keep fonts in is no news of the command's.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    for name in ("COLUMNS", "LINES"):  # 0 stands for a size that nobody knows
+        if not os.environ.get(name, "").strip("0"):
+            os.environ.pop(name, None)
+
+
 @functools.cache
 def _say_compiling() -> None:
     """Why nothing seems to happen, once; not where nobody is looking."""
-    if sys.stderr is not None and sys.stderr.isatty():
+    if sys.stderr.isatty():
         print("deadtime: compiling, once per machine …", file=sys.stderr, flush=True)
 
 
@@ -171,7 +189,7 @@ def _leave(code: int) -> None:
     if not at_work():
         return
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(AttributeError, OSError, ValueError):  # none, full or closed
+        with contextlib.suppress(OSError, ValueError):  # full or closed
             stream.flush()
     os._exit(code)
 
@@ -181,7 +199,7 @@ def _abandon_stdout() -> None:
 
     Python would try once more when it exits, and complain.
     """
-    if sys.stdout is sys.__stdout__ and sys.stdout is not None:
+    if sys.stdout is sys.__stdout__:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)

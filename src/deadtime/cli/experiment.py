@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, app, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, require_writable
+from deadtime.cli.printing import output_file, print_heading, print_json, print_table
 from deadtime.cli.problems import one_or_several, problem_of
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def experiment(
     from deadtime.identification import design_experiment
     from deadtime.problems.asked import step_of
 
-    require_writable("out", out)
+    out = output_file("out", out, kinds=(".csv",))
     chosen = problem_of(problem)
     period = step_of(chosen) if step is None else positive("step", step)
     length = chosen.horizon if horizon is None else positive("horizon", horizon)

@@ -61,8 +61,7 @@ def app(
             from deadtime.app.server import is_loopback, serve
         except ModuleNotFoundError as error:
             raise ArgumentError(
-                f"the explorer needs {error.name}: pip install 'deadtime[app]', or in a clone "
-                "'.[app]'."
+                f"the explorer needs {error.name}: pip install '.[app]' in a clone of deadtime."
             ) from None
 
         def on_started(url: str) -> None:

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import FILES, START, AsJson, Flag, app, lines
-from deadtime.cli.printing import print_json
+from deadtime.cli.printing import print_json, require_writable
 
 Name = Literal["paper", "three-mode", "follower", "motor", "quadrotor"]
 
@@ -42,15 +42,15 @@ def init(
     json_output
         Print what was written as JSON instead of text.
     """
+    from deadtime.base.staging import replacing
     from deadtime.problems.file.named import template
 
     if path.exists() and not force:
         raise ArgumentError(f"{path} exists: choose another name, or replace it with --force.")
+    require_writable("path", path)
     text = template(example)
-    try:
-        path.write_text(text.replace("problem.toml", path.name), encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError(f"{path} cannot be written: {error.strerror}.") from None
+    with replacing(path) as place:
+        place.write_text(text.replace("problem.toml", path.name), encoding="utf-8")
     if json_output:
         print_json({"example": example}, [path])
         return

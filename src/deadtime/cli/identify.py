@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, File, Flag, app, command_line, lines
 from deadtime.cli.printing import (
-    PICTURES,
+    output_file,
     print_heading,
     print_json,
     print_table,
@@ -115,7 +115,7 @@ def identify(
     if one_mode and modes != "mode":
         raise ArgumentError(f"modes must be left out beside one-mode, got {modes!r}.")
     require_writable("out", out)
-    require_writable("figure", figure, PICTURES)
+    figure = None if figure is None else output_file("figure", figure)
     require_writable("report", report, (".html", ".htm"))
     _require_apart([*logs, beside], [out, figure, report])
     whose = _law_of(beside, law)

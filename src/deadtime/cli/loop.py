@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
+from deadtime.cli.printing import output_file, print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_with
 
 if TYPE_CHECKING:
@@ -63,12 +63,13 @@ def loop(
     json_output
         Print the margins as JSON instead of text.
     """
-    from deadtime.base.wording import sentence_of
+    from deadtime.base.wording import sentence_of, with_names
     from deadtime.margins.loop_view import loop_view
     from deadtime.margins.step_response import step_response
     from deadtime.reports.figures.loop import plot_loop
 
     chosen = problem_with(problem, step, None, None)
+    path = output_file("out", out, f"{chosen.name}-loop")
     name = next(iter(chosen.laws)) if law is None else law
     asked = chosen.law(name)
     view, steps = loop_view(chosen.plant, asked, chosen.step, at), []
@@ -84,8 +85,6 @@ def loop(
             pushed = "its reference"
         elif len(chosen.inputs) > 1:
             pushed = f"input {chosen.inputs[channel]}"
-    path = Path(f"{chosen.name}-loop.png") if out is None else out
-    path = path if path.suffix else path.with_suffix(".png")
     title = f"{chosen.title}: law “{name}”"
     save_figure(plot_loop(view, title, chosen.modes, steps, shown, pushed), path)
     stable = bool((view.gain.growth < 0.0).all())
@@ -93,7 +92,8 @@ def loop(
         setting = {"problem": chosen.name, "law": name, "step": chosen.step, "at": at}
         print_json(setting | _record(view, steps), [path])
         return 0 if stable else 1
-    print_heading(chosen.title, map(sentence_of, (view.gain.message, view.delay.message)))
+    said = (sentence_of(margin.message) for margin in (view.gain, view.delay))
+    print_heading(chosen.title, [with_names(text, chosen.modes) for text in said])
     print()
     growth = view.gain.growth.tolist()
     names = chosen.modes or [f"{each.mode}" for each in view.modes]

@@ -7,7 +7,14 @@ from typing import Literal
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, COMPARE, AsJson, Folder, app, lines
-from deadtime.cli.printing import print_answers, print_json, print_table, save_figure
+from deadtime.cli.printing import (
+    output_file,
+    output_folder,
+    print_answers,
+    print_json,
+    print_table,
+    save_figure,
+)
 
 
 @app.command(
@@ -63,6 +70,7 @@ def fit(
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
+    out = output_file("out", out)
     signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
     least, most = (
         None if text is None else one_or_all(numbers_of(name, text))
@@ -124,6 +132,7 @@ def study(
     from deadtime.scenarios.sweeps.plan import plan_of
 
     chosen, command = load_study(file), f"deadtime study {file}"
+    out = output_folder("out", out)
     if scenarios is not None:
         chosen = with_scenarios(chosen, scenarios)
         command += f" --scenarios {scenarios}"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, FigureWidth, File, app, lines
 from deadtime.cli.printing import (
-    PICTURES,
     TABLES,
+    output_file,
     print_heading,
     print_json,
     print_never,
@@ -106,11 +106,8 @@ def monte_carlo(
     if model is None or asked:
         sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
         model = _model(chosen, sojourn, mean_sojourn)
-    picture = Path(f"{chosen.name}-monte-carlo.png") if out is None else out
-    picture = picture if picture.suffix else picture.with_suffix(".png")
-    # Before the run: an hour of work should not end at a name that cannot be written.
+    picture = output_file("out", out, f"{chosen.name}-monte-carlo")
     require_width(width)
-    require_writable("out", picture, PICTURES)
     require_writable("data", data, _DATA)
     require_writable("table", table, TABLES)
     result = compare(
@@ -156,18 +153,18 @@ def save_data(data: xr.Dataset, path: Path) -> None:
 
     Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text.
     """
-    try:
+    from deadtime.base.staging import replacing
+
+    with replacing(path, "data") as place:
         if path.suffix.lower() == ".csv":
             frame = _flat(data).to_dataframe(dim_order=["law", "scenario"])
-            frame.reset_index().to_csv(path, index=False)
+            frame.reset_index().to_csv(place, index=False)
             return
         texts = {
             name: "; ".join(value) if isinstance(value, list) else value
             for name, value in data.attrs.items()
         }
-        data.assign_attrs(texts).to_netcdf(path, engine="scipy")
-    except OSError as error:
-        raise ArgumentError(f"data {str(path)!r} cannot be written: {error.strerror}.") from None
+        data.assign_attrs(texts).to_netcdf(place, engine="scipy")
 
 
 def _flat(data: xr.Dataset) -> xr.Dataset:
@@ -285,6 +282,7 @@ def _print(
     outcome: Summary,
 ) -> None:
     """Heading, remarks and tables on the terminal."""
+    from deadtime.base.wording import with_names
     from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
     from deadtime.reports.tables import tracking
@@ -294,7 +292,8 @@ def _print(
     print(_drawn(problem, model, sojourn, data, outcome))
     if _is_limited(problem):
         assert problem.constraint is not None
-        print(f"• Every signal {problem.constraint.in_words()[1]}.")
+        switches = with_names(problem.constraint.in_words()[1], problem.modes)
+        print(f"• Every signal {switches}.")
     elif sojourn is not None:
         print(
             f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "

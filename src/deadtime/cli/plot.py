@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
-from deadtime.cli.printing import print_json, progress_bar, save_figure
+from deadtime.cli.printing import output_folder, print_json, progress_bar, save_figure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -113,13 +113,8 @@ def plot(
             f"out {str(out)!r} is one file, but there are {plan.count} figures: give a folder, or "
             "choose one of them with --kind and --law."
         )
-    folder = out.parent if single else out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ArgumentError(
-            f"out {str(folder)!r} cannot be written ({error.strerror}): choose another folder."
-        ) from None
+    folder = output_folder("out", out.parent if single else out)
+    folder.mkdir(parents=True, exist_ok=True)
     paths = _write(plan, out, single, quiet=json_output)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)

@@ -60,8 +60,8 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
     print_table(headings_of(result), rows)
     shown: list[Sequence[Sequence[str]]] = [rows]
     for i in range(len(problem.tracked)):
-        print(f"\n{tracking.heading_of(problem, i)}")
-        shown.append(tracking.rows_of_runs(result.runs, i))
+        print(f"\n{tracking.heading_of_runs(problem, result.runs, i)}")
+        shown.append(tracking.rows_of_runs(problem, result.runs, i))
         print_table(tracking.HEADINGS, shown[-1])
     print_never(shown)
 
@@ -146,13 +146,44 @@ def _live(*columns: ProgressColumn) -> Progress:
 
 def on_terminal() -> bool:
     """Whether somebody watches stderr; FORCE_COLOR, which is about colours, does not matter."""
-    return sys.stderr is not None and sys.stderr.isatty()
+    return sys.stderr.isatty()
+
+
+def output_file(
+    name: str, given: Path | None, default: str = "", kinds: tuple[str, ...] = PICTURES
+) -> Path:
+    """The file to write, with an ending; one that could not be is refused before there is work.
+
+    Examples
+    --------
+    >>> output_file("out", None, "paper").name, output_file("out", Path("run"), "paper").name
+    ('paper.png', 'run.png')
+    """
+    path = Path(default) if given is None else given
+    require_name(name, path)
+    if not path.suffix:
+        path = path.with_name(f"{path.name}{kinds[0]}")
+    require_writable(name, path, kinds)
+    return path
+
+
+def output_folder(name: str, path: Path) -> Path:
+    """A folder to write into, made if it is not there; refused before there is work."""
+    around = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
+    if not around.is_dir():
+        reason = f"{str(around)!r} is no folder"
+    elif not os.access(around, os.W_OK):
+        reason = "permission denied"
+    else:
+        return path
+    raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
 def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
     """Refuse a file that could not be written, or of no such kind, before there is work to lose."""
     if path is None:
         return
+    require_name(name, path)
     if kinds and path.suffix.lower() not in kinds:
         raise ArgumentError(f"{name} must end in {' or '.join(kinds)}, got {str(path)!r}.")
     if not path.parent.is_dir():
@@ -176,14 +207,31 @@ def require_width(width: FigureWidth) -> None:
 
 def save_text(name: str, path: Path, text: str) -> None:
     """Write a file that an option names."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError(f"{name} {str(path)!r} cannot be written: {error.strerror}.") from None
+    from deadtime.base.staging import replacing
+
+    with replacing(path, name) as place:
+        place.write_text(text, encoding="utf-8")
+
+
+def require_name(name: str, path: Path) -> None:
+    """Refuse a path that names no file, such as a dot, before there is work to lose."""
+    if path.name in ("", ".."):  # of --out= a dot is left, which has no name
+        raise ArgumentError(f"{name} must be the name of a file, got {str(path)!r}.")
 
 
 def save_figure(figure: Figure, target: Path) -> None:
-    try:
-        figure.savefig(target)
-    except (OSError, ValueError) as error:
-        raise ArgumentError(f"figure {str(target)!r} cannot be written: {error}") from None
+    """Write a figure, of the kind that its ending says."""
+    from io import BytesIO
+
+    from deadtime.base.staging import replacing
+
+    if target.suffix == ".pgf":  # its pictures lie beside it, named after it
+        try:
+            return figure.savefig(target)
+        except OSError as error:
+            reason = error.strerror
+            raise ArgumentError(f"figure {str(target)!r} cannot be written: {reason}.") from None
+    drawn = BytesIO()  # on a full disk writers of PDF fail in ways of their own
+    figure.savefig(drawn, format=target.suffix[1:])
+    with replacing(target, "figure") as place:
+        place.write_bytes(drawn.getvalue())

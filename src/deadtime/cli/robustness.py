@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import (
+    output_file,
     print_heading,
     print_json,
     print_table,
@@ -60,6 +61,7 @@ def robustness(
         Print the results as JSON instead of text.
     """
     from deadtime.base.checks import positive
+    from deadtime.base.wording import with_names
     from deadtime.margins import robustness as assess
     from deadtime.margins.robustness.assess import STEPS
     from deadtime.problems.asked import step_of
@@ -68,6 +70,7 @@ def robustness(
     from deadtime.reports.tables import drawn_plants
 
     chosen = problem_of(problem)
+    path = output_file("out", out, f"{chosen.name}-robustness")
     name = next(iter(chosen.laws)) if law is None else law
     chosen_law = chosen.law(name)
     period = step_of(chosen) if step is None else positive("step", step)
@@ -87,8 +90,6 @@ def robustness(
             names=chosen.inputs,
             progress=advance,
         )
-    path = Path(f"{chosen.name}-robustness.png") if out is None else out
-    path = path if path.suffix else path.with_suffix(".png")
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
     slips = slips_of(chosen, period)
     drawn = drawn_plants.drawn_of(chosen, period, seed)
@@ -99,7 +100,7 @@ def robustness(
     print_heading(chosen.title)
     print(f"Law “{name}”, sampled every {period:g} s:")
     for sentence in (*result.sentences, *slips):
-        print(f"• {sentence}")
+        print(f"• {with_names(sentence, chosen.modes)}")
     if drawn:
         print("\nPlants drawn from [uncertainty]:")
         print_table(drawn_plants.HEADINGS, drawn_plants.drawn_rows(drawn))

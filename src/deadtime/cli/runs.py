@@ -8,13 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import START, AsJson, FigureWidth, File, Folder, app, lines
-from deadtime.cli.printing import print_json, print_result, progress_bar, require_width, save_figure
+from deadtime.cli.printing import (
+    output_file,
+    output_folder,
+    print_json,
+    print_result,
+    progress_bar,
+    require_width,
+    save_figure,
+)
 from deadtime.cli.problems import problem_of, problem_with
 
 if TYPE_CHECKING:
-    from deadtime.problems import Problem
     from deadtime.problems.comparison import Comparison
 
 
@@ -49,7 +55,7 @@ def reproduce(
     from deadtime.reports.metrics import metrics_of
     from deadtime.reports.report import steps_of, write_report
 
-    chosen = problem_of(problem)
+    chosen, out = problem_of(problem), output_folder("out", out)
     command = f"deadtime reproduce {problem}" + ("" if certificates else " --no-certificates")
     with progress_bar(steps_of(chosen, certificates), quiet=json_output) as advance:
         report = write_report(chosen, out, advance, command, certificates)
@@ -112,14 +118,15 @@ def simulate(
     from deadtime.reports.verdict import verdict
 
     require_width(width)
-    log = None if csv is None else _log(csv)
+    log = None if csv is None else output_file("csv", csv, kinds=(".csv",))
     chosen = problem_with(problem, step, horizon, x0)
+    picture = output_file("out", out, chosen.name)
     if law is not None:
         chosen = replace(chosen, laws={law: chosen.law(law)})
     steps = len(chosen.laws) + chosen.plant.modes
     with progress_bar(steps, quiet=json_output) as advance:
         result = compare(chosen, advance)
-    saved = _save_figures(result, _picture(chosen, out), width)
+    saved = _save_figures(result, picture, width)
     logs = [] if log is None else _save_logs(result, log)
     if json_output:
         print_json(metrics_of(result), [*saved, *logs])
@@ -128,14 +135,6 @@ def simulate(
     print("\nFigure: " + ", ".join(map(str, saved)))
     if logs:
         print("Log: " + ", ".join(map(str, logs)))
-
-
-def _log(path: Path) -> Path:
-    """Where the log goes."""
-    path = path if path.suffix else path.with_suffix(".csv")
-    if path.suffix.lower() != ".csv":
-        raise ArgumentError(f"csv must end in .csv, got {str(path)!r}.")
-    return path
 
 
 def _save_logs(result: Comparison, path: Path) -> list[Path]:
@@ -148,20 +147,9 @@ def _save_logs(result: Comparison, path: Path) -> list[Path]:
         names = [f"{number}-{name}".rstrip("-") for number, name in enumerate(names, 1)]
     for name, run in zip(names, result.runs.values(), strict=True):
         target = path if len(names) == 1 else path.with_stem(f"{path.stem}-{name}")
-        try:
-            run.to_csv(target, problem.states, problem.inputs, problem.tracked)
-        except OSError as error:
-            raise ArgumentError(
-                f"csv {str(target)!r} cannot be written ({error.strerror}): choose another file."
-            ) from None
+        run.to_csv(target, problem.states, problem.inputs, problem.tracked)
         saved.append(target)
     return saved
-
-
-def _picture(problem: Problem, out: Path | None) -> Path:
-    """Where the figure goes; PNG unless the name says otherwise."""
-    path = Path(f"{problem.name}.png") if out is None else out
-    return path if path.suffix else path.with_suffix(".png")
 
 
 def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Path]:

@@ -170,7 +170,8 @@ def even_terms(
 ) -> list[Term]:
     """The regressions of evenly sampled logs; input j of mode i is read in cell N of its delay.
 
-    x_{k+1} = Φ(h) x_k + Σ_j [(W(h) − W(s_j)) b_j u_{j,k−N} + W(s_j) b_j u_{j,k−N+1}] + W(h) c + w_k,
+    x_{k+1} = Φ(h) x_k + Σ_j [(W(h) − W(s_j)) b_j u_{j,k−N} + W(s_j) b_j u_{j,k−N+1}] + W(h) c
+              + w_k,
     s_j = N h − D_j:    u_{k−N} acts until D_j − (N − 1) h, and u_{k−N+1} after it
     """
     A, B, delays = layout.split(theta)

@@ -2,7 +2,7 @@
 
 With D in the cell [(N − 1) h, N h] only u_{k−N} and u_{k−N+1} act, so x_{k+1} is linear in x_k and
 those, whatever D is. The N with the likeliest residuals is taken; A = log Φ / h, and the weights of
-the two samples tell B and the fraction of the period. A cell needs the inputs of its own lags alone.
+the two samples tell B and the fraction of the period. A cell needs inputs of its own lags alone.
 """
 
 from __future__ import annotations

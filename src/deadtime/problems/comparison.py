@@ -135,7 +135,7 @@ def ending(problem: Problem, name: str, run: Trajectory) -> Outcome:
     if not is_pushed(law, problem.imperfections):
         return outcome_of(run, problem.horizon)
     other = replace(problem, x0=elsewhere(problem.x0))
-    return outcome_of(run, problem.horizon, lambda: other.run(law))
+    return outcome_of(run, problem.horizon, lambda: other.run(law), problem.imperfections)
 
 
 def _growth(problem: Problem) -> tuple[float, ...]:

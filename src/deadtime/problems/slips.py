@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from deadtime.base.wording import as_rate
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.problem import Problem
@@ -47,10 +49,10 @@ and the law does not see them. Is it in seconds? Shorten it.
             f"The step, {step:g} s, is not shorter than the horizon, {horizon:g} s: the law acts "
             "once. Are both in seconds? Shorten the step."
         )
-    dwell = _dwell_time(problem)
-    if step is not None and step > dwell:
+    stay, what = _stay(problem)
+    if step is not None and step > stay:
         found.append(
-            f"The step, {step:g} s, is longer than the dwell time, {dwell:g} s: modes come and go "
+            f"The step, {step:g} s, is longer than {what}, {stay:.4g} s: modes come and go "
             "between two samples, and the law does not see them. Is it in seconds? Shorten it."
         )
     return found
@@ -82,9 +84,17 @@ def disagreement_of(result: Comparison) -> list[str]:
     return []
 
 
-def _dwell_time(problem: Problem) -> float:
-    """The dwell time stated, else that of the signal; infinite where there is none."""
-    if problem.dwell_time is not None:
-        return problem.dwell_time
+def _stay(problem: Problem) -> tuple[float, str]:
+    """How long modes are expected to last, infinite where nothing says it, and what that is.
+
+    The dwell time stated, else that of the signal. A signal drawn from a model may have sojourns
+    as short as they come: there it is the median.
+    """
     signal = problem.signal
-    return signal.dwell_time if isinstance(signal, SwitchingSignal) else math.inf
+    if problem.dwell_time is not None:
+        return problem.dwell_time, "the dwell time"
+    if not isinstance(signal, SwitchingSignal) or signal.switches == 0:
+        return math.inf, ""
+    if problem.switching is None:
+        return signal.dwell_time, "the dwell time"
+    return float(np.median(np.diff(signal.times))), "half of the signal's sojourns"

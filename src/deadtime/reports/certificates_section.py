@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import file_name
+from deadtime.base.wording import file_name, with_names
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
 from deadtime.problems.asked import signals_of, step_of
@@ -68,9 +68,12 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     signals, step = signals_of(problem, result.signal), step_of(problem)
     dwell, source = signals.dwell
     judged = judge(problem, step=step, progress=progress, **signals.options)
-    sentences = [*left_out(problem), *certificate_sentences(judged)]
+    sentences = [
+        *left_out(problem),
+        *(with_names(one, problem.modes) for one in certificate_sentences(judged)),
+    ]
     if signals.chatter > 1 or not signals.constraint.is_plain:
-        stays, switches = signals.in_words()
+        stays, switches = (with_names(one, problem.modes) for one in signals.in_words())
         sentences.insert(0, f"Certificates are about every signal that {stays}, and {switches}.")
     figures = []
     reach = _tightness_figure(problem, dwell, step, progress)

@@ -6,10 +6,9 @@ from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from io import BytesIO
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from deadtime.base.errors import ArgumentError
+from deadtime.base.staging import replacing
 from deadtime.identification import Identification
 from deadtime.identification.results.report_figures import figures_of
 from deadtime.reports.page import render
@@ -79,12 +78,8 @@ def write_identification(
         If the file cannot be written.
     """
     text = identification_page(fit, pictures_of(figures_of(fit)), sentences, title, command)
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError(
-            f"report {str(path)!r} cannot be written ({error.strerror}): choose another file."
-        ) from None
+    with replacing(path, "report") as place:
+        place.write_text(text, encoding="utf-8")
 
 
 def identification_page(

@@ -11,28 +11,33 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from deadtime.base.errors import ArgumentError
+from deadtime.base.errors import DeadtimeError
 from deadtime.base.record import json_text
+from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
+
+PAGE = "index.html"
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """Make the folders of a report; refuse by name what cannot be written.
+def writing(folder: Path) -> Iterator[Path]:
+    """A folder for the files of a report, which appear in `folder` when all of them are made.
 
     Raises
     ------
     ArgumentError
         If the folder cannot be written, now or while the context lasts.
     """
-    try:
-        for part in ("figures", "data"):
-            (folder / part).mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        raise ArgumentError(
-            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
-        ) from None
+    with Staging() as staging:
+        place = staging.folder(folder)
+        try:
+            for part in ("figures", "data"):
+                (place / part).mkdir()
+            yield place
+        except DeadtimeError:
+            raise
+        except OSError as error:
+            raise unwritable("folder", folder, error) from None
 
 
 def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
@@ -50,11 +55,9 @@ def write_metrics(record: Mapping[str, Any], folder: Path, indent: int = 2) -> N
     (folder / "metrics.json").write_text(json_text(record, indent) + "\n", encoding="utf-8")
 
 
-def write_page(folder: Path, template: str, **parts: Any) -> Path:
-    """Write index.html, by a template of `templates/`; its path."""
-    path = folder / "index.html"
-    path.write_text(render(template, **parts), encoding="utf-8")
-    return path
+def write_page(folder: Path, template: str, **parts: Any) -> None:
+    """Write the page, by a template of `templates/`."""
+    (folder / PAGE).write_text(render(template, **parts), encoding="utf-8")
 
 
 def render(template: str, **parts: Any) -> str:

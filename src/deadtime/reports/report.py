@@ -27,7 +27,7 @@ from deadtime.reports.figures.comparison import (
     plot_window,
 )
 from deadtime.reports.metrics import metrics_of
-from deadtime.reports.page import save_figure, write_metrics, write_page, writing
+from deadtime.reports.page import PAGE, save_figure, write_metrics, write_page, writing
 from deadtime.reports.tables import tracking
 from deadtime.reports.tables.certificates import delay_sentence
 from deadtime.reports.tables.constants import (
@@ -110,8 +110,9 @@ def write_report(
         If the folder cannot be written.
     """
     folder, progress = Path(folder), reporter("progress", progress)
-    with writing(folder):
-        return _write(problem, folder, progress, command, certificates)
+    with writing(folder) as place:
+        sentences, result = _write(problem, place, progress, command, certificates)
+    return Report(folder / PAGE, sentences, result)
 
 
 def _whose(result: Comparison) -> str:
@@ -135,7 +136,7 @@ def steps_of(problem: Problem, certificates: bool = True) -> int:
 
 def _write(
     problem: Problem, folder: Path, progress: Progress, command: str, certificates: bool
-) -> Report:
+) -> tuple[list[str], Comparison]:
     result = compare(problem, progress)
     sentences = [*verdict(result), *delay_sentence(problem)]
     progress("drawing: verdict")
@@ -152,7 +153,7 @@ def _write(
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
-    path = write_page(
+    write_page(
         folder,
         "report.html.j2",
         **_setting(problem),
@@ -161,7 +162,10 @@ def _write(
         headings=headings_of(result),
         rows=table(result),
         tracking=[
-            (tracking.heading_of(problem, i), tracking.rows_of_runs(result.runs, i))
+            (
+                tracking.heading_of_runs(problem, result.runs, i),
+                tracking.rows_of_runs(problem, result.runs, i),
+            )
             for i in range(len(problem.tracked))
         ],
         tracking_headings=tracking.HEADINGS,
@@ -172,7 +176,7 @@ def _write(
         certified=certified,
         command=f" with “{command}”" if command else "",
     )
-    return Report(path, sentences, result)
+    return sentences, result
 
 
 def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any] | None:

@@ -87,7 +87,7 @@ def _headline(result: Comparison) -> str:
         count = f"{switches} switches" if switches > 1 else "one switch"
         setting = (
             f"on a signal with {count} in {problem.horizon:g} s "
-            f"(dwell time {signal.dwell_time:.2g} s)"
+            f"(dwell time {float(f'{signal.dwell_time:.2g}'):g} s)"
         )
     law = the_problem_law(result.lead)
     law = law[0].upper() + law[1:]
@@ -243,15 +243,24 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
         f"{_times(result, result.lead, oracle)} as much"
     )
     others = [*_names_of(result, MeanPredictor)[:1], *_names_of(result, ExpectedPredictor)[:1]]
+    costs = {
+        name: math.inf if result.runs[name].diverged else row["cost"]
+        for name, row in result.metrics.items()
+        if not isinstance(result.problem.laws[name], ExactPredictor)
+    }
+    best = min(costs, key=lambda name: costs[name])
+    # Named only if it is cheaper than those that are named anyway.
+    if costs[best] * (1.0 + _SAME) < min(costs[name] for name in (result.lead, *others)):
+        others.append(best)
     text += "".join(f", {the_problem_law(name)} {_times(result, name, oracle)}" for name in others)
-    costs = {name: result.metrics[name]["cost"] for name in (result.lead, *others)}
-    if others and max(costs.values()) <= min(costs.values()) * (1.0 + _SAME):
-        text += ": on this signal they cost the same"
-    elif others:
-        best = min(costs, key=lambda name: costs[name])
-        word = "cheaper" if len(others) == 1 else "cheapest"
-        text += f": on this signal {the_problem_law(best)} is the {word}"
-    return text + "."
+    named = {name: costs[name] for name in (result.lead, *others)}
+    best = min(named, key=lambda name: named[name])
+    if not others or not math.isfinite(named[best]):
+        return text + "."
+    if max(named.values()) <= named[best] * (1.0 + _SAME):
+        return text + ": on this signal they cost the same."
+    law = the_problem_law(best)
+    return f"{text}: on this signal {law} is the cheapest of those that do not know the future."
 
 
 def table(result: Comparison) -> list[tuple[str, ...]]:

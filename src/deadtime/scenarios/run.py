@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ from deadtime.scenarios.memory import require_memory
 from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel, source_of
 from deadtime.scenarios.workers import Progress, run_blocks, show_progress
+from deadtime.simulation.outcome import is_pushed
 from deadtime.simulation.simulate import require_steps
 from deadtime.simulation.step_figures import TRACKING
 from deadtime.simulation.tracking import Followed
@@ -234,11 +236,20 @@ def compare(
         "delay": plant.delay_data if plant.has_one_delay else plant.delays.ravel().tolist(),
         "backend": backend,
         "imperfections": [in_words(one) for one in imperfections],
+        "grows_above": _grows_above(x0, named.values(), imperfections),
         "one_by_one": [name for name in named if name not in tables],
         "interrupted": int(interrupted),
         "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
     }
     return Comparison(list(named), results, step, attributes, weight)
+
+
+def _grows_above(
+    x0: np.ndarray, laws: Iterable[Law], imperfections: Sequence[Imperfection]
+) -> float:
+    """|x(T)| above which a run that does not decay has grown; ∞ where x is pushed, or at rest."""
+    pushed = any(is_pushed(law, imperfections) for law in laws)
+    return math.inf if pushed or not x0.any() else float(np.linalg.norm(x0))
 
 
 def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:

@@ -9,6 +9,7 @@ from os import PathLike
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.staging import replacing
 from deadtime.base.wording import one_line, subscript
 
 
@@ -46,7 +47,7 @@ def write_csv(
         if name not in (letter, f"{letter}{subscript(i + 1)}")
     }
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-    with open(path, "w", newline="", encoding="utf-8") as file:
+    with replacing(path) as place, place.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([told.get(name, name) for name in columns])
         writer.writerows(rows)

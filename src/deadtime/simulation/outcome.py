@@ -20,7 +20,7 @@ from jaxtyping import Float
 from deadtime.base.wording import amount
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
-from deadtime.imperfections import Additive, Disturbance, Imperfection
+from deadtime.imperfections import Additive, Disturbance, Imperfection, StepDisturbance
 from deadtime.simulation.trajectory import Trajectory
 
 SETTLED = 0.02  # of the largest distance from where a run comes to rest
@@ -46,6 +46,8 @@ class Outcome:
     settling : float
         Seconds, from when on x stays within 2 % of its largest distance from there; ∞ if it
         does not.
+    since : float
+        When the last event before that was (`events_of`), seconds; 0 where there was none.
     """
 
     kind: Kind
@@ -54,6 +56,7 @@ class Outcome:
     peak: float
     rest: Float[np.ndarray, " n"] | None
     settling: float
+    since: float = 0.0
 
     @property
     def lost(self) -> bool:
@@ -74,7 +77,10 @@ class Outcome:
             return f"|x| falls from {origin} to {amount(self.final)}"
         if self.kind == "settles" and self.rest is not None:
             where = f"where what pushes it holds it, at |x| = {amount(_norm(self.rest))}"
-            return f"x settles in {self.settling:.3g} s {where}"
+            if not self.since:
+                return f"x settles in {self.settling:.3g} s {where}"
+            after = f"{self.settling - self.since:.3g} s after the last event"
+            return f"x settles {after}, at {self.since:.4g} s, {where}"
         if self.kind == "bounded":
             peak, final = amount(self.peak), amount(self.final)
             return f"x stays bounded, |x| ends at {final} after a peak of {peak}"
@@ -98,8 +104,31 @@ def elsewhere(x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return np.zeros(x0.size) if x0.any() else np.ones(x0.size) / math.sqrt(x0.size)
 
 
+def events_of(run: Trajectory, imperfections: Sequence[Imperfection]) -> list[float]:
+    """When something changes during a run: switches, steps of references, of disturbances.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> len(events_of(problem.simulate("averaged"), ())) == problem.signal.switches
+    True
+    """
+    found = set(run.signal.times[1:].tolist())
+    if run.followed is not None:
+        outputs = range(run.followed.rows.shape[1])
+        found |= {t for i in outputs for t in run.followed.changes(run.end, i)}
+    for one in imperfections:
+        if isinstance(one, StepDisturbance):
+            found |= {float(one.start), float(one.end)}
+    return sorted(t for t in found if 0.0 < t < run.end)
+
+
 def outcome_of(
-    run: Trajectory, horizon: float, again: Callable[[], Trajectory] | None = None
+    run: Trajectory,
+    horizon: float,
+    again: Callable[[], Trajectory] | None = None,
+    imperfections: Sequence[Imperfection] = (),
 ) -> Outcome:
     """How a run ends.
 
@@ -111,6 +140,8 @@ def outcome_of(
         How long it should have been, seconds.
     again : callable, optional
         The same run from `elsewhere`, for a loop that is `is_pushed`; it is run only if need be.
+    imperfections : sequence of Imperfection
+        Of the run: disturbances among them that begin or end are events.
 
     Examples
     --------
@@ -139,7 +170,8 @@ def outcome_of(
         kind = "bounded"
         if rest is not None:
             kind = "settles" if _norm(rest) > SETTLED * peak else "falls"
-    return Outcome(kind, start, final, peak, rest, settling)
+    events = [t for t in events_of(run, imperfections) if t < settling < math.inf]
+    return Outcome(kind, start, final, peak, rest, settling, max(events, default=0.0))
 
 
 def keeps_up(run: Trajectory, perfect: Trajectory) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -86,23 +87,28 @@ class Followed(Frozen):
         return any(abs(change - since) <= slack for change in self.changes(end, output))
 
     def window(
-        self, time: Float[np.ndarray, " T"], output: int = 0, since: float | None = None
+        self,
+        time: Float[np.ndarray, " T"],
+        output: int = 0,
+        since: float | None = None,
+        until: float = math.inf,
     ) -> tuple[slice, Float[np.ndarray, " W"]]:
         """The samples from a step of an output's reference, its last, to its next; and r there.
 
-        The sample at the next step still answers to this one, and has its r.
+        The sample at the next step still answers to this one, and has its r; so does that at
+        `until`, where it ends earlier.
         """
         changes = self.changes(float(time[-1]), output)
         begin = changes[-1] if since is None else since
         slack = TOLERANCE * max(1.0, float(time[-1]))
         first, *stops = (
             int(np.searchsorted(time, t - slack))
-            for t in (begin, *(change for change in changes if change > begin))
+            for t in (begin, *(t for t in (*changes, until) if begin < t < math.inf))
         )
         where = slice(first, min([stop + 1 for stop in stops], default=time.size))
         r = self.reference.along(time[where])[:, output]
         if stops and r.size > 1:
-            r[-1] = r[-2]
+            r[-1] = r[-2]  # also at `until`, where it is the same anyway unless r is a function
         return where, r
 
     def absolute_error(

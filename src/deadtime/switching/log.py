@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.staging import replacing
 from deadtime.base.text_files import read_text
 
 MOST_BYTES = 100_000_000
@@ -177,7 +178,7 @@ def write_log(log: SwitchingLog, path: str | PathLike[str]) -> None:
     known = [()] * len(rows)
     if log.initial_age:
         known = [(repr(log.initial_age),), *[("",)] * (len(rows) - 1)]
-    with Path(path).open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as place, place.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("time", "mode", "initial_age")[: 2 + len(known[0])])
         writer.writerows((repr(t), mode, *age) for (t, mode), age in zip(rows, known, strict=True))

@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from deadtime.base.errors import CertificateFileError
+from deadtime.base.staging import replacing
 from deadtime.base.text_files import read_text
 from deadtime.base.version import __version__
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
@@ -87,12 +88,8 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
         **_function(evidence),
     }
     content["sha256"] = digest(content)
-    try:
-        path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise CertificateFileError(
-            f"path {str(path)!r} cannot be written ({error.strerror}): choose another one."
-        ) from None
+    with replacing(path) as place:
+        place.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     return path
 
 

@@ -3,13 +3,11 @@
 from deadtime.controller.export.c_code import Exported, export_c
 from deadtime.controller.export.fmu import ExportedFmu, export_fmu, export_plant_fmu
 from deadtime.controller.export.names import Names
-from deadtime.controller.export.staging import Staging
 
 __all__ = [
     "Exported",
     "ExportedFmu",
     "Names",
-    "Staging",
     "export_c",
     "export_fmu",
     "export_plant_fmu",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
+from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export import belief_code, observer_code, prediction_code
 from deadtime.controller.export.bounds import bounds, largest
@@ -30,7 +31,6 @@ from deadtime.controller.export.names import Names, in_comment
 from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.controller.export.prediction_code import PredictionForm
 from deadtime.controller.export.refusals import require_exportable, require_limits
-from deadtime.controller.export.staging import Staging, unwritable
 
 if TYPE_CHECKING:
     import numpy as np

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, real_array, require_shape
+from deadtime.base.staging import Staging
 from deadtime.controller.export.belief_code import outputs_of
 from deadtime.controller.export.c_code import c_sources, given_of
 from deadtime.controller.export.fmi_description import Version
@@ -18,7 +19,6 @@ from deadtime.controller.export.forms import Precision
 from deadtime.controller.export.literals import brackets, initializer, literal
 from deadtime.controller.export.names import Names
 from deadtime.controller.export.observer_code import ObserverForm
-from deadtime.controller.export.staging import Staging
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:

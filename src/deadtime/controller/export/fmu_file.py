@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export.c_code import environment
 from deadtime.controller.export.compiler import compile_and_link
@@ -25,7 +26,6 @@ from deadtime.controller.export.fmi_description import (
     build_description,
     description,
 )
-from deadtime.controller.export.staging import Staging, unwritable
 
 _LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the same FMU twice is the same file
 _SUFFIX = {"linux": "so", "darwin": "dylib", "win32": "dll"}

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.base.staging import replacing
 from deadtime.identification.excitation.information import Prospect
 from deadtime.identification.parameters import Layout
 from deadtime.plant import SwitchedSystem
@@ -135,10 +136,8 @@ class Experiment(Frozen):
         """
         table = self.to_pandas()
         table["t"] = [f"{t:.12g}" for t in self.time]
-        try:
-            table.to_csv(path, index=False, float_format="%.12g")
-        except OSError as error:
-            raise ArgumentError(f"{path} cannot be written: {error.strerror}.") from None
+        with replacing(path) as place:
+            table.to_csv(place, index=False, float_format="%.12g")
 
 
 def _sentences(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deadtime.base.checks import positive
-from deadtime.base.errors import ArgumentError
+from deadtime.base.staging import replacing
 from deadtime.base.wording import one_line
 from deadtime.switching.models.sojourns import mean_sojourn
 
@@ -185,7 +184,5 @@ def _texts(names: tuple[str, ...]) -> str:
 
 def write_problem(text: str, path: str | PathLike[str]) -> None:
     """Write a problem file."""
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError(f"{path} cannot be written: {error.strerror}.") from None
+    with replacing(path) as place:
+        place.write_text(text, encoding="utf-8")

@@ -22,6 +22,7 @@ from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.simulation.initial_input import InitialInput
 from deadtime.simulation.outcome import at_rest, elsewhere, is_pushed, keeps_up, outcome_of, pushes
+from deadtime.simulation.tracking import Followed
 from deadtime.switching import Rule, SwitchingSignal
 
 Cost = Float[np.ndarray, " scenario"]
@@ -61,10 +62,20 @@ class Setting:
         return f"over {self.horizon:g} s of this signal"
 
     def costs(self, more: Sequence[Imperfection]) -> Cost:
-        """The cost of every scenario with more imperfections."""
+        """What every scenario with more imperfections costs, as `priced` names it."""
         whole = (*self.imperfections, *more)
         runs = (self._run(self.x0, whole, i) for i in range(self.scenarios))
-        return np.array([run.metrics(self.weight)["cost"] for run in runs])
+        return np.array([self._price(run) for run in runs])
+
+    @property
+    def priced(self) -> str:
+        """What noise costs: of a loop that follows a reference the error, else the cost."""
+        return "the cost" if Followed.of(self.law) is None else "∫|r − y|²"
+
+    def _price(self, run: Trajectory) -> float:
+        if run.tracked is None or run.reference is None:
+            return run.metrics(self.weight)["cost"]
+        return self.step * float(np.sum((run.reference - run.tracked) ** 2))
 
     def runs(self, more: Sequence[Imperfection], scenarios: int) -> tuple[Cost, np.ndarray]:
         """The cost of every scenario with more imperfections, and how it ends."""

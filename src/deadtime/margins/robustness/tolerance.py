@@ -14,10 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.base.frozen import Frozen
+from deadtime.base.wording import amount
 from deadtime.imperfections import Imperfection, Noise
 from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, Cost, Setting
 
 _TRIALS = 10
+_CROOKED = 0.3  # of what the largest noise adds: further off, the cost is not quadratic in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,9 @@ class Tolerance(Frozen):
 class NoisePrice(Frozen):
     """What measurement noise costs: E cost = `base` + `slope`·std² in a loop that is linear.
 
+    The cost of a loop that follows a reference is ∫|r − y|² here: at rest on its reference a loop
+    goes on costing ∫|x|² + |u|², beside which no noise shows.
+
     Attributes
     ----------
     std : (k,)
@@ -62,7 +67,7 @@ class NoisePrice(Frozen):
     cost : (k, scenarios)
     base, slope : float
     doubling : float
-        The standard deviation that doubles the cost.
+        The standard deviation that doubles the cost; NaN where that could not be told.
     message : str
     """
 
@@ -157,10 +162,18 @@ def noise_price(setting: Setting, unit: float) -> NoisePrice:
     cost = np.array([base_cost, *(setting.costs([Noise(s)]) for s in std[1:])])
     slope = float((cost[1:].mean(axis=1) - base) @ std[1:] ** 2 / np.sum(std[1:] ** 4))
     doubling = math.sqrt(base / slope) if slope > 0.0 else math.nan
-    share = f", {100.0 * doubling / unit:.2g} % of |x(0)|" if setting.x0.any() else ""
+    if not 0.0 < doubling < math.inf or np.abs(cost.mean(axis=1) - base - slope * std**2).max() > (
+        _CROOKED * slope * std[-1] ** 2
+    ):
+        text = (
+            f"the price of measurement noise could not be told: {setting.priced} does not grow "
+            "with its variance, as where inputs are at their limits"
+        )
+        return NoisePrice(std, cost, base, slope, math.nan, text)
     signal = "state" if setting.law.outputs is None else "output"
-    text = (
-        f"measurement noise with a standard deviation of {doubling:.2g} in every {signal}{share}, "
-        "doubles the cost"
-    )
+    text = f"measurement noise with a standard deviation of {amount(doubling)} in every {signal}"
+    if setting.x0.any():
+        part = doubling / unit
+        text += f", {100.0 * part:.2g} % of |x(0)|," if part < 1.0 else ""
+    text += f" doubles {setting.priced}"
     return NoisePrice(std, cost, base, slope, doubling, text)

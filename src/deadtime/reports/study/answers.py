@@ -8,7 +8,7 @@ import numpy as np
 
 from deadtime.base.wording import amount
 from deadtime.problems.law_registry import LEVELS, the_law
-from deadtime.reports.study.findings import favourite, summary, typical_regret, unbeaten
+from deadtime.reports.study.findings import LOST, favourite, summary, typical_regret, unbeaten
 from deadtime.reports.study.knowledge_answer import (
     EXPECTED,
     worth_of_distribution,
@@ -76,9 +76,12 @@ def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
     figures, cells = summary(data).sel(law=law), int(unbeaten(data, able).sel(law=law).sum())
     regret, calm = figures.regret.values, figures.stabilised.values
     typical, worst = float(typical_regret(data).sel(law=law)), float(np.nanmax(regret))
+    capped = int(np.sum(~(regret <= LOST)))
+    how = f", {of_cells(capped, regret.size)} counted as {LOST:g} times" if capped else ""
     return (
         f"Knowing {WORDS[level]}: {the_law(law)}. Its ∫|x|² is {amount(typical)} times the "
-        f"oracle’s, the geometric mean over the grid, and {amount(worst)} times in the worst cell. "
+        f"oracle’s, the geometric mean over the grid{how}, and {amount(worst)} times in "
+        "the worst cell. "
         f"It stabilises more than {percent(MOST)} of the signals in "
         f"{of_cells(int(np.sum(calm > MOST)), regret.size)}, and no law that knows as much beats "
         f"it in {of_cells(cells, regret.size)}."

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.base.wording import file_name
 from deadtime.problems.law_registry import LEVELS, the_law
-from deadtime.reports.page import save_figure, write_metrics, write_page, writing
+from deadtime.reports.page import PAGE, save_figure, write_metrics, write_page, writing
 from deadtime.reports.study import maps
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.phrases import Answer
@@ -78,13 +78,14 @@ def write_study(
     with writing(folder):  # before an hour of runs
         pass
     data = run_study(study, folder / "data" / "study.zarr", workers, progress, scheduler)
-    with writing(folder):
-        return write_findings(study, data, folder, command)
+    with writing(folder) as place:
+        found, record = write_findings(study, data, place, command)
+    return StudyReport(folder / PAGE, found, data, record)
 
 
 def write_findings(
     study: FileStudy, data: xr.Dataset, folder: Path, command: str = ""
-) -> StudyReport:
+) -> tuple[list[Answer], dict[str, Any]]:
     """Everything but the runs themselves, from the dataset of `run_study`."""
     found = answers(data)
     write_cells(data, folder / "data" / "cells.csv")
@@ -93,7 +94,7 @@ def write_findings(
     causal = [law for law in study.laws if law != ORACLE]
     caption = "∫|x|² over the oracle’s, geometric mean and 95 % interval, on one line of the grid."
     picture = save_figure(maps.plot_lines(data, causal), folder, "lines", caption)
-    path = write_page(
+    write_page(
         folder,
         "study.html.j2",
         **_setting(study),
@@ -104,7 +105,7 @@ def write_findings(
         laws=[(law, the_law(law), list(_alone(data, law, folder))) for law in study.laws],
         failures=failures(data),
     )
-    return StudyReport(path, found, data, record)
+    return found, record
 
 
 def _duels(data: xr.Dataset, answer: Answer, folder: Path) -> Iterator[dict[str, str]]:

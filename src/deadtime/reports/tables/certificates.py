@@ -17,7 +17,7 @@ from deadtime.base.checks import count, positive, reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.base.record import record
 from deadtime.base.threads import in_order
-from deadtime.base.wording import as_rate, sentence_of
+from deadtime.base.wording import as_rate, sentence_of, with_names
 from deadtime.plant.switched_system import check_delays
 from deadtime.problems import Problem
 from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
@@ -335,7 +335,7 @@ def delay_sentence(problem: Problem) -> list[str]:
     except ArgumentError:
         return []
     but = ", but for the imperfections," if problem.imperfections else ""
-    return [f"Under the law “{name}”{but} {margin.message}."]
+    return [with_names(f"Under the law “{name}”{but} {margin.message}.", problem.modes)]
 
 
 def _decay(certificate: Certificate | None) -> str:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 ORACLE = "oracle"
 LEVELS = (0.05, 0.5, 0.95)
+GROWN = 1e6  # times a peak of x under the same push: no push does that to a loop that decays
 _INTERVAL = "95 % interval"
 
 
@@ -64,6 +65,8 @@ class LawSummary:
         true median with a probability of at least 95 % whatever the distribution.
     best_interval : Interval
         Of `best`, Wilson's.
+    grew : int
+        Number of scenarios on which it diverged, or |x| grew; see `summary`.
     iae : Quantiles or None
         Of ∫|r − y|, where all laws follow a reference.
     """
@@ -74,6 +77,7 @@ class LawSummary:
     best: float
     relative: float
     diverged: int
+    grew: int
     interval: Interval
     relative_interval: Interval
     best_interval: Interval
@@ -102,7 +106,7 @@ class Summary:
     @property
     def headings(self) -> list[str]:
         """Of the columns of `rows`."""
-        return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "diverged"]
+        return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "|x| grows"]
 
     def rows(self) -> list[list[str]]:
         """What ranks the laws, for a terminal, a row for each law."""
@@ -112,7 +116,7 @@ class Summary:
                 *map(compact, getattr(one, self.measure)),
                 _share(one.best),
                 compact(one.relative),
-                f"{one.diverged:,}",
+                f"{one.grew:,}",
             ]
             for one in self.laws
         ]
@@ -169,6 +173,10 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
     scenarios with J_ℓi = min_k J_ki < ∞, and its relative cost is the median of J_ℓi / J_ri
     over i, r being the reference law. Where all laws follow a reference J is ∫|r − y| instead.
 
+    A run has grown that diverged, or whose |x| does not decay over its second half and ends above
+    where it started; where a reference, a disturbance or noise pushes x, above `GROWN` times the
+    least peak that a law has on the same scenario.
+
     Parameters
     ----------
     data : xarray.Dataset or Comparison
@@ -198,6 +206,7 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
     least = ranked.min(axis=0)
     best = [Proportion.of(row) for row in (ranked == least) & np.isfinite(least)]
     ratios, diverged = relative_costs(data), _lost(data).sum(axis=1)
+    grew = _grown(data).sum(axis=1)
     laws = tuple(
         LawSummary(
             name,
@@ -206,6 +215,7 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
             best[i].fraction,
             _quantiles(ratios[i]).median,
             int(diverged[i]),
+            int(grew[i]),
             _interval(ranked[i]),
             _interval(ratios[i]),
             Interval(*best[i].interval),
@@ -244,11 +254,25 @@ def reference_of(data: xr.Dataset | Comparison) -> str:
 
 def losses(data: xr.Dataset | Comparison, metric: str) -> Float[np.ndarray, "law scenario"]:
     """A metric, infinite on diverged scenarios."""
+    return np.where(_lost(data), np.inf, _values(data, metric))
+
+
+def _values(data: xr.Dataset | Comparison, metric: str) -> Float[np.ndarray, "law scenario"]:
+    """A metric of the runs up to their ends."""
     if isinstance(data, Comparison):
-        values = data.keep(data.results.metrics[metric])
-    else:
-        values = data[metric].transpose("law", "scenario").values.astype(float)
-    return np.where(_lost(data), np.inf, values)
+        return data.keep(data.results.metrics[metric])
+    return data[metric].transpose("law", "scenario").values.astype(float)
+
+
+def _grown(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
+    """Where a law diverged, or |x| grew."""
+    told = data.attributes if isinstance(data, Comparison) else data.attrs
+    if "grows_above" not in told:
+        return _lost(data)
+    start = float(told["grows_above"])
+    above = start if math.isfinite(start) else GROWN * losses(data, "peak").min(axis=0)
+    rises = (_values(data, "decay_rate") < 0.0) & (_values(data, "final_norm") > above)
+    return _lost(data) | rises
 
 
 def _lost(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:

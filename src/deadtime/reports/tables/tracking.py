@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deadtime.base.wording import compact
+from deadtime.plant.steps import TOLERANCE
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
+from deadtime.simulation.outcome import events_of
 from deadtime.simulation.step_figures import TRACKING
 
 if TYPE_CHECKING:
@@ -37,10 +39,34 @@ def heading_of(problem: Problem, output: int) -> str:
     return f"{problem.tracked[output]} after the last step of its reference"
 
 
-def rows_of_runs(runs: Mapping[str, Trajectory], output: int) -> list[list[str]]:
-    """A row for each run that follows a reference."""
-    found = {n: run.step_info(output) for n, run in runs.items() if run.followed is not None}
-    return [_row(name, [info[key] for key in _NAMES]) for name, info in found.items()]
+def heading_of_runs(problem: Problem, runs: Mapping[str, Trajectory], output: int) -> str:
+    """The same of one run for each law, with when the first event after it ends what is shown."""
+    for run in runs.values():
+        if run.followed is not None:
+            since = run.followed.changes(run.end, output)[-1]
+            until = _next_event(problem, run, since)
+            to = (
+                "" if until is None else f", at {since:g} s, until the next event, at {until:.4g} s"
+            )
+            return heading_of(problem, output) + to
+    return heading_of(problem, output)
+
+
+def rows_of_runs(problem: Problem, runs: Mapping[str, Trajectory], output: int) -> list[list[str]]:
+    """A row for each run that follows a reference: from its last step to the next event."""
+    rows = []
+    for name, run in runs.items():
+        if run.followed is not None:
+            since = run.followed.changes(run.end, output)[-1]
+            info = run.step_info(output, until=_next_event(problem, run, since))
+            rows.append(_row(name, [info[key] for key in _NAMES]))
+    return rows
+
+
+def _next_event(problem: Problem, run: Trajectory, since: float) -> float | None:
+    """When something else happens than a step at a time; None where nothing does."""
+    later = (t for t in events_of(run, problem.imperfections) if t > since + TOLERANCE * run.end)
+    return next(later, None)
 
 
 def rows_of_many(data: Comparison, output: int) -> list[list[str]]:
@@ -74,8 +100,9 @@ def record_of_run(problem: Problem, run: Trajectory) -> dict[str, Any]:
     return {
         "tracking": {
             name: [
-                {"since": since, **run.step_info(i, since)}
+                {"since": since, "until": until, **run.step_info(i, since, until)}
                 for since in followed.changes(run.end, i)
+                for until in [_next_event(problem, run, since)]
             ]
             for i, name in enumerate(problem.tracked)
         }

@@ -34,7 +34,8 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         import distributed
     except ImportError:
         raise ArgumentError(
-            'a sweep runs on Dask, which is not installed: pip install "deadtime[sweep]".'
+            "a sweep runs on Dask, which is not installed: "
+            'pip install ".[sweep]" in a clone of deadtime.'
         ) from None
     if scheduler is not None:
         with _remote(scheduler) as client:

@@ -221,7 +221,8 @@ def _group(url: str) -> zarr.Group:
         import zarr
     except ModuleNotFoundError:
         raise ArgumentError(
-            'a sweep\'s store needs Zarr, which is not installed: pip install "deadtime[sweep]".'
+            "a sweep's store needs Zarr, which is not installed: "
+            'pip install ".[sweep]" in a clone of deadtime.'
         ) from None
     try:
         return zarr.open_group(url, mode="r+")

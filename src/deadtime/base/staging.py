@@ -1,12 +1,19 @@
-"""Exports are made whole or not at all: beside their places, and moved there when all are made."""
+"""Files are written whole or not at all: beside their places, and moved there when all are made.
+
+So an interrupt, a full disk or a second writer never leaves a half-written file, and who reads
+while a file is replaced sees the old one or the new one.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
+from uuid import uuid4
 
 from deadtime.base.errors import ArgumentError
 
@@ -48,19 +55,29 @@ class Staging:
             raise unwritable("folder", target, error) from None
         return place
 
-    def file(self, target: Path) -> Path:
-        """An empty file, for what `target` will hold."""
+    def file(self, target: Path, name: str = "path") -> Path:
+        """An empty file with the ending of `target`, for what that will hold.
+
+        What is no file, such as a pipe, and a file in a folder where none can be made beside it
+        are themselves what is written to.
+        """
         try:
             if target.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            if target.exists():
+                if not (target.is_file() and os.access(target.resolve().parent, os.W_OK)):
+                    return target
+                if not os.access(target, os.W_OK):
+                    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             around = [place for place, folder, _ in self._moves if folder == target.parent]
             if around and not target.parent.exists():
                 place = around[0] / target.name  # it appears with its folder
             else:
-                place = self._place(target.parent, target, "path")
+                real = target.resolve()  # a link stays one
+                place = self._place(real.parent, real, name)
             place.touch(exist_ok=False)
         except OSError as error:
-            raise unwritable("path", target, error) from None
+            raise unwritable(name, target, error) from None
         return place
 
     def __exit__(
@@ -70,14 +87,18 @@ class Staging:
         where: TracebackType | None,
     ) -> None:
         try:
-            for move in self._moves if kind is None else ():
-                _move(*move)
+            for place, target, name in self._moves if kind is None else ():
+                try:
+                    _move(place, target)
+                except OSError as failed:
+                    raise unwritable(name, target, failed) from None
         finally:
             for place, _, _ in self._moves:
                 if place.is_dir():
                     shutil.rmtree(place, ignore_errors=True)
                 else:
-                    place.unlink(missing_ok=True)
+                    with suppress(OSError):  # never made, or its folder has become read-only
+                        place.unlink()
             for parent in reversed(self._parents):
                 if not any(parent.iterdir()):
                     parent.rmdir()
@@ -92,23 +113,50 @@ class Staging:
         """A name that nobody else uses, on the same file system."""
         if any(target == other for _, other, _ in self._moves):
             raise ArgumentError(f"{name} {str(target)!r} is asked for twice: give two names.")
-        place = beside / f".deadtime-{os.getpid()}-{len(self._moves)}"
+        place = beside / f".deadtime-{uuid4().hex}{target.suffix}"
         self._moves.append((place, target, name))
         return place
 
 
-def _move(place: Path, target: Path, name: str) -> None:
-    """What was made, to where it belongs."""
-    try:
-        if place.is_dir() and target.is_dir():
-            for file in sorted(place.iterdir()):
-                file.replace(target / file.name)
-        else:
-            place.replace(target)
-    except OSError as error:
-        raise unwritable(name, target, error) from None
+@contextmanager
+def replacing(target: str | os.PathLike[str], name: str = "path") -> Iterator[Path]:
+    """A file to write to, which becomes `target` when the block ends without an error.
+
+    Raises
+    ------
+    ArgumentError
+        If it cannot be written, now or while the block lasts; `name` is what the message calls it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     target = Path(folder) / "a.txt"
+    ...     with replacing(target) as place:
+    ...         _ = place.write_text("made")
+    ...         before = target.exists()
+    ...     before, target.read_text(), len(list(target.parent.iterdir()))
+    (False, 'made', 1)
+    """
+    with Staging() as staging:
+        place = staging.file(Path(target), name)
+        try:
+            yield place
+        except OSError as error:
+            raise unwritable(name, Path(target), error) from None
+
+
+def _move(place: Path, target: Path) -> None:
+    """What was made, to where it belongs; the files of a folder one by one, if it is there."""
+    if place.is_dir() and target.is_dir():
+        for one in sorted(place.iterdir()):
+            _move(one, target / one.name)
+        return
+    if target.is_file():
+        shutil.copymode(target, place)
+    place.replace(target)
 
 
 def unwritable(name: str, target: Path, error: OSError) -> ArgumentError:
     """The error that says why a place cannot be written."""
-    return ArgumentError(f"{name} {str(target)!r} cannot be written: {error.strerror}.")
+    return ArgumentError(f"{name} {str(target)!r} cannot be written: {error.strerror or error}.")
