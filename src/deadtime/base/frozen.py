@@ -9,7 +9,8 @@ written to.
 
 from __future__ import annotations
 
-from typing import Any
+import copy
+from typing import Any, Self
 
 import numpy as np
 
@@ -41,6 +42,35 @@ class Frozen:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         _lock(state)
+
+
+class Stateful:
+    """A base of objects that change as they run: `copy.copy` gives one that goes on by itself.
+
+    A copy has arrays of its own, but for those that cannot be written to.
+    """
+
+    def __copy__(self) -> Self:
+        memo: dict[int, Any] = {}
+        _share(vars(self), memo, set())
+        return copy.deepcopy(self, memo)
+
+
+def _share(value: Any, memo: dict[int, Any], seen: set[int]) -> None:
+    """Note in `memo` what a copy may share: frozen objects, and arrays nobody can write to."""
+    if id(value) in seen:
+        return
+    seen.add(id(value))
+    if isinstance(value, Frozen) or (isinstance(value, np.ndarray) and not value.flags.writeable):
+        memo[id(value)] = value
+    elif isinstance(value, dict):
+        for part in value.values():
+            _share(part, memo, seen)
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            _share(part, memo, seen)
+    elif hasattr(value, "__dict__"):
+        _share(vars(value), memo, seen)
 
 
 def _freeze(value: Any) -> Any:

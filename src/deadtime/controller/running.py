@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Stateful
 from deadtime.controller.arguments import limits_of, require_state, vector
 from deadtime.controller.believing import believing_of
 from deadtime.controller.observing import Observing
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from deadtime.controller.prediction import Prediction
 
 
-class RunningLaw:
+class RunningLaw(Stateful):
     """A law that runs: `update` once a period; see `Controller` for parameters and attributes.
 
     `measured` is the number of states, or outputs, that are measured at a sample, and `inner` is

@@ -66,7 +66,7 @@ class Estimator:
         q = r if tracked is not None and tracked.integral else 0
         n = plant.states
         self.z = np.zeros(n + q + r)
-        self._x, self._q, self._r = self.z[:n], self.z[n : n + q], self.z[n + q :]
+        self._parts = slice(0, n), slice(n, n + q), slice(n + q, n + q + r)
         self.corrected = False
         self.ring = np.zeros((sampled.longest_lag + 1, plant.inputs))
         self._spare = np.zeros(n)
@@ -75,6 +75,19 @@ class Estimator:
         self.before, self._now = np.zeros(r), np.zeros(r)
         self._innovation = np.zeros(observer.outputs)
         self._nothing = np.full(observer.outputs, np.nan)
+
+    # Views that are made when they are used: a copy's are of its own z.
+    @property
+    def _x(self) -> Float[np.ndarray, " n"]:
+        return self.z[self._parts[0]]
+
+    @property
+    def _q(self) -> Float[np.ndarray, " q"]:
+        return self.z[self._parts[1]]
+
+    @property
+    def _r(self) -> Float[np.ndarray, " r"]:
+        return self.z[self._parts[2]]
 
     def begin(self, history: Float[np.ndarray, "past m"]) -> None:
         """Start anew; `history` are the inputs before, at least N of them, the oldest first."""

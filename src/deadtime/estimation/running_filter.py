@@ -7,13 +7,14 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_shape
+from deadtime.base.frozen import Stateful
 from deadtime.estimation.bank import Bank
 from deadtime.estimation.filter_arguments import belief_of
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief, BeliefState
 
 
-class RunningFilter:
+class RunningFilter(Stateful):
     """A `ModeFilter` that runs: `update` once a period; made by `ModeFilter.start`.
 
     Attributes
@@ -70,7 +71,7 @@ class RunningFilter:
         return self._state.now.sum(axis=1)
 
 
-class RunningOutputFilter:
+class RunningOutputFilter(Stateful):
     """An `OutputModeFilter` that runs: `update` once a period; made by `OutputModeFilter.start`.
 
     Attributes

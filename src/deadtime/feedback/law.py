@@ -7,11 +7,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import wraps
+from types import FunctionType, NoneType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import positive
+from deadtime.base.checks import brief, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
@@ -46,6 +48,51 @@ class Remembering(ABC):
         """u_k; a mode below 0 is not known."""
 
 
+# What the methods of a law return, whoever writes it.
+_ANSWERS = {
+    "digital": (Feedback,),
+    "ideal": (Forecast, Functional, Outlook),
+    "online": (Callable,),
+    "foresight": (Foresight, NoneType),
+}
+
+
+def _answering(name: str, method: FunctionType, kinds: tuple[type, ...]) -> Callable[..., Any]:
+    """The method of a law, held to what it is to return."""
+
+    @wraps(method)
+    def checked(self: Law, *args: Any, **options: Any) -> Any:
+        answer = method(self, *args, **options)
+        if not isinstance(answer, kinds):
+            wanted = " or ".join(kind.__name__.replace("NoneType", "None") for kind in kinds)
+            raise ArgumentError(
+                f"{type(self).__name__}.{name} must return a {wanted}, got "
+                f"{brief(answer)}, a {type(answer).__name__}."
+            )
+        if isinstance(answer, Feedback):
+            _require_fit(self, answer)
+        return answer
+
+    return checked
+
+
+def _require_fit(law: Law, table: Feedback) -> None:
+    """Refuse a table that is none for the law's model: of other sizes or rows."""
+    plant, (rows, m, n) = law.plant, table.state_gain.shape
+    name, inputs = f"{type(law).__name__}.digital", m - table.memory
+    if isinstance(law, TableLaw) and (inputs, n) != (plant.inputs, plant.states):
+        raise ArgumentError(
+            f"{name} must return gains of shape (rows, m, n) = (rows, {plant.inputs}, "
+            f"{plant.states}), got {table.state_gain.shape}."
+        )
+    wanted = {"none": 1, "mode": plant.modes, "mode_age": plant.modes * table.ages, "step": rows}
+    if wanted.get(table.context) != rows:
+        raise ArgumentError(
+            f"{name} must return {wanted.get(table.context)} rows for the context "
+            f"{table.context!r}, ages = {table.ages} and {plant.modes} modes, got {rows}."
+        )
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Law(Frozen, ABC):
     """A predictor-feedback law.
@@ -59,6 +106,12 @@ class Law(Frozen, ABC):
     outputs : (modes, p, n) array or None
         C_i, of a law that measures y = C_σ x; None for the whole state.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, kinds in _ANSWERS.items():
+            if isinstance(own := vars(cls).get(name), FunctionType):
+                setattr(cls, name, _answering(name, own, kinds))
 
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m n"] | None
@@ -122,7 +175,8 @@ class Law(Frozen, ABC):
         """
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.label}; model {self.plant!r})"
+        label = self.label if isinstance(self.label, str) else "its label is no text"
+        return f"{type(self).__name__}({label}; model {self.plant!r})"
 
     def sampled_plant(self, step: float) -> SampledPlant:
         """The model at a sampling period."""
@@ -188,6 +242,16 @@ class TableLaw(Law):
             return feedback.state_gain[row] @ x + G[row] @ past[-taps:].ravel()
 
         return control
+
+
+def require_input(asked: Any, inputs: int) -> Float[np.ndarray, " m"]:
+    """What an `Update` returned, as an input; a number is that of a plant with one."""
+    if asked is None or (np.shape(asked) != (inputs,) and (np.ndim(asked) or inputs > 1)):
+        raise ArgumentError(
+            f"law.online(step) must make a function that returns u_k of shape (m,) = ({inputs},), "
+            f"got {brief(asked)}."
+        )
+    return np.reshape(asked, inputs)
 
 
 Digital = Callable[..., Feedback]

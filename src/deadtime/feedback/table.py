@@ -122,7 +122,7 @@ class Feedback(Frozen):
     state_gain : (contexts, m, n)
         F_c.
     input_gain : (contexts, N, m, m)
-        G_{c,j}, j = 1 (the latest input) first.
+        G_{c,j}, j = 1 (the latest input) first, N ≥ 1.
     context : "none", "mode", "mode_age" or "step"
         What selects the row; see the module.
     step : float
@@ -159,6 +159,11 @@ class Feedback(Frozen):
             raise ArgumentError(
                 f"input_gain must have shape (contexts, N, m, m) = ({rows}, N, {m}, {m}), "
                 f"got {taps}."
+            )
+        if taps[1] == 0:
+            raise ArgumentError(
+                f"input_gain must hold at least one tap a row (N ≥ 1), got shape {taps}: a law "
+                f"that reads no past input has one of zeros, np.zeros(({rows}, 1, {m}, {m}))."
             )
         require_finite_gains(self.state_gain, self.input_gain)
         # Where they are: a table may take as much memory as there is for one.

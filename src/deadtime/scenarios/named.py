@@ -13,7 +13,7 @@ def named_laws(laws: object) -> dict[str, Law]:
     if isinstance(laws, Mapping):
         pairs = list(laws.items())
     elif isinstance(laws, Sequence) and not isinstance(laws, str):
-        pairs = [(getattr(law, "label", ""), law) for law in laws]
+        pairs = [(_label_of(law), law) for law in laws]
     else:
         hint = ": for one law, write [law]" if isinstance(laws, Law) else ""
         raise ArgumentError(
@@ -35,3 +35,14 @@ def named_laws(laws: object) -> dict[str, Law]:
             )
         named[name] = law
     return named
+
+
+def _label_of(law: object) -> str:
+    """A law's own name."""
+    label = getattr(law, "label", "")
+    if not isinstance(label, str):
+        raise ArgumentError(
+            f"{type(law).__name__}.label must be a text, got a {type(label).__name__}: make it a "
+            "property, or name the laws yourself, with a dict of names to laws."
+        )
+    return label

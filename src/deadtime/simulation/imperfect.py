@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.feedback.law import Remembering, Update
+from deadtime.feedback.law import Remembering, Update, require_input
 from deadtime.imperfections import (
     ActuatorImperfection,
     Imperfection,
@@ -112,6 +112,7 @@ class ImperfectLaw:
 
     def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
         asked = self.update(x, past, max(self._mode, 0), self._age)
+        asked = require_input(asked, past.shape[1])
         if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
             return asked
         return self.commanded[-1] if self.commanded else past[-1].copy()

@@ -17,7 +17,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ChatteringError
 from deadtime.feedback import Law
 from deadtime.feedback.belief import Believing
-from deadtime.feedback.law import Update
+from deadtime.feedback.law import Update, require_input
 from deadtime.plant.steps import snap
 from deadtime.simulation.compiled import Lags
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
@@ -129,7 +129,8 @@ def _run(
                 last = truth.mode
                 seen = x if lags is None else _before(truth, k, lags, path, first, grid)
                 try:
-                    inputs[now] = update(seen, inputs[:now], last, age)
+                    asked = update(seen, inputs[:now], last, age)
+                    inputs[now] = require_input(asked, inputs.shape[1])
                 except ChatteringError as error:
                     inputs[now] = inputs[now - 1]
                     note = f"{error} The run ends at t = {k * h:g} s, its last input held over."

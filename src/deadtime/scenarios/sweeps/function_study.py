@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import inspect
-import marshal
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +17,7 @@ from deadtime.scenarios.dataset import METRICS
 from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel
 from deadtime.scenarios.sweeps.axes import Axis, no_write
+from deadtime.scenarios.sweeps.content import source_of, values_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study, require_axis
 
 _KEYS = ("plant", "laws", "model", "x0", "horizon", "step")
@@ -27,12 +25,21 @@ _KEYS = ("plant", "laws", "model", "x0", "horizon", "step")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FunctionStudy(Study):
-    """A study whose cells a function makes (immutable); see `function_study`."""
+    """A study whose cells a function makes (immutable); see `function_study`.
+
+    Attributes
+    ----------
+    function : callable
+        From a cell's values to a mapping of what `monte_carlo` takes.
+    values : mapping
+        All that the function reads beside them, as `deadtime.scenarios.sweeps.content` puts it.
+    """
 
     function: Callable[..., Mapping[str, Any]]
+    values: Mapping[str, Any]
 
     def particulars(self) -> dict[str, Any]:
-        return {"function": _text(self.function), "values": _bound_values(self.function)}
+        return {"function": self.text, "values": dict(self.values)}
 
     def loop(self, cell: Cell) -> Loop:
         given = {name: value for name, value in cell.values.items() if name != "seed"}
@@ -64,8 +71,9 @@ def function_study(
         Called with a cell's values as keyword arguments (but for ``seed``); returns a mapping with
         ``plant``, ``laws`` (named alike in every cell), ``model``, ``x0``, ``horizon``, ``step``
         and perhaps ``imperfections`` and ``weight``, as `monte_carlo` takes them. It
-        runs on the workers; its source text, its defaults and the values around it are part of
-        what tells studies apart, globals that it reads are not.
+        runs on the workers. Its source text, its defaults, the values around it and the globals
+        that it reads tell studies apart: arrays, plants, laws, helpers and nested mappings by what
+        they hold, libraries by name.
     grid : mapping
         From names to values, numbers or texts. ``seed`` stands for that of the signals.
     scenarios, seed : int
@@ -77,8 +85,9 @@ def function_study(
     Raises
     ------
     ArgumentError
-        If the grid is empty somewhere or holds a value twice, or the function does not make a loop
-        of the grid's first cell.
+        If the grid is empty somewhere or holds a value twice, the function does not make a loop
+        of the grid's first cell, or it reads something that cannot be compared with what another
+        run reads, such as an open file or a random generator.
 
     Examples
     --------
@@ -114,8 +123,9 @@ def function_study(
         seed=count("seed", seed, 0),
         metrics=tuple(metrics),
         title=title or getattr(function, "__name__", ""),
-        text=_text(function),
+        text=source_of(function),
         function=function,
+        values=values_of(function),
     )
     laws = tuple(study.loop(next(study.cells())).laws)
     return FunctionStudy(**{**vars(study), "laws": laws})
@@ -159,28 +169,3 @@ def _loop(made: Any) -> Loop:
     parts["step"] = positive("step", parts["step"])
     parts["weight"] = weight_of(parts.get("weight"), parts["plant"])
     return Loop(**parts)
-
-
-def _text(function: Callable[..., Any]) -> str:
-    """The source text; of a function that has none, its name and a digest of what it does."""
-    try:
-        return textwrap.dedent(inspect.getsource(function))
-    except (OSError, TypeError):
-        code = hashlib.sha256(marshal.dumps(function.__code__)).hexdigest()
-        return f"{function.__qualname__} {code}"
-
-
-def _bound_values(function: Callable[..., Any]) -> dict[str, Any]:
-    """Defaults, and values of the functions around it, as far as they are numbers or texts."""
-    names = inspect.signature(function).parameters.items()
-    values = {name: one.default for name, one in names if one.default is not one.empty}
-    values |= inspect.getclosurevars(function).nonlocals
-    return {name: _for_json(value) for name, value in values.items()}
-
-
-def _for_json(value: Any) -> Any:
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    if isinstance(value, (list, tuple)):
-        return [_for_json(one) for one in value]
-    return value if isinstance(value, (int, float, str, type(None))) else type(value).__name__
