@@ -162,7 +162,7 @@ def identify(
         zeros,
         per_mode,
         noise,
-        (max(low, _SHORTEST * recording.step), high),
+        (low, high),
         switches == "anywhere",
         progress,
     )
@@ -174,7 +174,7 @@ def identify(
 
 
 class _Asked(NamedTuple):
-    """What is asked: see `identify`. numbers : of hidden modes; bounds : of delays."""
+    """What is asked: see `identify`. numbers : of hidden modes; bounds : of delays, s."""
 
     C: ArrayLike | None
     numbers: tuple[int, ...] | None
@@ -189,7 +189,8 @@ class _Asked(NamedTuple):
 
 def _identified(recording: Recording, asked: _Asked) -> Identification:
     """What a recording tells."""
-    C, numbers, order, zeros, per_mode, noise, bounds, within, progress = asked
+    C, numbers, order, zeros, per_mode, noise, (low, high), within, progress = asked
+    bounds = max(low, _SHORTEST * recording.step), high
     about = recording.about(level_of(recording))
     if order is not None:
         of = identify_outputs(about, order, zeros, per_mode, bounds, within, progress)
@@ -213,7 +214,7 @@ def _identified(recording: Recording, asked: _Asked) -> Identification:
         if hidden.estimate is not None:
             return Identification.of_hidden(hidden, sensors, named)
         said = hidden.sentences
-    progress(f"looking for the delay between {bounds[0]:g} and {bounds[1]:g} s")
+    progress(f"looking for the delay between {low:g} and {high:g} s")
     direct = as_states(about, sensors)
     found = estimate_exactly(direct, replace(layout, constant=True), bounds, within)
     sure = C is not None or bool(noise)

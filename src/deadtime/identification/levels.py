@@ -143,6 +143,7 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
     weighted = size[:, None] * M * scale
     solve = scale[:, None] * np.linalg.pinv(weighted, rcond=_RANK) * size
     shift = -solve @ layout.constant_of(theta).ravel()
+    shift[np.abs(shift) < _NOTHING * scale] = 0.0  # round-off, of what is no deviation
     states, inputs = shift[: layout.n], shift[layout.n :]
     left, variance = _about(layout, theta, information, -states, -inputs)
     free = np.diagonal(variance) > 0.0
