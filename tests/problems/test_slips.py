@@ -146,3 +146,16 @@ def test_a_delay_that_floats_cannot_tell_from_none_is_compared_like_any_short_on
     laws = {"averaged": dt.AveragedPredictor(plant, PAPER.gains)}
     result = compare(dataclasses.replace(PAPER, plant=plant, laws=laws, step=2.5))
     assert len(result.growth) == 2
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.5, 2.0])
+def test_short_sojourns_of_a_drawn_signal_are_no_slip_but_short_ones_as_a_rule_are(rate):
+    model = dt.Markov([[0.0, rate], [rate, 0.0]])
+    signal = model.sample(400.0 / rate, seed=1)
+    assert signal.dwell_time < 0.05 / rate < 5.0 / rate
+    drawn = dataclasses.replace(
+        PAPER, switching=model, signal=signal, dwell_time=None, horizon=300.0 / rate
+    )
+    assert slips_of(drawn, 0.05 / rate) == []
+    (said,) = slips_of(drawn, 5.0 / rate)
+    assert said.startswith(f"The step, {5.0 / rate:g} s, is longer than half of the signal's soj")

@@ -138,3 +138,24 @@ def test_a_law_whose_gains_overflow_is_refused_by_name(law, message):
     plant = dt.SwitchedSystem([[[800.0]]], [[[1.0]]], delay=1.0)
     with pytest.raises(dt.ArgumentError, match=f"gains over its delay {message}"):
         law(plant)
+
+
+@pytest.mark.parametrize("cheap", ["a", "delay ignored", "only 1"])
+def test_the_cheapest_law_is_that_of_the_table(cheap):
+    """Whichever law it is, and whatever others the sentence names."""
+    result = compare(PAPER)
+    laws = {f"law {name}": law for name, law in result.problem.laws.items()}
+    others = [name for name in laws if not isinstance(laws[name], dt.ExactPredictor)]
+    least = others[["a", "delay ignored", "only 1"].index(cheap)]
+    metrics = {
+        f"law {name}": {**row, "cost": 1.0 if f"law {name}" == least else 2.0}
+        for name, row in result.metrics.items()
+    }
+    runs = {f"law {name}": result.runs["oracle"] for name in result.runs}
+    outcomes = {f"law {name}": result.outcomes["oracle"] for name in result.runs}
+    made = dataclasses.replace(
+        result, problem=dataclasses.replace(result.problem, laws=laws), metrics=metrics,
+        runs=runs, outcomes=outcomes,
+    )  # fmt: skip
+    (told,) = (text for text in verdict(made) if text.startswith("Compared with an oracle"))
+    assert f"the law “{least}” is the cheapest of those that do not know the future." in told

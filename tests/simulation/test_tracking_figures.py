@@ -234,3 +234,18 @@ def test_the_commands_say_them(tmp_path, capsys):
     place = header.split(",").index("IAE[0]")
     found = sorted(float(row.split(",")[place]) for row in rows)
     assert record["IAE"] == pytest.approx(found[3])
+
+
+@pytest.mark.parametrize("until", [1.6, 2.3, 5.0, 9.0, 12.0])
+def test_a_window_that_ends_at_an_event_is_that_of_a_run_that_ends_there(until):
+    run = dt.simulate(PLANT, LOOP, SIGNAL, [0.0, 0.0], 16.0, 0.1)
+    last = min(round(10 * until), 90)  # the reference steps again at 9 s
+    part = slice(10, last + 1)
+    found = run.step_info(since=1.0, until=until)
+    assert found == step_info(run.time[part], run.states[0, part], np.ones(last - 9))
+
+
+def test_a_window_that_ends_before_its_step_is_refused():
+    run = dt.simulate(PLANT, LOOP, SIGNAL, [0.0, 0.0], 16.0, 0.1)
+    with pytest.raises(dt.ArgumentError, match="until must be after the step, at 9 s, got 5"):
+        run.step_info(until=5.0)

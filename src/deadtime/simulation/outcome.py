@@ -111,7 +111,8 @@ def events_of(run: Trajectory, imperfections: Sequence[Imperfection]) -> list[fl
     --------
     >>> import deadtime as dt
     >>> problem = dt.problems.paper()
-    >>> len(events_of(problem.simulate("averaged"), ())) == problem.signal.switches
+    >>> step = dt.imperfections.StepDisturbance([0.0, 1.0], start=0.125)
+    >>> 0.125 in events_of(problem.simulate("averaged"), [step])
     True
     """
     found = set(run.signal.times[1:].tolist())

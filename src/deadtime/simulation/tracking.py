@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.checks import number
+from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.estimation import OutputFeedback
 from deadtime.estimation.reference import Reference
@@ -91,7 +93,7 @@ class Followed(Frozen):
         time: Float[np.ndarray, " T"],
         output: int = 0,
         since: float | None = None,
-        until: float = math.inf,
+        until: float | None = None,
     ) -> tuple[slice, Float[np.ndarray, " W"]]:
         """The samples from a step of an output's reference, its last, to its next; and r there.
 
@@ -100,6 +102,9 @@ class Followed(Frozen):
         """
         changes = self.changes(float(time[-1]), output)
         begin = changes[-1] if since is None else since
+        until = math.inf if until is None else number("until", until)
+        if until <= begin:
+            raise ArgumentError(f"until must be after the step, at {begin:g} s, got {until:g}.")
         slack = TOLERANCE * max(1.0, float(time[-1]))
         first, *stops = (
             int(np.searchsorted(time, t - slack))
@@ -108,7 +113,7 @@ class Followed(Frozen):
         where = slice(first, min([stop + 1 for stop in stops], default=time.size))
         r = self.reference.along(time[where])[:, output]
         if stops and r.size > 1:
-            r[-1] = r[-2]  # also at `until`, where it is the same anyway unless r is a function
+            r[-1] = r[-2]
         return where, r
 
     def absolute_error(

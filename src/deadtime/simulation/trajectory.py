@@ -175,15 +175,11 @@ class Trajectory(Frozen):
             Which of the tracked outputs.
         since : float, optional
             When the step is, seconds: the window is from there to the next step of this output's
-            reference; by default its last one in the run. `followed.changes(end, output)` lists
-            them.
+            reference; by default its last one in the run, of `followed.changes(end, output)`.
         until : float, optional
-            When the window ends, seconds, if not at that next step: such as a switch or a
-            disturbance, so that what the run does about it is not counted as settling.
-        settling : float
-            Of the step: what counts as settled.
-        rise : pair of float
-            Of the step: between which shares it rises.
+            When the window ends, if earlier: at a switch or a disturbance, which is no settling.
+        settling, rise : float, pair of float
+            Of the step: what counts as settled, and between which shares it rises.
 
         Returns
         -------
@@ -220,10 +216,7 @@ class Trajectory(Frozen):
         if since is not None and not 0.0 <= number("since", since) < time[-1]:
             raise ArgumentError(f"since must be in [0, {self.end:g}) s, got {since:g}.")
         stepped = since is None or self.followed.steps_at(since, self.end, output)
-        begin = self.followed.changes(self.end, output)[-1] if since is None else since
-        if until is not None and not begin < number("until", until):
-            raise ArgumentError(f"until must be after the step, at {begin:g} s, got {until:g}.")
-        where, r = self.followed.window(time, output, since, np.inf if until is None else until)
+        where, r = self.followed.window(time, output, since, until)
         found = step_info(time[where], y[output, where], r, settling, rise)
         found |= {} if stepped else dict.fromkeys(OF_STEPS, np.array(np.nan))
         return {name: float(value) for name, value in found.items()}
