@@ -165,7 +165,7 @@ def _deviations(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[n
 def _about(
     layout: Layout,
     theta: Float[np.ndarray, " size"],
-    information: Float[np.ndarray, "size size"],
+    information: Float[np.ndarray, "unknown unknown"],
     states: Float[np.ndarray, " n"],
     inputs: Float[np.ndarray, " m"],
 ) -> tuple[Float[np.ndarray, " term"], Float[np.ndarray, "term term"]]:
