@@ -88,7 +88,7 @@ def test_the_ending_of_a_figure_is_checked_before_the_work(folder, capsys, monke
     monkeypatch.setattr("deadtime.margins.robustness", worked)
     monkeypatch.setattr(dt.SwitchingSignal, "from_csv", worked)
     assert code_of(*FILES[command], "run.xyz") == 2
-    assert "must end in .png or .svg or .pdf, got 'run.xyz'" in capsys.readouterr().err
+    assert "must end in .png or .svg or .pdf or .pgf, got 'run.xyz'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])

@@ -43,7 +43,7 @@ def spoilt(tmp_path, name, factor=1.01):
 
     tables = tmp_path / "controller_tables.h"
     text = tables.read_text()
-    start = re.search(rf"controller_real {name}[\[\d\]]+ =", text).end()
+    start = re.search(rf"controller_real \w*{name}[\[\d\]]+ =", text).end()
     end = text.index(";", start)
     number = re.findall(r"[-\d.e]+", text[start:end])[-1]
     at = text.rindex(number, start, end)

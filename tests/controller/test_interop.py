@@ -130,7 +130,7 @@ def test_a_law_of_another_plant_is_refused_before_anything_runs():
 def test_where_python_control_is_missing_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     plant = dt.problems.paper().plant
-    with pytest.raises(dt.ArgumentError, match=r'pip install "deadtime\[control\]"'):
+    with pytest.raises(dt.ArgumentError, match=r'pip install "\.\[control\]"'):
         plant_to_control(plant, 0.3)
 
 

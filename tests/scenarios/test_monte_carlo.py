@@ -73,6 +73,7 @@ def test_dataset_is_labelled_with_names_units_and_its_setting():
         "imperfections": [],
         "one_by_one": [],
         "interrupted": 0,
+        "grows_above": np.sqrt(2.0),
         "message": "",
         "version": dt.__version__,
     }

@@ -114,7 +114,11 @@ def plot(
             "choose one of them with --kind and --law."
         )
     folder = output_folder("out", out.parent if single else out)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror
+        raise ArgumentError(f"out {str(folder)!r} cannot be written: {reason}.") from None
     paths = _write(plan, out, single, quiet=json_output)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)

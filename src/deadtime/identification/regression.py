@@ -139,7 +139,8 @@ def inputs_at(part: Part, rows: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, 
 
 def stacked(part: Part, k: np.ndarray, low: int, high: int, constant: bool) -> np.ndarray:
     """z = (x_{k+1}, x_k, u_{k−low}, …, u_{k−high}) of periods, and 1 for a constant term."""
-    u = inputs_at(part, k[:, None] - np.arange(low, high + 1)).reshape(k.size, -1)
+    lags = np.arange(low, high + 1)
+    u = inputs_at(part, k[:, None] - lags).reshape(k.size, lags.size * part.input.shape[1])
     return np.hstack((part.output[k + 1], part.output[k], u, np.ones((k.size, int(constant)))))
 
 

@@ -360,19 +360,8 @@ def trajectory_of(
         with np.errstate(over="ignore", invalid="ignore"):
             mismatch = (inputs - feedback).T
         mismatch = np.where(np.isinf(mismatch), np.inf, mismatch)
-    return Trajectory(
-        time,
-        states.T,
-        inputs.T,
-        mode_at(time),
-        mismatch,
-        diverged,
-        message,
-        plant,
-        signal,
-        record,
-        end,
-    )
+    rest = mismatch, diverged, message, plant, signal, record, end
+    return Trajectory(time, states.T, inputs.T, mode_at(time), *rest)
 
 
 def _exact_feedback(

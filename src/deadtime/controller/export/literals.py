@@ -25,7 +25,7 @@ def exact(value: float, precision: Precision) -> str:
     Examples
     --------
     >>> exact(2.0**70, "double"), exact(2.0**-10, "float")
-    ('1180591620717411303424.0', '9.765625E-4f')
+    ('1180591620717411303424.0', '0.0009765625f')
     """
     return _with_point(str(Decimal(value))) + ("f" if precision == "float" else "")
 
