@@ -71,6 +71,8 @@ def _mixed(
         low[place] = np.maximum((own - 1) * h, log.bounds[0])
         high[place] = np.minimum(own * h, log.bounds[1])
         found = climb(evaluate_in(own), theta, low, high, gain=_GAIN)
+        if not np.isfinite(found.found.value):
+            continue
         F = found.found.information.copy()
         F[place[row], place[row]] += 12.0 / h**2
         told = np.arange(size) if isinstance(log, ExactLog) else log.told(found.theta, F)

@@ -61,13 +61,17 @@ def start_of(
 def _sums_of(
     recording: Recording, layout: Layout, first: int, last: int, within: bool
 ) -> _CommonPeriods | _OwnPeriods:
-    """The periods that a scan compares cells by: the same for all where most are left so."""
+    """The periods that a scan compares cells by: the same for all where most are left so.
+
+    And where the log is shorter than the range of delays: it tells next to nothing of them.
+    """
     lags = lags_of(recording.parts, layout, first - 1, last, within, root=False)
     every = np.zeros(layout.modes)
     for part in recording.parts:
         own = part.mode[:-1][known_ends(part, within)]
         every += np.bincount(own, minlength=layout.modes)
-    if (lags.periods >= _MOST_OF * every).all():
+    longest = max(part.time.size for part in recording.parts)
+    if (lags.periods >= _MOST_OF * every).all() or longest <= last:
         return _CommonPeriods(lags.root, lags.periods)
     some, z = recording.stretches(_ENOUGH, last), [[] for _ in range(layout.modes)]
     for part in some.parts:
