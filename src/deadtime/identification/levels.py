@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     _Log = TypeVar("_Log", ExactLog, NoisyLog)
 
-CHANCE = 0.01  # that constant terms are taken for such though there are none
+CHANCE = 1e-3  # that constant terms are taken for such though there are none
 _APART = 1e-3  # that modes are taken to rest apart though they do not
 _NOTHING = 1e-6  # of what states and inputs move dx/dt by: a term so small is round-off
 _RANK = 1e-6  # of the largest singular value, scaled: a direction that hardly moves a rest

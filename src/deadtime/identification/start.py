@@ -63,7 +63,7 @@ def _sums_of(
 ) -> _CommonPeriods | _OwnPeriods:
     """The periods that a scan compares cells by: the same for all where most are left so.
 
-    And where the log is shorter than the range of delays: it tells next to nothing of them.
+    And where the log is shorter than twice the range of delays, which is refused as too short.
     """
     lags = lags_of(recording.parts, layout, first - 1, last, within, root=False)
     every = np.zeros(layout.modes)
@@ -71,7 +71,7 @@ def _sums_of(
         own = part.mode[:-1][known_ends(part, within)]
         every += np.bincount(own, minlength=layout.modes)
     longest = max(part.time.size for part in recording.parts)
-    if (lags.periods >= _MOST_OF * every).all() or longest <= last:
+    if (lags.periods >= _MOST_OF * every).all() or longest <= 2 * last:
         return _CommonPeriods(lags.root, lags.periods)
     some, z = recording.stretches(_ENOUGH, last), [[] for _ in range(layout.modes)]
     for part in some.parts:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.levels import without_level
+from deadtime.identification.levels import CHANCE
 from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
@@ -76,18 +76,35 @@ def _require_moving(recording: Recording) -> None:
             )
 
 
+def _about_its_rest(request: Request) -> tuple[Chosen, Request]:
+    """The likeliest plant that rests at 0, or elsewhere if that is likelier than chance makes it.
+
+    Each is sought by itself: a maximum of the one may lead to a lower one of the other.
+    """
+    from scipy.stats import chi2
+
+    layout = replace(request.layout, constant=False)
+    plain = request._replace(recording=request.recording.absolute(), layout=layout)
+    chosen = chosen_of(plain)
+    if not request.layout.constant:
+        return chosen, plain
+    other = chosen_of(request)
+    rise = 2.0 * (other.best.found.value - chosen.best.found.value)
+    more = max(other.log.free.size - chosen.log.free.size, 1)
+    if rise > float(chi2.isf(CHANCE, more)):
+        return other, request
+    return chosen, plain
+
+
 def estimate_from_outputs(request: Request) -> tuple[Estimate, Chosen]:
     """The likeliest plant with the states that were asked for, and how it was chosen."""
+    chosen, request = _about_its_rest(request)
     recording = request.recording
-    chosen = chosen_of(request)
     best, scan = chosen.best, chosen.scan
     nodes = nodes_for(recording.parts, request.layout.split(best.theta[: request.layout.size])[0])
     log = replace(chosen.log, recording=recording, nodes=nodes)
     request.progress("looking how well the log tells it")
     top, window = maximise(log, best.theta)
-    log, kept = without_level(log, top.theta, top.found.information, chosen.shape.C.T)
-    if kept.size < top.theta.size:
-        top, window = maximise(log, top.theta[kept])
     curves = scan.curves * (recording.samples / chosen.log.recording.samples)
     start = start_beside(log, top, scan.first, curves)
     try:
