@@ -1,4 +1,4 @@
-"""What is drawn on the page and in its figure: references, the mismatch where there is one, names."""
+"""The page and its figure draw references, a mismatch where there is one, and names as they are."""
 
 import io
 
@@ -57,6 +57,7 @@ def opened(text, tmp_path):
     return open_named(str(path))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", list(OUTPUTS))
 def test_a_reference_is_drawn_beside_what_follows_it(kind, tmp_path):
     output, row = OUTPUTS[kind]
@@ -78,7 +79,10 @@ def test_a_reference_is_drawn_beside_what_follows_it(kind, tmp_path):
     axes = figure.axes[0 if row == "x0" else 2]
     r = axes.get_lines()[-1].get_ydata()
     np.testing.assert_array_equal(r, run.reference[0])
-    assert [one.get_text() for one in figure.legends[0].get_texts()] == [*page.outcome.runs, "reference"]
+    assert [one.get_text() for one in figure.legends[0].get_texts()] == [
+        *page.outcome.runs,
+        "reference",
+    ]
     assert figure.axes[-1].get_xlabel() == "time (s)"
 
 
@@ -115,11 +119,14 @@ def test_the_panel_of_the_mismatch_comes_and_goes_with_the_laws_that_have_one(ow
     assert len(page.figures.panels["w"].select(name="averaged")) == 1
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["cost $x$", "$$", "$$u^2$$", r"\(a\)", r"$\frac", r"\[x\]", "_$"])
 def test_names_are_shown_as_they_are_and_never_as_formulas(name, tmp_path):
     quoted = name.replace("\\", "\\\\")
     text = OWN.replace('["level", "flow"]', f'["{quoted}", "flow"]\ninputs = ["{quoted}", "u"]')
-    text = text.replace("inputs", f'modes = ["{quoted}", "b", "c"]\ninputs').replace("middle", quoted)
+    text = text.replace("inputs", f'modes = ["{quoted}", "b", "c"]\ninputs').replace(
+        "middle", quoted
+    )
     page = Page(opened(text.replace('title = "Mixer"', f'title = "{quoted}"'), tmp_path), None)
     labels = [*page.figures.strip.yaxis.major_label_overrides.values()]
     labels += [panel.title.text for panel in page.figures.panels.values()]
@@ -139,4 +146,3 @@ def test_names_are_shown_as_they_are_and_never_as_formulas(name, tmp_path):
 
 def has_text(artist):
     return hasattr(artist, "get_text")
-

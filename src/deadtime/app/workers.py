@@ -208,8 +208,8 @@ class _Worker:
                 if not self._pipe.poll(max(end - time.monotonic(), 0.0)):
                     self.end()
                     raise TooLongError(
-                        f"that takes longer than {asked.limit:g} s, and was stopped: make the problem "
-                        "smaller, or use the command line, which has no limit."
+                        f"that takes longer than {asked.limit:g} s, and was stopped: make the "
+                        "problem smaller, or use the command line, which has no limit."
                     )
                 kind, answer = self._pipe.recv()
                 if kind != "told":
