@@ -79,8 +79,11 @@ def plot_laws(
     below = [_Curves("|mismatch|", wrong, floor=floor)] if wrong else []
     heights = [1.0] * len(curves) + [0.35 + 0.15 * count] + [1.0] * len(below)
     looks = looks_of([*(laws or ()), *runs])
+    columns = min(3 if max(map(len, runs)) < 18 else 2, len(runs))
+    entries = len(runs) + bool(beside or others)
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.3 * WIDTH, 0.7 + 1.15 * sum(heights)))
+        height = 0.5 + 0.2 * -(-entries // columns) + 1.15 * sum(heights)
+        figure = Figure(figsize=(1.3 * WIDTH, height))
         panels: list[Axes] = [*figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)]
         strip = panels.pop(len(curves))
         for panel, one in zip(panels, [*curves, *below], strict=True):
@@ -94,11 +97,10 @@ def plot_laws(
         figure.align_ylabels()
         handles = list(panels[0].get_lines()[: len(runs)])
         handles += [Line2D([], [], label="reference", **REFERENCE)] * bool(beside or others)
-        columns = 3 if max(map(len, runs)) < 18 else 2
         figure.legend(
             handles=handles,
             loc="outside lower center",
-            ncols=min(columns, len(handles)),
+            ncols=columns,
             handlelength=2.6,
         )
         if title:
