@@ -1,4 +1,4 @@
-"""What is drawn on the page and in its figure: references, the mismatch if there is one, names."""
+"""The page and its figure draw references, a mismatch where there is one, and names as they are."""
 
 import io
 
@@ -57,6 +57,7 @@ def opened(text, tmp_path):
     return open_named(str(path))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", list(OUTPUTS))
 def test_a_reference_is_drawn_beside_what_follows_it(kind, tmp_path):
     output, row = OUTPUTS[kind]
@@ -118,6 +119,7 @@ def test_the_panel_of_the_mismatch_comes_and_goes_with_the_laws_that_have_one(ow
     assert len(page.figures.panels["w"].select(name="averaged")) == 1
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["cost $x$", "$$", "$$u^2$$", r"\(a\)", r"$\frac", r"\[x\]", "_$"])
 def test_names_are_shown_as_they_are_and_never_as_formulas(name, tmp_path):
     quoted = name.replace("\\", "\\\\")

@@ -155,6 +155,20 @@ def test_hostile_and_malformed_logs_are_refused_by_name(content, said, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("stamp", ["2026-03-02T08:15:0{}Z", "2026-03-02 08:15:0{}", "8:15:0{}"])
+def test_stamps_are_refused_at_a_look_in_the_words_of_identify(stamp, tmp_path):
+    rows = "".join(f"{stamp.format(i)},{i},{i % 2}\n" for i in range(8))
+    text = f"t,x1,u1\n{rows}"
+    (tmp_path / "own").mkdir()
+    with pytest.raises(dt.ArgumentError, match="line 2: t must be a finite number") as at_a_look:
+        look_at("log.csv", text.encode(), tmp_path)
+    path = tmp_path / "own" / "log.csv"
+    path.write_text(text)
+    with pytest.raises(dt.ArgumentError) as later:
+        dt.identify(path, None)
+    assert str(later.value).replace(str(path), "log.csv") == str(at_a_look.value)
+
+
 def test_a_log_that_is_refused_changes_nothing(own, workers):
     page = Page(own, workers)
     before = page.outcome

@@ -1,8 +1,11 @@
 """A job that hangs, dies or fails spoils no other."""
 
+import gc
 import math
 import os
+import signal
 import time
+import weakref
 from pathlib import Path
 
 import pytest
@@ -46,6 +49,60 @@ def test_a_job_that_nobody_waits_for_is_stopped_and_the_next_one_runs(workers):
     assert time.monotonic() - began < 40.0
     workers.stop(running)  # over already: nothing happens
     assert workers.submit(30.0, math.sqrt, 9.0).result() == 3.0
+
+
+def kill_the_idle(workers, how):
+    (worker,) = workers._all
+    os.kill(worker._process.pid, how)
+    worker._process.join()
+
+
+def test_an_idle_process_that_dies_costs_no_job(workers):
+    assert workers.submit(30.0, math.sqrt, 9.0).result() == 3.0
+    kill_the_idle(workers, signal.SIGKILL)
+    assert workers.submit(30.0, math.sqrt, 4.0).result() == 2.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_neither_do_two_in_a_row_nor_one_that_is_still_loading(workers, how):
+    kill_the_idle(workers, how)
+    waiting = workers.submit(30.0, math.sqrt, 4.0)
+    while len(workers._doing) == 0:
+        time.sleep(0.001)
+    (worker,) = workers._doing.values()
+    os.kill(worker._process.pid, how)
+    assert waiting.result() == 2.0
+
+
+@pytest.mark.long
+def test_where_no_process_lives_a_job_says_so_and_the_next_one_runs(workers, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("deadtime.app.workers._serve", os._exit)
+        kill_the_idle(workers, signal.SIGKILL)
+        with pytest.raises(dt.ArgumentError, match="no process begins that: 3 ended"):
+            workers.submit(30.0, math.sqrt, 4.0).result()
+    kill_the_idle(workers, signal.SIGKILL)
+    assert workers.submit(30.0, math.sqrt, 4.0).result() == 2.0
+
+
+def test_a_job_that_is_stopped_while_it_waits_leaves_nothing_of_it(workers):
+    class Given:
+        """What no other process could read."""
+
+    worker = workers._idle.get()  # all are busy
+    try:
+        first, given = workers.submit(30.0, math.sqrt, 4.0), Given()
+        waiting = workers.submit(30.0, math.sqrt, given)
+        seen = weakref.ref(given)
+        workers.stop(waiting)
+        assert waiting.cancelled()
+        del given, waiting
+        gc.collect()
+        assert seen() is None
+    finally:
+        workers._idle.put(worker)
+    assert first.result() == 2.0
 
 
 def test_errors_of_jobs_come_back(workers):

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import weakref
+from concurrent.futures import Future
 from pathlib import Path
 
 import panel as pn
@@ -16,6 +17,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from deadtime.app.documents import open_named
+from deadtime.app.jobs import look_at_log
 from deadtime.app.opening import Opening
 from deadtime.app.page import Page
 from deadtime.app.sessions import Sessions
@@ -134,6 +136,70 @@ def test_a_visitor_too_many_is_asked_to_come_later_and_then_served():
     for one in (shown, later):
         assert "Worst signal" in one
         assert "Too many pages" not in one
+
+
+class Busy:
+    """Workers that look at a log at once, and are busy with all else for ever."""
+
+    def submit(self, limit, job, *given, told=None):
+        future = Future()
+        future.set_running_or_notify_cancel()
+        if job is look_at_log:
+            future.set_result(job(*given))
+        return future
+
+    def stop(self, future):
+        pass
+
+
+LOG = b"t,x1,u1\n" + b"".join(b"%d,%d,%d\n" % (i, i % 3, i % 2) for i in range(50))
+
+
+def test_a_session_that_ends_in_the_middle_of_a_job_leaves_nothing(caplog):
+    class Reloaded(Served):
+        """Whose pages are given a log as they are made."""
+
+        def make(self):
+            page = super().make()
+            page.workers = page._errands._workers = page.log._errands._workers = Busy()
+            page.upload_log("log.csv", LOG)
+            return page
+
+    async def visit():
+        async with Reloaded(most=10) as served:
+            socket, _ = await served.connect()
+            (page,) = served.alive
+            async with asyncio.timeout(60.0):
+                while not page.log.progress.text.visible:
+                    await asyncio.sleep(0.05)
+            del page
+            socket.close()
+            await served.until_nothing_is_left()
+
+    asyncio.run(visit())
+    assert [one.getMessage() for one in caplog.records if "failed" in one.getMessage()] == []
+
+
+def test_each_step_of_closing_runs_whatever_the_others_do(monkeypatch):
+    page = Page(open_named("paper"), None)
+    done, ended = [], []
+
+    def fail(*_):
+        raise AttributeError("its document is gone")
+
+    log = page.log
+    monkeypatch.setattr(page._errands, "stop", fail)
+    monkeypatch.setattr(log, "drop", fail)
+    monkeypatch.setattr(pn.state, "on_session_destroyed", ended.append)
+    monkeypatch.setattr("deadtime.app.sessions._unwatch", lambda view: (done.append(view), fail()))
+    sessions = Sessions(lambda: page)
+    monkeypatch.setattr(sessions, "_sweep_soon", lambda: done.append("swept"))
+    view = sessions.begin()
+    (over,) = ended
+    with pytest.raises(AttributeError, match="its document is gone"):
+        over(None)
+    assert done == [view, "swept"]
+    assert not {"log", "figures", "outcome", "actions"} & vars(page).keys()
 
 
 def test_pages_that_begin_with_one_problem_share_its_runs():

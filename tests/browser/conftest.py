@@ -42,8 +42,7 @@ def page(browser, explorer):
     context = browser.new_context(viewport={"width": 1366, "height": 768}, accept_downloads=True)
     one = context.new_page()
     faults, foreign = [], []
-    # Bokeh measures panels that replace others once before they are laid out: no harm is done.
-    one.on("pageerror", lambda e: None if "top_panel" in str(e) else faults.append(str(e)))
+    one.on("pageerror", lambda e: faults.append(str(e)))
     one.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
     one.on("request", lambda r: None if explorer.url in r.url or r.url[:5] in ("data:", "blob:")
            else foreign.append(r.url))  # fmt: skip

@@ -13,7 +13,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.problems.file import load_problem
-from explorer import SHOTS, SIZES, cost, message, open_page, until
+from explorer import SHOTS, SIZES, choose, cost, message, open_page, until
 
 
 def drawn(page):
@@ -140,6 +140,13 @@ def test_downloads_hold_what_is_shown(page, tmp_path, monkeypatch):
     exec(compile(files["Script"].read_text(), "script.py", "exec"), names)
     np.testing.assert_allclose(names["runs"]["averaged"].states, run.states, rtol=1e-12)
     assert (tmp_path / "paper.png").read_bytes() == files["Figure"].read_bytes()
+
+
+def test_problems_are_opened_one_after_another_without_a_fault(page):
+    for name in ("three-mode", "follower", "paper") * 3:
+        choose(page, "Problem", name)
+        until(lambda name=name: f"Opened {name}" in message(page))
+        page.wait_for_timeout(300)  # the panels find their places
 
 
 def test_the_worst_signal_is_found_and_watched(page):

@@ -275,9 +275,7 @@ def test_without_python_control_it_says_how_to_get_it(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(
-        dt.ArgumentError, match=r'python-control.*pip install "\.\[control\]"'
-    ):
+    with pytest.raises(dt.ArgumentError, match=r'python-control.*pip install "\.\[control\]"'):
         dt.loop_transfer(*single(), 0)
 
 

@@ -126,7 +126,7 @@ class Actions:
         file = io.BytesIO()
         drawn = plot_laws(
             outcome.runs, problem.states, problem.modes,
-            laws=list(self.page.offer), inputs=problem.inputs,
+            laws=list(self.page.offer), inputs=problem.inputs, tracked=problem.tracked or None,
         )  # fmt: skip
         drawn.savefig(file, format="png")
         return file.getvalue()

@@ -34,7 +34,17 @@ class Door(JSComponent):
         .hint { font-size: 0.8rem; opacity: 0.8; margin: 4px 2px 0; color: inherit; }
         """
     ]
+    # Bokeh takes the size of panels that replace others before it has laid them out, where the page
+    # is resized meanwhile, and fails: here they wait until they are.
     _esm = """
+    const panel = window.Bokeh?.Models.get("Figure").prototype.default_view.prototype ?? {};
+    for (const name of ["_measure_layout", "_after_layout"]) {
+      const own = panel[name];
+      if (own) {
+        panel[name] = function () { if (this.layout != null) { own.call(this); } };
+      }
+    }
+
     function over(event) {
       return event.dataTransfer && Array.from(event.dataTransfer.types).includes("Files");
     }

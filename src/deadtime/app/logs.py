@@ -13,7 +13,13 @@ from deadtime.app.documents import Document, file_stem, open_upload
 from deadtime.app.outcome import MOST_MODES
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
-from deadtime.identification.log.tables import TIMES, columns_of, read_table
+from deadtime.identification.log.tables import (
+    TIMES,
+    Table,
+    columns_of,
+    numeric_column,
+    read_table,
+)
 from deadtime.identification.results.report_figures import likelihood_figure, quick_figures
 from deadtime.laws import ExactPredictor
 from deadtime.margins import delay_margin
@@ -124,8 +130,6 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
     ArgumentError
         If it is too large, no table, or has no times.
     """
-    import pandas as pd
-
     source = _laid(name, content, folder)
     try:
         frame = read_table(source, MOST_ROWS + 1).rename(columns=lambda c: str(c).strip())
@@ -149,7 +153,7 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
         raise ArgumentError(
             f"{source.name} must have a column t of times in seconds, got {', '.join(columns)}."
         )
-    given = np.asarray(pd.to_numeric(frame[clock], errors="coerce"), float)
+    given = numeric_column(Table(frame, source.name, "line", 2), clock)  # or its refusal
     steps = np.diff(given[np.isfinite(given)])
     step = float(np.median(steps)) if steps.size else np.nan
     others = [one for one in columns if one != clock]

@@ -52,7 +52,7 @@ plot_laws(
     states={states},
     modes={modes},
     inputs={inputs},
-{colours}).savefig({file})
+{tracked}{colours}).savefig({file})
 """
 
 
@@ -90,6 +90,7 @@ def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
         states=writer.code(list(problem.states)),
         modes=writer.code(list(problem.modes)),
         inputs=writer.code(list(problem.inputs)),
+        tracked=f"    tracked={writer.code(list(problem.tracked))},\n" if problem.tracked else "",
         colours=f"    laws={writer.code(list(laws))},\n" if laws else "",
         file=_quote(f"{file_name(problem.name) or 'problem'}.png"),
     )

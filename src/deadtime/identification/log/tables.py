@@ -134,7 +134,8 @@ def numeric_column(table: Table, column: str) -> Float[np.ndarray, " sample"]:
             f"{brief(list(table.frame.columns))}: name columns as the log does."
         )
     raw = table.frame[column]
-    values = pd.to_numeric(raw, errors="coerce")
+    dates = raw.dtype.kind in "mM"  # which pandas would take for nanoseconds since 1970
+    values = raw.map(lambda _: None) if dates else pd.to_numeric(raw, errors="coerce")
     result = np.array(values, dtype=np.float64)
     bad = np.flatnonzero((np.isnan(result) & raw.notna().to_numpy()) | np.isinf(result))
     if bad.size:

@@ -83,8 +83,11 @@ def plot_laws(
     below = [_Curves("|mismatch|", wrong, floor=floor)] if wrong else []
     heights = [1.0] * len(curves) + [0.35 + 0.15 * count] + [1.0] * len(below)
     looks = looks_of([*(laws or ()), *runs])
+    columns = min(3 if max(map(len, runs)) < 18 else 2, len(runs))
+    entries = len(runs) + bool(beside or others)
     with rc_context(style_of(width)):
-        figure = new_figure(1.3 * WIDTH, 0.7 + 1.15 * sum(heights), width)
+        height = 0.5 + 0.2 * -(-entries // columns) + 1.15 * sum(heights)
+        figure = new_figure(1.3 * WIDTH, height, width)
         panels: list[Axes] = [*figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)]
         strip = panels.pop(len(curves))
         for panel, one in zip(panels, [*curves, *below], strict=True):
@@ -102,7 +105,7 @@ def plot_laws(
         figure.legend(
             handles=handles,
             loc="outside lower center",
-            ncols=min(columns, len(handles)),
+            ncols=columns,
             handlelength=2.6,
         )
         if title:
