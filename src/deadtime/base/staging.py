@@ -74,7 +74,7 @@ class Staging:
                 place = around[0] / target.name  # it appears with its folder
             else:
                 real = target.resolve()  # a link stays one
-                place = self._place(real.parent, real, name)
+                place = self._place(real.parent, real, name, asked=target)
             place.touch(exist_ok=False)
         except OSError as error:
             raise unwritable(name, target, error) from None
@@ -109,10 +109,12 @@ class Staging:
             one.mkdir()
             self._parents.append(one)
 
-    def _place(self, beside: Path, target: Path, name: str) -> Path:
-        """A name that nobody else uses, on the same file system."""
+    def _place(self, beside: Path, target: Path, name: str, asked: Path | None = None) -> Path:
+        """A name that nobody else uses, on the same file system; `asked`, as the user wrote it."""
         if any(target == other for _, other, _ in self._moves):
-            raise ArgumentError(f"{name} {str(target)!r} is asked for twice: give two names.")
+            raise ArgumentError(
+                f"{name} {str(asked or target)!r} is asked for twice: give two names."
+            )
         place = beside / f".deadtime-{uuid4().hex}{target.suffix}"
         self._moves.append((place, target, name))
         return place
