@@ -252,8 +252,26 @@ def test_a_noise_that_begins_as_nothing_is_found():
         return Evaluation(-25.0 * (np.log(s) + 1.0 / s), np.array([score]), np.array([[F]]))
 
     bounds = np.array([-15.0]), np.array([-16.0]), np.array([14.0])
-    assert climb(likelihood, *bounds, stride=1.5).theta[0] == pytest.approx(0.5 * np.log(0.9))
+    assert climb(likelihood, *bounds, stride=lambda _: np.array([1.5])).theta[0] == pytest.approx(
+        0.5 * np.log(0.9)
+    )
     assert climb(likelihood, *bounds).theta[0] < -5.0
+
+
+def test_a_noise_that_is_not_there_is_left_in_a_few_steps():
+    """L of W = L Lᵀ where W of 0 is likeliest: log L = −5 trace W, and the information on L is
+    that on W, 4 L², which is nothing of the curvature −10 at L = 0."""
+    asked = []
+
+    def likelihood(L):
+        asked.append(L)
+        F = np.diag(4.0 * L**2)
+        return Evaluation(float(-5.0 * (L**2).sum()), -10.0 * L, F)
+
+    bounds = np.array([1e-2, -3e-3]), np.full(2, -np.inf), np.full(2, np.inf)
+    found = climb(likelihood, *bounds, stride=np.abs)
+    assert np.abs(found.theta).max() < 1e-5
+    assert len(asked) < 10, len(asked)
 
 
 TABLE = logged(MOTOR, [[1.0, 0.0]], 60)

@@ -12,6 +12,7 @@ from deadtime.identification.peaks import over_other_peaks
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
+_WORTH = 1e-5  # of log likelihood, which falls by 1.9 or more to the end of an interval
 _NEAR = 4.0  # standard errors: a kink so close bends the likelihood within the interval
 
 
@@ -57,7 +58,7 @@ def profile(
     """The log likelihood with one delay held, less the largest one."""
     theta, fixed = best.theta.copy(), np.zeros(best.theta.size, bool)
     theta[place], fixed[place] = delay, True
-    return maximise(log, theta, fixed, window)[0].found.value - best.found.value
+    return maximise(log, theta, fixed, window, _WORTH)[0].found.value - best.found.value
 
 
 def _profile_end(

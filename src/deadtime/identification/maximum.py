@@ -100,7 +100,7 @@ def maximise(
     if gain is None:
         gain = 1e-3 if isinstance(log, HiddenNoisyLog) else GAIN
     h, asked = log.recording.step, window
-    stride = log.stride if isinstance(log, NoisyLog) else np.inf
+    stride = log.stride if isinstance(log, NoisyLog) else None
     while True:
         low, high = asked or window_of(log, theta[place])
         evaluate_in, ends = log.evaluate_in(low, high), log.limits

@@ -70,7 +70,8 @@ def _mixed(
         theta = theta if begins is None else begins[k]
         low[place] = np.maximum((own - 1) * h, log.bounds[0])
         high[place] = np.minimum(own * h, log.bounds[1])
-        found = climb(evaluate_in(own), theta, low, high, gain=_GAIN)
+        stride = log.stride if isinstance(log, NoisyLog) else None
+        found = climb(evaluate_in(own), theta, low, high, gain=_GAIN, stride=stride)
         if not np.isfinite(found.found.value):
             continue
         F = found.found.information.copy()

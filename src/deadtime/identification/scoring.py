@@ -38,6 +38,7 @@ class Maximum(NamedTuple):
 
 
 Evaluate = Callable[[np.ndarray], Evaluation]
+Stride = Callable[[np.ndarray], np.ndarray]
 
 
 def climb(
@@ -47,11 +48,11 @@ def climb(
     high: Float[np.ndarray, " size"],
     steps: int = _STEPS,
     gain: float = GAIN,
-    stride: Float[np.ndarray, " size"] | float = np.inf,
+    stride: Stride | None = None,
 ) -> Maximum:
     """The local maximum within bounds that a start leads to; `gain` is worth a step.
 
-    stride : how far an unknown may go at a time that does next to nothing where it is
+    stride : from unknowns, how far each may go at a time that does next to nothing there
 
     Examples
     --------
@@ -66,7 +67,8 @@ def climb(
         return Maximum(theta, now, np.zeros(theta.size, bool))
     for _ in range(steps):
         held = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
-        trial, rise = _step(theta, now, held | (low == high), damping, low, high, stride)
+        reach = np.inf if stride is None else stride(theta)
+        trial, rise = _step(theta, now, held | (low == high), damping, low, high, reach)
         if rise < gain:
             break
         after = evaluate(trial)
@@ -113,7 +115,7 @@ def climb_cells(
     bounds: tuple[float, float],
     limits: tuple[np.ndarray, np.ndarray],
     fixed: np.ndarray | None = None,
-    stride: np.ndarray | float = np.inf,
+    stride: Stride | None = None,
     gain: float = GAIN,
 ) -> tuple[Maximum, np.ndarray]:
     """The maximum with delays free, from cell to cell; and the cells that it lies in.

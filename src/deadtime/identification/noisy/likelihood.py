@@ -75,10 +75,16 @@ class NoisyLog(Frozen):
             low[places], high[places] = values, values
         return low, high
 
-    @property
-    def stride(self) -> Float[np.ndarray, " size"]:
-        """The longest step of each unknown: a noise that is next to nothing has no curvature."""
+    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """The longest step of each unknown: the information on noise of next to nothing is none.
+
+        Where W of 0 is likeliest, log L falls as W = L Lᵀ grows: linearly in W, so by a square of
+        L's rows, of which the information, of second order in W, says nothing. A stride of a
+        row's own size is that curvature.
+        """
         stride = np.full(self.size, np.inf)
+        of_L = slice(self.layout.size, self.size - len(self.C))
+        stride[of_L] = self.unit(vector)[of_L]
         stride[self.logarithms] = _STRIDE
         return stride
 

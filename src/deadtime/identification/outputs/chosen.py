@@ -48,6 +48,7 @@ class Request(NamedTuple):
 class Chosen(NamedTuple):
     """A plant, what it is likeliest of, and the last scan.
 
+    added : how many unknowns each thing added that was asked of the log: jumps, zeros, a level
     other : the likeliest one with zeros if it has none, without if it has; None if not asked
     rise : 2 (log L with zeros − log L without); more : how many numbers of B zeros have
     """
@@ -55,6 +56,7 @@ class Chosen(NamedTuple):
     log: NoisyLog
     best: Maximum
     scan: Scanned
+    added: tuple[int, ...] = ()
     other: Maximum | None = None
     rise: float = 0.0
     more: int = 0
@@ -64,6 +66,22 @@ class Chosen(NamedTuple):
         """Which states it has."""
         assert self.log.embedding is not None
         return self.log.embedding
+
+    @property
+    def worth(self) -> float:
+        """2 log L less what chance alone would add to it, seldom, by each thing added.
+
+        So plants compare of which neither is a special case of the other: one at rest elsewhere
+        than at 0, and one with zeros that make up for it.
+        """
+        from scipy.stats import chi2
+
+        chance = sum(float(chi2.isf(CHANCE, count)) for count in self.added)
+        return 2.0 * self.best.found.value - chance
+
+    def adding(self, wider: Chosen) -> Chosen:
+        """A wider plant, told what it adds to this one."""
+        return wider._replace(added=(*self.added, wider.log.free.size - self.log.free.size))
 
     @property
     def bic(self) -> float:
@@ -90,34 +108,31 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     if layout.modes > 1 and not within:
         progress("trying states that are an output's derivatives in one mode alone")
         free = replace(log, embedding=replace(shape, jumps=True))
-        chosen = _better(simple, Chosen(free, *_searched(free, (), (simple.best.theta,))))
+        wider = Chosen(free, *_searched(free, (), (simple.best.theta,)))
+        chosen = worthier(simple, simple.adding(wider))
     if zeros is not None:
         return chosen
     progress("trying inputs that act on all states")
     wider = _with_zeros(chosen, guess)
     if wider.shape.zeros and wider.shape.jumps:  # what zeros do may have looked like a jump
         alone = _with_zeros(simple, guess)
-        return wider if _better(alone, wider) is wider else alone
+        return worthier(alone, wider)
     return wider
 
 
-def _better(simple: Chosen, wider: Chosen) -> Chosen:
+def worthier(simple: Chosen, wider: Chosen) -> Chosen:
     """The wider one of two plants if it is likelier than chance makes it, else the other."""
-    from scipy.stats import chi2
-
-    rise = 2.0 * (wider.best.found.value - simple.best.found.value)
-    more = wider.log.free.size - simple.log.free.size
-    return wider if rise > float(chi2.isf(CHANCE, more)) else simple
+    return wider if wider.worth > simple.worth else simple
 
 
 def _with_zeros(simple: Chosen, guess: Guess) -> Chosen:
     """The same plant, or one with zeros, if that is likelier than chance makes it."""
     log = replace(simple.log, embedding=replace(simple.shape, zeros=True))
-    wider = Chosen(log, *_begun(log, guess, simple.best.theta))
-    own = _better(simple, wider)
+    wider = simple.adding(Chosen(log, *_begun(log, guess, simple.best.theta)))
+    own = worthier(simple, wider)
     rise = 2.0 * (wider.best.found.value - simple.best.found.value)
-    more = log.free.size - simple.log.free.size
-    return own._replace(other=(simple if own is wider else wider).best, rise=rise, more=more)
+    other = (simple if own is wider else wider).best
+    return own._replace(other=other, rise=rise, more=wider.added[-1])
 
 
 def _begun(log: NoisyLog, guess: Guess, *more: np.ndarray) -> tuple[Maximum, Scanned]:

@@ -11,12 +11,11 @@ from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.levels import CHANCE
 from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.noise import estimated_of, start_beside
-from deadtime.identification.outputs.chosen import Chosen, Request, chosen_of
+from deadtime.identification.outputs.chosen import Chosen, Request, chosen_of, worthier
 from deadtime.identification.outputs.doubts import hardly_tells, order_too_high, zeros_in_doubt
 from deadtime.identification.outputs.other_delays import with_others
 from deadtime.identification.outputs.request import order_of, state_names
@@ -81,19 +80,15 @@ def _about_its_rest(request: Request) -> tuple[Chosen, Request]:
 
     Each is sought by itself: a maximum of the one may lead to a lower one of the other.
     """
-    from scipy.stats import chi2
-
     layout = replace(request.layout, constant=False)
     plain = request._replace(recording=request.recording.absolute(), layout=layout)
     chosen = chosen_of(plain)
     if not request.layout.constant:
         return chosen, plain
     other = chosen_of(request)
-    rise = 2.0 * (other.best.found.value - chosen.best.found.value)
-    more = max(other.log.free.size - chosen.log.free.size, 1)
-    if rise > float(chi2.isf(CHANCE, more)):
-        return other, request
-    return chosen, plain
+    level = (other.log.free.size - sum(other.added)) - (chosen.log.free.size - sum(chosen.added))
+    other = other._replace(added=(*other.added, level))
+    return (other, request) if worthier(chosen, other) is other else (chosen, plain)
 
 
 def estimate_from_outputs(request: Request) -> tuple[Estimate, Chosen]:

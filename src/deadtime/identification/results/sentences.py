@@ -44,8 +44,9 @@ def _uses_switches(found: Estimate) -> bool:
 def _delays(found: Estimate, recording: Recording) -> list[str]:
     low, high = _bounds(found, recording)
     names, said = delay_names(recording, found), []
-    each = zip(names, _values(found), found.intervals, _at_edge(found), _open(found), strict=True)
-    for place, (name, D, (left, right), edge, hardly) in enumerate(each):
+    kinds = (_at_edge(found), _cut(found, recording), _open(found))
+    each = zip(names, _values(found), found.intervals, *kinds, strict=True)
+    for place, (name, D, (left, right), edge, cut, hardly) in enumerate(each):
         left = low if left <= found.log.bounds[0] else left
         digits = _digits(D, right - left)
         ends = f"{left:.{digits}g} … {right:.{digits}g} s"
@@ -54,6 +55,11 @@ def _delays(found: Estimate, recording: Recording) -> list[str]:
             said.append(
                 f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
                 "delay=(low, high), --delay LOW HIGH."
+            )
+        elif cut and not hardly:
+            said.append(
+                f"The interval of {name[0].lower()}{name[1:]} ends where the range searched does: "
+                "if the delay may lie beyond, widen delay=(low, high), --delay LOW HIGH."
             )
         if hardly:
             several = bool(found.several[place])
@@ -74,6 +80,13 @@ def _at_edge(found: Estimate) -> Bool[np.ndarray, " delay"]:
     return (low + margin > D) | (high - margin < D)
 
 
+def _cut(found: Estimate, recording: Recording) -> Bool[np.ndarray, " delay"]:
+    """Which intervals the range searched cuts; no delay is less than 0."""
+    low, high = found.log.bounds
+    least = -np.inf if _bounds(found, recording)[0] == 0.0 else low
+    return (found.intervals[:, 0] <= least) | (found.intervals[:, 1] >= high)
+
+
 def _open(found: Estimate) -> Bool[np.ndarray, " delay"]:
     """Which delays the log hardly tells."""
     low, high = found.log.bounds
@@ -84,11 +97,9 @@ def doubts_of(found: Estimate, recording: Recording) -> tuple[str, ...]:
     """Why intervals of delays may not hold them, as ends of a sentence."""
     names = delay_names(recording, found)
     names = [f"{name[0].lower()}{name[1:]}" for name in names] if len(names) == 1 else names
-    low, high = found.log.bounds
-    least = -np.inf if _bounds(found, recording)[0] == 0.0 else low  # no delay is less than 0
-    cut = (found.intervals[:, 0] <= least) | (found.intervals[:, 1] >= high)
+    kinds = (_at_edge(found), _cut(found, recording), _open(found))
     said = []
-    for name, edge, ends, hardly in zip(names, _at_edge(found), cut, _open(found), strict=True):
+    for name, edge, ends, hardly in zip(names, *kinds, strict=True):
         if edge or ends:
             what = name if edge else f"the interval of {name}"
             where = "lies at the edge of" if edge else "ends at the edge of"
