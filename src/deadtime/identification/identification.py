@@ -101,6 +101,7 @@ class Identification(Frozen):
         states: tuple[str, ...],
     ) -> Identification:
         """What there is to hand over of an estimate; `why` there is no switching model."""
+        Unknowns(found, recording.step).require_inside()
         rest = rest_of(found, np.linalg.pinv(C))
         return cls(
             found.plant,

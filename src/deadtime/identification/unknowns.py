@@ -56,6 +56,24 @@ class Unknowns:
         )
         return float(found.best.theta[place] - half), float(found.best.theta[place] + half)
 
+    def require_inside(self) -> None:
+        """Refuse an estimate that lies outside an interval of its own.
+
+        An interval over several plausible delays may leave the likeliest plant out: then this one
+        maximum is not what the log says.
+        """
+        outside = []
+        for name, place in self.places.items():
+            low, high = self.interval(name)
+            if place < self._found.log.layout.size and not low <= self.estimate(name) <= high:
+                outside.append(f"{name} ({self.estimate(name):.4g}, not {low:.4g} … {high:.4g})")
+        if outside:
+            raise ArgumentError(
+                "log leaves several delays open, and their 95 % intervals do not hold the likeliest "
+                f"plant: {', '.join(outside)}. Move the input more, log for longer, or narrow "
+                "delay=(low, high), --delay LOW HIGH."
+            )
+
     def _place(self, name: str) -> int:
         if name not in self.places:
             raise ArgumentError(f"name must be one of {', '.join(self.places)}, got {brief(name)}.")
