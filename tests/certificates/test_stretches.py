@@ -124,6 +124,15 @@ def test_every_stretch_decreases_the_lyapunov_function(name):
     assert_stretches_decrease(evidence, loop)
 
 
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_function_of_a_mode_that_may_last_is_a_sum_over_what_comes(name):
+    make, *times = LOOPS[name]
+    search = StretchSearch(setting_of(*make(), *times))
+    loops = search._loops(1.0, 1.0)
+    lasting = range(search.setting.A.shape[1]) if times[1] is None else ()
+    assert set(loops.shape.sums) == {(mode, len(search.knots) - 1) for mode in lasting}
+
+
 def test_a_sum_over_the_future_solves_the_lyapunov_equation_and_none_is_made_where_it_diverges():
     rng = np.random.default_rng(0)
     M = rng.normal(size=(5, 5))

@@ -135,8 +135,59 @@ def test_a_mode_that_grows_leaves_no_margin():
     margin = dt.gain_margin(problem.plant, problem.laws["averaged"])
     assert margin.lower is margin.upper is None
     assert margin.upper_mode == 1
-    assert margin.message == (
-        "there is no gain margin: held in mode 1 the loop grows at +0.282 /s already"
+    assert margin.stabilising is None
+    assert re.fullmatch(
+        r"there is no gain margin: held in mode 1 the loop grows at \+0\.282 /s already; no effect "
+        r"of the inputs 0\.\d+ to 1\.\d+ times as much would make it stable",
+        margin.message,
+    )
+
+
+def of_one_pole(factor):
+    plant = plants.scalar(1.0, delay=0.2)
+    law = dt.SingleModePredictor(plant, dt.place(plant, [-1.0]), 0)
+    return plant, law, factor
+
+
+def of_three_modes(factor):
+    return PLANT, plants.LAWS["averaged"](MODEL), factor
+
+
+def of_the_paper(factor):
+    plant = dt.problems.paper().plant.apart(0.2)
+    return plant, dt.AveragedPredictor(plant, dt.place(plant, (-1.0, -2.0))), factor
+
+
+AT_FIRST = [(of_one_pole, 6.0, STEP), (of_one_pole, 0.2, None), (of_three_modes, 0.2, STEP)]
+AT_FIRST += [(of_one_pole, 1e-3, STEP), (of_the_paper, 1.4, STEP)]
+LATER = [(of_one_pole, 1e-3, None), (of_three_modes, 0.2, None), (of_the_paper, 0.8, None)]
+
+
+@pytest.mark.parametrize(("made", "factor", "step"), mostly_long(AT_FIRST + LATER, *AT_FIRST))
+def test_an_unstable_loop_is_stable_for_the_factors_that_the_loop_as_designed_tolerates(
+    made, factor, step
+):
+    plant, law, factor = made(factor)
+    designed = dt.gain_margin(plant, law, step)
+    assert designed.stabilising is None
+    margin = dt.gain_margin(plant.like(plant.A, factor * plant.B), law, step)
+    assert margin.lower is margin.upper is None
+    low, high = (factor * end for end in margin.stabilising)
+    assert (low, high) == pytest.approx((designed.lower, designed.upper), rel=1e-7)
+    said = re.search(r"acted between (\S+) and (\S+) times as much", margin.message).groups()
+    low, high = map(float, said)
+    assert margin.stabilising[0] <= low < high <= margin.stabilising[1]
+
+
+def test_a_stable_plant_that_its_law_makes_unstable_is_stable_with_less_of_its_inputs():
+    plant = plants.scalar(-1.0, delay=1.0)
+    law = dt.DelayedStateFeedback(plant, [[[-5.0]]], allow_unstable=True)
+    margin = dt.gain_margin(plant, law, step=None)
+    # s + 1 + 5 k e^{−s} = 0 has a root iω first where ω = −tan ω and 5 k = √(1 + ω²).
+    omega = brentq(lambda w: np.sin(w) + w * np.cos(w), 0.6 * np.pi, 0.99 * np.pi)
+    assert margin.stabilising == pytest.approx((0.0, np.hypot(1.0, omega) / 5.0), rel=1e-7)
+    assert margin.message.endswith(
+        "stable in every constant mode if the inputs acted less than 0.452 times as much"
     )
 
 

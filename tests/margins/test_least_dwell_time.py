@@ -68,7 +68,7 @@ def test_dwell_times_in_proportion_are_asked_about_only_as_far_as_the_longest_ca
 
 
 def test_no_answer_near_the_period_does_not_hide_the_proofs_beyond_it():
-    calm = SimpleNamespace(growth_rate=-1.0, proven=False)
+    calm = SimpleNamespace(grows=False)
 
     def certify(value):
         return SimpleNamespace(stable=True if value < 1.0 else None, message="not found")

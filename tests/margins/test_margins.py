@@ -25,6 +25,10 @@ class Made:
     message: str = "made up."
     witness: object = None
 
+    @property
+    def grows(self):
+        return self.proven and self.growth_rate > 0.0
+
 
 def always(value):
     return True

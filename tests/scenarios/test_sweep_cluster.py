@@ -3,18 +3,20 @@
 import asyncio
 import gc
 import importlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
 
 import deadtime as dt
-from deadtime.scenarios.sweeps.cluster import cluster
+from deadtime.scenarios.sweeps.cluster import _reachable, cluster
 from deadtime.scenarios.sweeps.layout import Layout
 from deadtime.scenarios.sweeps.store import create
 from own_sweep import filled, tree
@@ -143,6 +145,53 @@ def test_a_scheduler_that_is_not_there_is_named(own, tmp_path, monkeypatch):
         dt.sweep(own[0], tmp_path / "x.zarr", "tcp://127.0.0.1:9")
     with pytest.raises(dt.ClusterError, match=r"'nonsense' cannot be reached"):
         dt.sweep(own[0], tmp_path / "x.zarr", "nonsense")
+
+
+@pytest.mark.parametrize("status", ["connecting", "closed"])
+def test_a_scheduler_that_is_lost_is_named_and_other_errors_are_left_alone(status):
+    from distributed import CancelledError
+    from distributed.comm import CommClosedError
+
+    client = SimpleNamespace(status=status)
+    for error in (CancelledError("block-0"), CommClosedError("closed"), RuntimeError("no loop")):
+        said = r"'tcp://one:1' was lost: what is stored is kept; start .* run the same command"
+        with pytest.raises(dt.ClusterError, match=said), _reachable(client, "tcp://one:1"):
+            raise error
+        client.status = "running"
+        with pytest.raises(type(error)), _reachable(client, "tcp://one:1"):
+            raise error
+        client.status = status
+    with pytest.raises(dt.StoreError, match="full"), _reachable(client, "tcp://one:1"):
+        raise dt.StoreError("full")
+
+
+@pytest.mark.long
+def test_after_a_killed_scheduler_the_sweep_ends_by_an_error_and_the_next_one_goes_on(
+    slow, tmp_path
+):
+    study, folder = slow
+    place, store = tmp_path / "scheduler.json", tmp_path / "killed.zarr"
+    create(str(store), study, Layout(study.shape, (1, 1)), {})
+
+    def start(kind, *options):
+        command = [sys.executable, "-m", "dask", kind, "--scheduler-file", str(place)]
+        env = os.environ | {"CELL_SECONDS": "0.3"}
+        return subprocess.Popen([*command, "--no-dashboard", *options], cwd=folder, env=env)
+
+    scheduler = start("scheduler", "--host", "127.0.0.1", "--port", "0")
+    worker = start("worker", "--no-nanny", "--nthreads", "1", "--local-directory", str(tmp_path))
+    try:
+        wait_for(place.exists)
+        address = json.loads(place.read_text(encoding="utf-8"))["address"]
+        with pytest.raises(dt.ClusterError, match=rf"'{address}' was lost: what is stored is kept"):
+            dt.sweep(study, store, address, progress=lambda _: scheduler.kill())
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    assert 1 <= done(store) < study.size
+    dt.sweep(study, store, workers=1)
+    assert tree(store) == tree(folder / "whole.zarr")
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])

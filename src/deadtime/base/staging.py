@@ -10,7 +10,7 @@ import errno
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from uuid import uuid4
@@ -87,11 +87,12 @@ class Staging:
         where: TracebackType | None,
     ) -> None:
         try:
-            for place, target, name in self._moves if kind is None else ():
-                try:
-                    _move(place, target)
-                except OSError as failed:
-                    raise unwritable(name, target, failed) from None
+            with _alone([target for _, target, _ in self._moves if target.is_dir()]):
+                for place, target, name in self._moves if kind is None else ():
+                    try:
+                        _move(place, target)
+                    except OSError as failed:
+                        raise unwritable(name, target, failed) from None
         finally:
             for place, _, _ in self._moves:
                 if place.is_dir():
@@ -146,6 +147,23 @@ def replacing(target: str | os.PathLike[str], name: str = "path") -> Iterator[Pa
             yield place
         except OSError as error:
             raise unwritable(name, Path(target), error) from None
+
+
+@contextmanager
+def _alone(folders: list[Path]) -> Iterator[None]:
+    """While no other writer moves files into these folders, where the system can say so.
+
+    Else the files of two might be mixed, such as one law's code with the tables of another.
+    """
+    with ExitStack() as held:
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            for folder in sorted(set(folders)):
+                handle = os.open(folder, os.O_RDONLY)
+                held.callback(os.close, handle)
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
 
 
 def _move(place: Path, target: Path) -> None:

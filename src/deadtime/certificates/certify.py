@@ -43,7 +43,7 @@ from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
 from deadtime.plant import SwitchedSystem, UncertainPlant
-from deadtime.spectrum import GROWS, aged_row, constant_growth, with_memory
+from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
 from deadtime.switching.constraint import PerMode as Times
 
 LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
@@ -218,9 +218,10 @@ def _decide(
     if lasting:
         constant = (rate for rate in rates if rate[1] in lasting)
         slowest, mode, corner = max(constant, key=lambda item: item[0])
-        if slowest > GROWS and not search_signals:
+        least = least_growth(corner)
+        if slowest > least and not search_signals:
             return Certificate(None, f"Held in mode {mode} it grows at {slowest:+.4g} 1/s.")
-        if slowest > GROWS:
+        if slowest > least:
             refuted = _refute(corner, law, setting, f"held in mode {mode} it grows")
             if refuted.stable is False:
                 return refuted
@@ -230,9 +231,9 @@ def _decide(
                 f"decay_rate = {wanted:g} 1/s is more than a constant mode has: the slowest decays "
                 f"at {-slowest:.4g} 1/s.",
             )
-        if abs(slowest) <= GROWS:
+        if abs(slowest) <= least:
             # No Lyapunov function decreases: only a signal that grows is left.
-            kept = neutral(mode, slowest)
+            kept = neutral(corner, mode, slowest)
             worst = _refute(corner, law, setting, "") if search_signals else None
             return worst if worst is not None and worst.stable is False else Certificate(None, kept)
         fastest = max(0.0, -slowest)
@@ -344,7 +345,7 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
         )
     except DeadtimeError as error:
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
-    if worst.growth_rate > GROWS and worst.proven:
+    if worst.grows:
         also = f" ({why})" if why and worst.signal.switches else ""
         middle = np.array_equal(plant.A, setting.A[0]) and np.array_equal(plant.B, setting.B[0])
         where = "" if setting.axes is None or middle else " at every plant in the ellipsoid"

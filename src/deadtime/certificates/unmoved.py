@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum import least_growth
 
 _NOTHING = 1e-12  # relative to the largest singular value
 
@@ -41,9 +42,9 @@ def why_unmoved(plants: Sequence[SwitchedSystem]) -> str:
     )
 
 
-def neutral(mode: int, growth: float) -> str:
+def neutral(plant: SwitchedSystem, mode: int, growth: float) -> str:
     """Why there is no certificate where a constant mode neither grows nor decays."""
-    rate = 0.0 if abs(growth) < 1e-9 else growth  # round-off
+    rate = 0.0 if abs(growth) < 0.01 * least_growth(plant) else growth  # round-off
     return (
         f"Held in mode {mode} the loop neither grows nor decays (its growth rate is {rate:.2g} "
         "1/s, as an integrator's that the law leaves alone), so that no decay can be proved, and "

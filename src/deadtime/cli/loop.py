@@ -143,6 +143,7 @@ def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
     return {
         "growth": view.gain.growth,
         "gain_margin": [view.gain.lower, view.gain.upper],
+        "stabilising_gain": view.gain.stabilising,
         "delay_margin": [view.delay.lower, view.delay.upper],
         "modes": [
             record(each, *figures)

@@ -120,6 +120,7 @@ def _record(
         "delay_margin": delay and [delay.lower, delay.upper],
         "delay_margin_of_inputs": [[one.lower, one.upper] for one in result.of_inputs],
         "gain_margin": gain and [gain.lower, gain.upper],
+        "stabilising_gain": gain and gain.stabilising,
         "lost_samples": _tolerance(result.drops),
         "late_samples": _tolerance(result.late),
         "detection_lag": result.lag and _tolerance(result.lag),

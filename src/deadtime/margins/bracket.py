@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.spectrum import GROWS
 
 FLOOR = 1e-6  # of the interval asked for: closer than this nothing is searched
 CHECKS = 9  # values below the proved end at which constant modes are looked at
@@ -34,7 +33,7 @@ class Questions:
     certify : callable
         From a value to a certificate (`.stable`, `.message`, `.witness`).
     falsify : callable
-        From a value to the worst case found (`.growth_rate`, 1/s, and `.proven`).
+        From a value to the worst case found (`.grows`).
     answers : dict
         From each value asked about to True, False or None.
     """
@@ -59,7 +58,7 @@ class Questions:
     def witness(self, value: float) -> Any | None:
         """A worst case that provably grows, if one is found."""
         worst = self.falsify(value)
-        found = worst if worst.growth_rate > GROWS and worst.proven else None
+        found = worst if worst.grows else None
         self._note(value, None if found is None else False)
         return found
 

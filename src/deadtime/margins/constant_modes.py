@@ -195,7 +195,7 @@ def constant_delay_margin(
     modes = range(plant.modes) if held is None else held
     worst = max(modes, key=lambda mode: growth[mode], default=None)
     if worst is not None and growth[worst] >= 0.0:
-        text = _unstable(worst, float(growth[worst]))
+        text = _unstable(plant, worst, float(growth[worst]))
         return DelayMargin(
             None, None, worst, worst, None, None, growth, nominal, text, False, input, differ
         )
@@ -272,9 +272,10 @@ def _response(
     return OneInput(whole, plant.shortest_delay, input, float(own[mode] - own.min()))
 
 
-def _unstable(mode: int, growth: float) -> str:
+def _unstable(plant: SwitchedSystem, mode: int, growth: float) -> str:
     """Why there is no margin."""
-    return f"there is no delay margin, since held in mode {mode} the loop {not_decaying(growth)}"
+    what = not_decaying(plant, growth)
+    return f"there is no delay margin, since held in mode {mode} the loop {what}"
 
 
 def _stable(lower: _Limit, upper: _Limit, nominal: float, of_one: str, differ: bool) -> str:

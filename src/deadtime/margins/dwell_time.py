@@ -24,7 +24,7 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.margins.bracket import Bracket, Questions, bracket
 from deadtime.margins.dwell_shape import DwellShape
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import GROWS, growth_bounds, growth_rate
+from deadtime.spectrum import growth_bounds, growth_rate, least_growth
 from deadtime.switching.constraint import PerMode
 
 if TYPE_CHECKING:
@@ -179,15 +179,14 @@ def _searched(
     shortest = SHORTEST * step
     worst = questions.falsify(1.0 / shortest)
     rates = {i: growth_rate(plant, law, i, step) for i in shape.limits.lasting}
-    slowest = max(rates.values(), default=-math.inf)
+    slowest, least = max(rates.values(), default=-math.inf), least_growth(plant)
     for i, rate in rates.items():
-        if rate == slowest > GROWS and growth_bounds(plant, law, i, step)[0] > 0.0:
+        if rate == slowest > least and growth_bounds(plant, law, i, step)[0] > 0.0:
             message = (
                 f"No dwell time is long enough: held in mode {i} the loop grows at {rate:+.4g} 1/s."
             )
             return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    grows = worst.growth_rate > GROWS and worst.proven
-    if grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
+    if worst.grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
     most = min(shape.longest, LAID_OUT * step / max(shape.weights) / shape.chatter)
@@ -195,7 +194,7 @@ def _searched(
     longest = _certified_dwell_time(questions, first, most)
     if longest is None:
         return _without_proof(questions, worst, shape)
-    lowest = shape.admits(worst) if grows and math.isfinite(shape.admits(worst)) else shortest
+    lowest = shape.admits(worst) if worst.grows and math.isfinite(shape.admits(worst)) else shortest
     return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions, shape)
 
 
@@ -216,7 +215,7 @@ def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) 
             if shape.admits(found) * frequency >= 1.0 - SAME:
                 return found
         found = falsify(plant, law, step=step, **shape.signals(1.0 / frequency).options)
-        if found.growth_rate > GROWS and found.proven:
+        if found.grows:
             known.append(found)
         return found
 
@@ -240,7 +239,7 @@ def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) 
 
 
 def _without_proof(questions: Questions, worst: WorstCase, shape: DwellShape) -> LeastDwellTime:
-    refuted = shape.admits(worst) if worst.growth_rate > GROWS and worst.proven else None
+    refuted = shape.admits(worst) if worst.grows else None
     evaluations = _evaluations(questions)
     reason = questions.proof(min(questions.answers)).message  # by its own number: it is remembered
     each = _each(evaluations[-1][0], shape)

@@ -23,7 +23,7 @@ from deadtime.base.wording import inwards
 from deadtime.feedback import Law
 from deadtime.numerics.small_matrices import inverses, matched
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import growth_rate
+from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.affordable import require_affordable
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.growth import not_decaying
@@ -33,7 +33,10 @@ from deadtime.spectrum.response import Response
 
 _TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
 _LARGEST = 1e6  # factors beyond are as good as infinite
-_GROWTH = 1e-8  # 1/s: what round-off may make of a loop that only just decays
+_TRIED = 40  # intervals of factors at which an unstable loop may be stable
+_ROUND_OFF = 0.1  # of the least growth: what may become of a loop that only just decays
+_Factors = tuple[float, float]
+_End = tuple[float, int | None]  # a factor and the mode that is lost there
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,9 @@ class GainMargin(Frozen):
         The growth rate in each mode at the factor 1, 1/s.
     message : str
         The same in a sentence.
+    stabilising : (float, float) or None
+        Where a mode is unstable already, the open interval of factors that would make every
+        constant mode stable, the nearest to 1; None where there is none, or no need.
     """
 
     lower: float | None
@@ -60,6 +66,7 @@ class GainMargin(Frozen):
     upper_mode: int | None
     growth: Float[np.ndarray, " mode"]
     message: str
+    stabilising: tuple[float, float] | None = None
 
 
 def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> GainMargin:
@@ -106,15 +113,24 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
     if growth.max() >= 0.0:
         worst = int(growth.argmax())
-        what = not_decaying(growth[worst])
+        what = not_decaying(plant, growth[worst])
         text = f"there is no gain margin: held in mode {worst} the loop {what}"
-        return GainMargin(None, None, worst, worst, growth, text)
-    lower, upper = (0.0, None), (math.inf, None)
+        factors, stable = _stabilising(plant, law, step)
+        text = f"{text}; {_cure(factors, stable)}"
+        return GainMargin(None, None, worst, worst, growth, text, factors if stable else None)
+    lower, upper = _around(plant, law, step)
+    return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, _sentence(lower, upper))
+
+
+def _around(plant: SwitchedSystem, law: Law, step: float | None) -> tuple[_End, _End]:
+    """The factors next to 1 at which a mode is lost, and the mode."""
+    lower: _End = (0.0, None)
+    upper: _End = (math.inf, None)
     for mode in range(plant.modes):
         low, high = _interval(plant, law, mode, step)
         lower = (low, mode) if low > lower[0] else lower
         upper = (high, mode) if high < upper[0] else upper
-    return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, _sentence(lower, upper))
+    return lower, upper
 
 
 def _interval(
@@ -122,14 +138,13 @@ def _interval(
 ) -> tuple[float, float]:
     """The factors next to 1 at which this mode is lost."""
 
-    def scale_inputs(factor: float) -> SwitchedSystem:
-        return plant.like(plant.A, factor * plant.B)
+    grown = _ROUND_OFF * least_growth(plant)
 
     def limit(outwards: list[float]) -> float | None:
         """The first factor beyond which the mode is lost; the last is as far as any matters."""
 
         def is_lost(factor: float) -> bool:
-            return growth_rate(scale_inputs(factor), law, mode, step) >= _GROWTH
+            return growth_rate(_acting(factor, plant), law, mode, step) >= grown
 
         for a, b in itertools.pairwise(outwards):
             if is_lost(math.sqrt(a * b)):
@@ -143,23 +158,66 @@ def _interval(
             good, bad = (good, middle) if is_lost(middle) else (middle, bad)
         return good
 
-    def candidates(most: float) -> np.ndarray:
-        if step is not None:
-            return _candidates(digital_response(plant, law, mode, step), plant.shortest_delay)
-        # Stronger inputs have roots at higher frequencies.
-        response = IdealResponse.of(plant, law, mode)
-        highest = IdealResponse.of(scale_inputs(most), law, mode).highest
-        return _candidates(replace(response, radius=highest), plant.shortest_delay)
-
-    factors, high = candidates(1.0), None
+    factors, high = _crossings(plant, law, mode, step, 1.0), None
     low = limit([*factors[factors < 1.0][::-1].tolist(), 1.0 / _LARGEST])
-    for most in (_LARGEST,) if step is not None else _LARGEST ** np.linspace(0.2, 1.0, 5):
-        factors = factors if step is not None else candidates(most)
+    for most in _reaches(step):
+        factors = factors if step is not None else _crossings(plant, law, mode, step, most)
         near = factors[(factors > 1.0) & (factors < most)]
         high = limit([*near.tolist(), float(most)])
         if high is not None:
             break
     return 0.0 if low is None else low, math.inf if high is None else high
+
+
+def _acting(factor: float, plant: SwitchedSystem) -> SwitchedSystem:
+    """The plant with every input's effect so many times as strong."""
+    return plant.like(plant.A, factor * plant.B)
+
+
+def _reaches(step: float | None) -> list[float]:
+    """Up to which factors to look, in turn."""
+    return [_LARGEST] if step is not None else (_LARGEST ** np.linspace(0.2, 1.0, 5)).tolist()
+
+
+def _crossings(
+    plant: SwitchedSystem, law: Law, mode: int, step: float | None, most: float
+) -> np.ndarray:
+    """Factors, up to `most` at least, at which a mode has a root at the limit of stability."""
+    if step is not None:
+        return _candidates(digital_response(plant, law, mode, step), plant.shortest_delay)
+    # Stronger inputs have roots at higher frequencies.
+    response = IdealResponse.of(plant, law, mode)
+    highest = IdealResponse.of(_acting(most, plant), law, mode).highest
+    return _candidates(replace(response, radius=highest), plant.shortest_delay)
+
+
+def _stabilising(plant: SwitchedSystem, law: Law, step: float | None) -> tuple[_Factors, bool]:
+    """The interval of factors, the nearest to 1, that leaves every constant mode stable, and True.
+
+    Between two crossings of any mode the number of roots that grow does not change in any. Without
+    one among the `_TRIED` nearest to 1: the factors looked at, and False.
+    """
+
+    def decays(factor: float) -> bool:
+        acting = _acting(factor, plant)
+        return all(growth_rate(acting, law, mode, step) < -least for mode in range(plant.modes))
+
+    least, tried = least_growth(plant), set[tuple[float, float]]()
+    for most in _reaches(step):
+        found = [_crossings(plant, law, mode, step, most) for mode in range(plant.modes)]
+        ends = np.concatenate((*found, [1.0 / _LARGEST, most]))
+        ends = np.unique(ends[(ends >= 1.0 / _LARGEST) & (ends <= most)])
+        cells = itertools.pairwise(ends.tolist())
+        for cell in sorted(cells, key=lambda cell: abs(math.log(math.prod(cell))))[:_TRIED]:
+            factor = math.sqrt(math.prod(cell))
+            if decays(factor):
+                (lower, _), (upper, _) = _around(_acting(factor, plant), law, step)
+                return (factor * lower, factor * upper), True
+            tried.add(cell)
+        if len(tried) >= _TRIED:
+            break
+    low, high = zip(*tried, strict=True)
+    return (min(low), max(high)), False
 
 
 def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"]:
@@ -222,7 +280,7 @@ def _refine(
     return np.real(low + part * (high - low))
 
 
-def _sentence(lower: tuple[float, int | None], upper: tuple[float, int | None]) -> str:
+def _sentence(lower: _End, upper: _End) -> str:
     text = "the loop stays stable in every constant mode while the inputs act"
     (low, low_mode), (high, high_mode) = lower, upper
     low_text, high_text = inwards(low, 1.0), inwards(high, 1.0)
@@ -233,3 +291,18 @@ def _sentence(lower: tuple[float, int | None], upper: tuple[float, int | None]) 
     if low_mode is None:
         return f"{text} less than {high_text} times as much as believed"
     return f"{text} between {low_text} and {high_text} times as much as believed"
+
+
+def _cure(factors: _Factors, stable: bool) -> str:
+    """What effect of the inputs would make an unstable loop stable; else what was looked at."""
+    low, high = factors
+    if not stable:
+        tried = f"{inwards(low, 1.0)} to {inwards(high, 1.0)}"
+        return f"no effect of the inputs {tried} times as much would make it stable"
+    inside = 2.0 * low if math.isinf(high) else 0.5 * (low + high)
+    least, most = inwards(low, inside), inwards(high, inside)
+    if math.isinf(high):
+        much = f"more than {least} times"
+    else:
+        much = f"between {least} and {most} times" if low else f"less than {most} times"
+    return f"it would be stable in every constant mode if the inputs acted {much} as much"

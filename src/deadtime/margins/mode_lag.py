@@ -21,7 +21,6 @@ from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
-from deadtime.spectrum import GROWS
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
 
 if TYPE_CHECKING:
@@ -211,18 +210,14 @@ class _Asked:
         @cache
         def worst(lag: int) -> WorstCase:
             found = falsify(plant, law, step=step, mode_lag=lag, **signals.options)
-            answers[lag] = False if _grows(found) else answers.get(lag)
+            answers[lag] = False if found.grows else answers.get(lag)
             return found
 
         return cls(proof, worst, answers)
 
     def grows(self, lag: int) -> bool:
         """Whether a signal is known along which the loop provably grows."""
-        return _grows(self.worst(lag))
-
-
-def _grows(found: WorstCase) -> bool:
-    return found.growth_rate > GROWS and found.proven
+        return self.worst(lag).grows
 
 
 def _without_mode(asked: _Asked, most: int, step: float) -> LongestModeLag:

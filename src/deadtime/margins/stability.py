@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.feedback import Law
 from deadtime.margins.bracket import Bracket, Questions, bracket
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import GROWS, growth_bounds, growth_rate
+from deadtime.spectrum import growth_bounds, growth_rate, least_growth
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def _questions(problem: Callable[[float], Loop], step: float, signals: dict[str,
     def grows(value: float) -> bool:
         plant, law = loop(value)
         return any(
-            growth_rate(plant, law, mode, step) > GROWS
+            growth_rate(plant, law, mode, step) > least_growth(plant)
             and growth_bounds(plant, law, mode, step)[0] > 0.0
             for mode in SwitchingConstraint.of(plant.modes, **signals).lasting
         )

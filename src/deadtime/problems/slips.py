@@ -13,7 +13,7 @@ from deadtime.base.wording import as_rate
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.problem import Problem
 from deadtime.simulation.outcome import is_pushed
-from deadtime.spectrum import GROWS
+from deadtime.spectrum import least_growth
 from deadtime.switching import SwitchingSignal
 
 _APART = 0.1  # relative: growth rates further apart do not agree
@@ -72,7 +72,7 @@ def disagreement_of(result: Comparison) -> list[str]:
         both = math.isfinite(exact) and math.isfinite(seen)
         if (
             both
-            and abs(exact) > GROWS
+            and abs(exact) > least_growth(result.problem.plant)
             and max(exact, seen) > 0.0
             and abs(exact - seen) > _APART * size
         ):

@@ -24,7 +24,7 @@ from deadtime.reports.tables.tracking import NEVER
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
-from deadtime.spectrum import GROWS
+from deadtime.spectrum import least_growth
 
 _SAME = 1e-9  # costs that differ by less, relative, differ by round-off
 
@@ -168,8 +168,9 @@ def _without_switching(result: Comparison) -> str:
         if result.problem.imperfections
         else "The same loop"
     )
-    unstable = [i for i, rate in enumerate(growth) if rate > GROWS]
-    still = [i for i, rate in enumerate(growth) if abs(rate) <= GROWS]
+    least = least_growth(result.problem.plant)
+    unstable = [i for i, rate in enumerate(growth) if rate > least]
+    still = [i for i, rate in enumerate(growth) if abs(rate) <= least]
     if still and not unstable:
         where = " and in ".join(names[i] for i in still)
         return (

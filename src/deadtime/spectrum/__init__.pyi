@@ -3,7 +3,6 @@ from .characteristic import (
     characteristic_roots as characteristic_roots,
 )
 from .growth import (
-    GROWS as GROWS,
     constant_growth as constant_growth,
     growth_bounds as growth_bounds,
     growth_rate as growth_rate,
@@ -15,3 +14,4 @@ from .lifted import (
     lifted_loop as lifted_loop,
     with_memory as with_memory,
 )
+from .pace import least_growth as least_growth

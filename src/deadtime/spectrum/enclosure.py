@@ -30,9 +30,10 @@ import numpy as np
 from deadtime.feedback import Feedback
 from deadtime.numerics.precision import precision
 from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.spectrum.pace import pace_of
 
 BITS = (256, 512, 1024, 2048)
-NARROW = 1e-11  # 1/s, relative above a rate of 1: bounds closer than this are close enough
+NARROW = 1e-11  # of the rate or the plant's pace: bounds closer than this are close enough
 LARGEST = 3000  # order; a second at 1,000
 LOWER = 64  # so many coefficients are tried for the lower bound
 
@@ -41,13 +42,13 @@ def enclose_growth(
     plant: SwitchedSystem, feedback: Feedback, mode: int, row: int
 ) -> tuple[float, float]:
     """(low, high), 1/s: ln(spectral radius)/h of a mode under a row lies between, beyond doubt."""
-    low, high = -math.inf, math.inf
+    low, high, pace = -math.inf, math.inf, pace_of(plant)
     for bits in BITS:
         with precision(bits):
             p = _coefficients(plant, feedback, mode, row)
-            closer = _bounds(p, feedback.step)
+            closer = _bounds(p, feedback.step, pace)
         low, high = max(low, closer[0]), min(high, closer[1])
-        if high - low <= NARROW * max(1.0, abs(high)) or high == -math.inf:
+        if high - low <= NARROW * max(pace, abs(high)) or high == -math.inf:
             break
     return low, high
 
@@ -124,16 +125,16 @@ def _transform(g: np.ndarray, size: int, one: float) -> list[Any]:
     return acb.dft([acb(value) for value in padded])
 
 
-def _bounds(p: list[Any], step: float) -> tuple[float, float]:
+def _bounds(p: list[Any], step: float, pace: float) -> tuple[float, float]:
     """Graeffe's iteration until the bounds close, or the balls grow faster than they do."""
-    order = len(p) - 1
+    order, narrow = len(p) - 1, NARROW * pace
     low, high = -math.inf, math.inf
-    for k in range(1, 2 + math.ceil(math.log2(8.0 * (1.0 + math.log(order)) / (NARROW * step)))):
+    for k in range(1, 2 + math.ceil(math.log2(8.0 * (1.0 + math.log(order)) / (narrow * step)))):
         p = _square(p)
         lower, upper = _between(p, order, 2**k, step)
-        worn = lower < low - NARROW
+        worn = lower < low - narrow
         low, high = max(low, lower), min(high, upper)
-        if worn or high - low <= 0.5 * NARROW * max(1.0, abs(high)):
+        if worn or high - low <= 0.5 * max(narrow, NARROW * abs(high)):
             break
     return low, high
 

@@ -12,11 +12,11 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import check_mode
 from deadtime.spectrum.lifted import LiftedLoop, aged_row, with_memory
+from deadtime.spectrum.pace import least_growth, pace_of
 from deadtime.switching import SwitchingSignal
 
 _PRECISION = 1e-4  # of the ideal loop, per delay
-_DOUBT = 1e-9  # 1/s: eigenvalues less certain than this are computed beyond doubt
-GROWS = 1e-7  # 1/s: slower growth, or decay, is no answer
+_DOUBT = 1e-9  # of the rate or the plant's pace: what is less certain is computed beyond doubt
 _FADED = -25.0  # growth over the memory of the loop below which all is round-off
 
 
@@ -56,7 +56,7 @@ def growth_rate(
     Returns
     -------
     float
-        The growth rate. With a step to about 1e-9 1/s: eigenvalues that double precision cannot
+        The growth rate. With a step to about 1e-9/D: eigenvalues that double precision cannot
         tell so well, such as multiple ones, are enclosed in ball arithmetic (`growth_bounds`) up
         to the order 3,000; not those of a loop with an observer. A double precision loop cannot
         show that it decays much faster than −30/D, where round-off takes over; there the rate is
@@ -98,7 +98,7 @@ def growth_rate(
 
 
 def constant_growth(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int) -> float:
-    """The growth rate of a mode under a row of a table, 1/s, to about 1e-9."""
+    """The growth rate of a mode under a row of a table, 1/s, to about 1e-9 of it or of the pace."""
     from deadtime.spectrum.enclosure import LARGEST, enclose_growth
 
     step, loop = feedback.step, LiftedLoop.of(plant, feedback, mode, row).balance()
@@ -106,7 +106,7 @@ def constant_growth(plant: SwitchedSystem, feedback: Feedback, mode: int, row: i
     rate = math.log(radius) / step if radius > 0.0 else -math.inf
     if rate * loop.past * step < _FADED or loop.order > LARGEST:
         return rate
-    if loop.doubt(values) <= _DOUBT * step * max(1.0, abs(rate)):
+    if loop.doubt(values) <= _DOUBT * step * max(pace_of(plant), abs(rate)):
         return rate
     low, high = enclose_growth(plant, feedback, mode, row)
     return rate if low <= rate <= high or math.isinf(low) else 0.5 * (low + high)
@@ -119,7 +119,7 @@ def growth_bounds(
 
     A proof by computation: ball arithmetic on the characteristic polynomial of the lifted loop
     (`deadtime.spectrum.enclosure`), of the matrices and of the law's table as stored, binary64,
-    and of the loop as `simulate` cuts it. They lie about 1e-11 1/s apart; two numbers of
+    and of the loop as `simulate` cuts it. They lie about 1e-11/D apart; two numbers of
     one sign prove that the loop grows, or decays, in this mode.
 
     Parameters
@@ -170,15 +170,19 @@ def growth_bounds(
     return enclose_growth(plant, feedback, mode, row)
 
 
-def not_decaying(rate: float) -> str:
+def not_decaying(plant: SwitchedSystem, rate: float) -> str:
     """What a loop does in a constant mode in which it does not decay, to follow "the loop".
 
     Examples
     --------
-    >>> not_decaying(0.28167), not_decaying(2e-16)
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.2)
+    >>> not_decaying(plant, 0.28167), not_decaying(plant, 2e-16)
     ('grows at +0.282 /s already', 'neither grows nor decays')
     """
-    return f"grows at {rate:+.3g} /s already" if rate > GROWS else "neither grows nor decays"
+    if rate > least_growth(plant):
+        return f"grows at {rate:+.3g} /s already"
+    return "neither grows nor decays"
 
 
 def _ideal(plant: SwitchedSystem, law: Law, mode: int) -> float:

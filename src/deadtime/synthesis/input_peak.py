@@ -33,7 +33,7 @@ from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import GROWS, LiftedLoop, aged_row, growth_rate
+from deadtime.spectrum import LiftedLoop, aged_row, growth_rate, least_growth
 from deadtime.synthesis.initial_states import InitialStates
 from deadtime.synthesis.price import Periods, periods_of
 from deadtime.synthesis.stationary_noise import StationaryNoise, level_of
@@ -120,7 +120,7 @@ def input_peak(
     table = law.digital(step)
     found = [
         _unbounded(plant)
-        if growth_rate(plant, law, mode, step) > GROWS
+        if growth_rate(plant, law, mode, step) > least_growth(plant)
         else mode_levels(plant, table, mode, initial)
         for mode in range(plant.modes)
     ]

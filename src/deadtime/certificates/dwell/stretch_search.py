@@ -165,14 +165,18 @@ class StretchSearch:
             for place in range(graph.places)
             for k in range(len(graph.knots_of(place % graph.modes, self.knots)))
         )
-        held = [here for here, there, _ in staying if here == there]
-        if _unknown(self.setting) or len(held) > len(set(held)):  # or several rows may act
+        if _unknown(self.setting) or self._several_rows():
             shape, moving = Shape.of(H, {}, {}, nodes), leaps
         else:
             loops = {here: M for here, there, M in staying if here == there}
             links = {here: M for here, there, M in staying if here != there}
             shape = Shape.of(H, loops, links, nodes)
         return None if shape is None else Loops(shape, moving, T * units)
+
+    def _several_rows(self) -> bool:
+        """Whether a mode that lasts may do so under one row or another."""
+        lasting = [(one.knot, one.step.mode) for one in self.stretches if not one.step.switches]
+        return len(lasting) > len(set(lasting))
 
     def _to_begin_with(self, loops: Loops) -> dict[int, Looked]:
         """A few leaps of every pair of nodes, over all ages."""

@@ -21,6 +21,7 @@ from deadtime.feedback.memory import WithMemory
 from deadtime.imperfections import Imperfection, ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
+from deadtime.spectrum import least_growth
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.constraint import one_or_each
 
@@ -83,6 +84,11 @@ class WorstCase(Frozen):
     def proven(self) -> bool:
         """Whether it is proved that the loop grows."""
         return self.proof.proven
+
+    @property
+    def grows(self) -> bool:
+        """Whether that is proved, and not slower than anyone would wait for (`least_growth`)."""
+        return self.proven and self.growth_rate > least_growth(self.plant)
 
     @property
     def phase(self) -> float:

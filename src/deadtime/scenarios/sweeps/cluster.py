@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from deadtime.base.errors import ArgumentError, ClusterError
+from deadtime.base.errors import ArgumentError, ClusterError, DeadtimeError
 from deadtime.base.threads import processors
 from deadtime.base.version import __version__
 
@@ -38,7 +38,7 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             'pip install ".[sweep]" in a clone of deadtime.'
         ) from None
     if scheduler is not None:
-        with _remote(scheduler) as client:
+        with _unlogged(), _remote(scheduler) as client, _reachable(client, scheduler):
             yield client
         return
     count = processors() if workers is None else workers
@@ -62,7 +62,8 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     with local, _hushed(distributed.Client(local, set_as_default=False)) as client:
         if count > 1:
             client.run(_prepare_worker)
-        yield client
+        with _reachable(client, local.scheduler_address):
+            yield client
 
 
 @contextmanager
@@ -92,6 +93,34 @@ def _remote(scheduler: str) -> Iterator[Client]:
                 f"and this is {__version__}: install the same everywhere."
             )
         yield client
+
+
+@contextmanager
+def _reachable(client: Client, scheduler: str) -> Iterator[None]:
+    """Say that the scheduler was lost where that is why something failed."""
+    try:
+        yield
+    except DeadtimeError:
+        raise
+    except Exception:
+        if client.status == "running":
+            raise
+        raise ClusterError(
+            f"scheduler {scheduler!r} was lost: what is stored is kept; start a "
+            "scheduler and workers again, and run the same command again."
+        ) from None
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Without Dask's own report of a scheduler that is lost, which an error tells."""
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _version() -> str:

@@ -234,7 +234,10 @@ def _group(url: str) -> zarr.Group:
         raise ArgumentError(f"store {url!r} does not exist: run the sweep first.") from None
     except Exception as error:  # what Zarr raises of metadata that are none is anything
         why = " ".join(str(error).split())
-        raise StoreError(f"store {url!r} cannot be opened: {why:.300}") from None
+        raise StoreError(
+            f"store {url!r} cannot be opened ({why:.300}): choose another store, or delete "
+            "this one and run the sweep anew."
+        ) from None
 
 
 @lru_cache(maxsize=8)

@@ -1,0 +1,38 @@
+"""How fast a plant moves, and what is too slow beside that to be told from round-off."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.plant import SwitchedSystem
+
+_LEAST = 1e-7
+
+
+def pace_of(plant: SwitchedSystem) -> float:
+    """The slower of 1/D, D its longest delay, and its fastest mode's |λ|, 1/s.
+
+    A unit of rates that goes with the unit of time: the same plant in milliseconds has a thousandth
+    of it. Of integrators alone it is 1/D.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> [pace_of(dt.SwitchedSystem([[[a]]], [[[1.0]]], 0.5)) for a in (-8.0, -0.25, 0.0)]
+    [2.0, 0.25, 2.0]
+    """
+    slow = 1.0 / plant.longest_delay
+    fast = float(np.abs(np.linalg.eigvals(plant.A)).max())
+    return min(slow, fast) if fast > 0.0 else slow
+
+
+def least_growth(plant: SwitchedSystem) -> float:
+    """The growth rate, 1/s, up to which growth, or decay, is no answer: 1e-7 of the plant's pace.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> least_growth(dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=1.0))
+    1e-07
+    """
+    return _LEAST * pace_of(plant)
