@@ -51,7 +51,7 @@ def time_cells(
                 break
             found[cell], runs = _seconds(study, study.cell(tuple(places[cell].tolist())))
             spent += runs
-        ratios.append(found[cell] / said[cell])
+        ratios.append(found[cell] / float(said[cell]))
     return Timed(float(np.mean(ratios) * said.sum()), len(found))
 
 
