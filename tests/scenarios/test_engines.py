@@ -58,7 +58,7 @@ def check_as_simulated(loop, law, scenarios=(3, 6)):
         table_of(engine, loop, law), loop.lay(SignalBatch.of(SIGNALS)), 0, COUNT
     )
     assert path.x.shape == (COUNT, 3, loop.whole + 1)
-    assert not needs_own_run(loop, figures).any()
+    assert not needs_own_run(figures).any()
     found = metrics_of(loop, figures)
     for i in scenarios:
         run = dt.simulate(loop.plant, law, SIGNALS[i], X0, HORIZON, H, imperfections=loop.actuators)

@@ -5,6 +5,7 @@ import pytest
 
 import deadtime as dt
 import plants
+from batches import require_single_runs
 from deadtime.feedback.table import follow
 from deadtime.imperfections import (
     Dropout,
@@ -21,7 +22,7 @@ from deadtime.imperfections import (
     WrongMode,
 )
 from deadtime.plant import SampledPlant
-from deadtime.scenarios import draw_signals, scenario_seed
+from deadtime.scenarios import draw_signals
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.run import _block
@@ -85,25 +86,7 @@ FEW = "averaged", "exact"
     ),
 )
 def test_imperfect_scenarios_are_those_of_single_runs(case, kinds):
-    laws = {name: LAWS[name] for name in kinds}
-    data = dt.monte_carlo(
-        TRUTH, laws, MODEL, X0, HORIZON, H, COUNT, SEED,
-        imperfections=CASES[case], trajectories=True,
-    )  # fmt: skip
-    assert data.attrs["one_by_one"] == []
-    signals = draw_signals(MODEL, HORIZON + 1.0, SEED, count=COUNT)
-    for name, law in laws.items():
-        for i in (0, 8, 10):
-            seed = scenario_seed(SEED, i)
-            run = dt.simulate(
-                TRUTH, law, signals[i], X0, HORIZON, H, imperfections=CASES[case], seed=seed
-            )
-            found = data.sel(law=name).isel(scenario=i)
-            samples = found.time.size
-            plants.close(found.x.values, run.states[:, :samples], 1e-10)
-            plants.close(found.u.values, run.inputs[:, :samples], 1e-10)
-            for metric, value in run.metrics().items():
-                assert found[metric].item() == pytest.approx(value, rel=1e-9), (name, i, metric)
+    require_single_runs(TRUTH, {name: LAWS[name] for name in kinds}, CASES[case])
 
 
 def test_imperfect_scenarios_do_not_depend_on_their_company():

@@ -90,3 +90,31 @@ def test_whatever_fails_in_a_cell_is_its_reason_and_the_others_run(tmp_path):
     ):  # fmt: skip
         assert reason.startswith(start)
         assert bool(reason) == bool(start)
+
+
+class Ages:
+    """Signals that are equal but for how old their first mode is."""
+
+    def sample(self, horizon, seed=0):
+        return dt.SwitchingSignal([0.0, 0.4], [0, 1], initial_age=0.05 * (seed % 7))
+
+
+def test_signals_of_different_ages_are_not_taken_for_equal_ones():
+    def loop():
+        made = make_loop(0.3, 0.5)
+        plant = made["plant"]
+        gains = dt.place(plant, [-1.5, -2.0, -2.5][: plant.states])
+        return made | {
+            "laws": {"aware": dt.AveragedPredictor(plant, gains, dwell_time=0.31)},
+            "model": Ages(),
+        }
+
+    study = dt.function_study(loop, {}, scenarios=30)
+    cell = next(study.cells())
+    outcome, made = run_cell(study, cell), study.loop(cell)
+    assert outcome.reasons == ("",)
+    direct = dt.monte_carlo(
+        made.plant, made.laws, made.model, made.x0, made.horizon, made.step, scenarios=30
+    )
+    assert np.unique(direct.cost).size == 7
+    np.testing.assert_array_equal(outcome.metrics["cost"], direct.cost.values)

@@ -32,7 +32,8 @@ def test_the_command_says_what_there_is_to_do_and_does_it(capsys):
     said = capsys.readouterr().out
     assert "4 cells (1 plant.delay × 2 law.told.dwell_time × 2 delay_error), 3 signals" in said
     assert "not there yet" in said
-    assert "To do: 48 runs in 1 block of cells, about 1 s of one core" in said
+    assert "To do: 48 runs in 1 block of cells, about 1 s of one core like this one" in said
+    assert "(4 cells timed)" in said
     assert not Path("study.zarr").exists()
     assert ran("study.toml", "--workers", "1") == 0
     captured = capsys.readouterr()

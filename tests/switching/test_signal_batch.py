@@ -25,6 +25,8 @@ def test_a_batch_gives_back_the_signals_it_was_made_of():
         assert (signal.end, signal.initial_age) == (given.end, given.initial_age)
     assert equal(batch.slice(1, 3), SignalBatch.of(SIGNALS[1:]))
     assert equal(batch.slice(0, 3), batch)
+    for some in ([2, 0], [1], [1, 1, 2, 0]):
+        assert equal(batch.take(np.array(some)), SignalBatch.of([SIGNALS[i] for i in some]))
     assert batch.require_modes(5) is batch
 
 

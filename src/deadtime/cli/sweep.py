@@ -19,6 +19,7 @@ from deadtime.cli.printing import (
     print_table,
     require_writable,
     save_text,
+    stage_line,
 )
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ def sweep(
     status
         Say how far the store is, and stop.
     dry_run
-        Say how much there is to do and to store, and stop.
+        Say how much there is to do and to store, and stop. Some cells run on a few signals, for
+        some seconds, to say how long all of them take.
     verify
         Read everything that is stored first, and compute again what is damaged.
     table
@@ -94,7 +96,9 @@ def sweep(
         raise ArgumentError("store must be the name of a folder, or a URL, got ''.")
     if workers is not None:
         count("workers", workers)
-    plan = plan_of(chosen, place)
+    with stage_line(quiet=json_output) as stage:
+        stage("timing some of the cells" if dry_run else "reading the store")
+        plan = plan_of(chosen, place, trial=dry_run)
     if status or dry_run:
         _say(chosen, plan, dry_run, json_output)
         return 0
@@ -193,10 +197,11 @@ def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     state = f"{plan.done:,} cells are whole, {plan.cells - plan.done:,} to do"
     print(f"Store {plan.store}: {state if plan.exists else 'not there yet'}")
     if dry_run:
+        timed = "1 cell" if plan.timed == 1 else f"{plan.timed} cells"
         blocks = "1 block" if plan.missing == 1 else f"{plan.missing:,} blocks"
         print(
-            f"To do: {plan.runs:,} runs in {blocks} of cells, about "
-            f"{duration(plan.seconds)} of one core\n"
+            f"To do: {plan.runs:,} runs in {blocks} of cells, about {duration(plan.seconds)} of "
+            f"one core like this one, beside some seconds to start ({timed} timed)\n"
             if plan.missing
             else "Nothing to do\n",
             end="",

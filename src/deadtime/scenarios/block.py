@@ -14,9 +14,10 @@ from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.dataset import Results
-from deadtime.scenarios.figures import Figures, Path, metrics_of, needs_own_run
+from deadtime.scenarios.figures import Path, metrics_of, needs_own_run
 from deadtime.scenarios.forces import ForceMaps, forces_of
 from deadtime.scenarios.heard import HeardBlock
+from deadtime.scenarios.instants import Instants
 from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
@@ -79,7 +80,9 @@ class Block:
         if self.tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
-        heard = force = None
+        heard = force = instants = None
+        if laid is not None and self.loop.late_times is not None:
+            instants = Instants.of(self.loop, self.loop.late_times, signals, laid[0].records)
         if laid is not None and self.loop.forced:
             records = laid[0].records
             maps = self._force_maps
@@ -112,7 +115,9 @@ class Block:
                 tables[name] = along(self.tables[name], signals)
             left: Sequence[int] = range(count)
             if laid is not None and name in tables:
-                left = self._at_once(row, tables[name], laid, heard, force, first, stopped)
+                left = self._at_once(
+                    row, tables[name], laid, heard, force, instants, first, stopped
+                )
             for i in left:
                 if stopped():
                     return 0
@@ -139,12 +144,13 @@ class Block:
         laid: Sequence[Laid],
         heard: Mapping[int, HeardBlock] | None,
         force: np.ndarray | None,
+        instants: Instants | None,
         first: int,
         stopped: Stopped,
     ) -> Sequence[int]:
         """Run a law by the engine; which scenarios are left to `simulate`."""
         results, count = self.results, laid[0].scenarios
-        whole = results.x is None and self._followed[row] is None
+        whole = results.x is None and self._followed[row] is None and instants is None
         samples, numbers = self.loop.whole + 1, table.shape.x + table.shape.u
         few = LANES * max(1, _ROOM // (samples * numbers * LANES))
         size, left = count if whole else min(count, few), list[int]()
@@ -160,42 +166,31 @@ class Block:
                     table.feedback, start, these.stop - these.start, table.memory is not None
                 )
             felt = None if force is None else from_scenario(force, start, count)
-            figures = self._figures(row, table, laid, hearing, felt, start, these, room)
-            for metric, values in metrics_of(self.loop, *figures).items():
+            given, late = (start, these.stop - these.start, hearing, felt), None
+            if whole:
+                figures = self.engine.run(table, laid[0], *given)
+            else:
+                figures, path = self.engine.path(table, laid[0], *given, room=room)
+                self._keep(row, path, laid[0], start, these)
+                late = None if instants is None else instants.squares(path, felt, start)
+            weighed = None
+            if self.weighed is not None:
+                weighed = self.weighed[1].run(table, laid[1], *given)
+            for metric, values in metrics_of(self.loop, figures, weighed, late).items():
                 results.metrics[metric][row, these] = values
-            left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
+            left += (start + np.flatnonzero(needs_own_run(figures, late))).tolist()
         return left
 
-    def _figures(
-        self,
-        row: int,
-        table: Table,
-        laid: Sequence[Laid],
-        hearing: Hearing,
-        force: np.ndarray | None,
-        start: int,
-        these: slice,
-        room: np.ndarray,
-    ) -> list[Figures]:
-        """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
-        count, results, followed = these.stop - these.start, self.results, self._followed[row]
-        if results.x is None and followed is None:
-            figures = self.engine.run(table, laid[0], start, count, hearing, force)
-        else:
-            figures, path = self.engine.path(
-                table, laid[0], start, count, hearing=hearing, force=force, room=room
-            )
-            if results.x is not None and results.u is not None:
-                results.x[row, these], results.u[row, these] = path.x, path.u
-            if followed is not None:
-                modes = None
-                if not followed.is_same_in_modes:
-                    modes = laid[0].records.modes(self.loop.whole + 1)[start : start + count]
-                self._track(row, followed, path, modes, these)
-        if self.weighed is None:
-            return [figures]
-        weighed = self.weighed[1].run(table, laid[1], start, count, hearing, force)
-        return [figures, weighed]
+    def _keep(self, row: int, path: Path, laid: Laid, start: int, these: slice) -> None:
+        """Keep trajectories and how they follow a reference, where these are asked for."""
+        results, followed = self.results, self._followed[row]
+        if results.x is not None and results.u is not None:
+            results.x[row, these], results.u[row, these] = path.x, path.u
+        if followed is not None:
+            modes = None
+            if not followed.is_same_in_modes:
+                modes = laid.records.modes(self.loop.whole + 1)[start : start + path.scenarios]
+            self._track(row, followed, path, modes, these)
 
     def _track(
         self,

@@ -159,9 +159,9 @@ class Engine:
         laid: Laid,
         first: int,
         count: int,
-        keep: int = 0,
         hearing: Hearing = PERFECT,
         force: np.ndarray | None = None,
+        keep: int = 0,
         room: np.ndarray = _NOTHING,
     ) -> tuple[Figures, Path]:
         """The same with states and inputs from sample `keep` on, laid in `room` where that does.

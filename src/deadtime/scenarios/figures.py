@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 
 from deadtime.scenarios.loop import Loop
 
-FEW_LATE = 11  # samples of the second half below which `Trajectory.metrics` looks between them
 _LIMIT, _TINY = 1e200, 1e-290  # of |x|²
 
 
@@ -64,9 +63,14 @@ class Path:
 
 @np.errstate(all="ignore")  # of a scenario that diverges, which is run again
 def metrics_of(
-    loop: Loop, figures: Figures, weighed: Figures | None = None
+    loop: Loop,
+    figures: Figures,
+    weighed: Figures | None = None,
+    late: Float[np.ndarray, "scenario time"] | None = None,
 ) -> dict[str, Float[np.ndarray, " scenario"]]:
-    """The metrics of `Trajectory.metrics`, in its order; `weighed` are the figures of the cost.
+    """The metrics of `Trajectory.metrics`, in its order.
+
+    `weighed` are the figures of the cost; `late` is |x|² at `Loop.late_times`, where there are any.
 
     The peak of |x| so far never falls, and is the peak itself from where it is reached on; so the
     last sample above 2 % of the peak so far is the last one above 2 % of the peak.
@@ -84,7 +88,7 @@ def metrics_of(
         "cost": cost[0] + cost[1],
         "peak": np.sqrt(peak),
         "settling_time": np.where(at_end, np.inf, time),
-        "decay_rate": _decay_rate(loop, figures),
+        "decay_rate": _decay_rate(loop, figures) if late is None else _slope(loop, late),
         "final_norm": np.sqrt(figures.final),
     }
 
@@ -107,17 +111,22 @@ def _decay_rate(loop: Loop, figures: Figures) -> Float[np.ndarray, " scenario"]:
     return -0.5 * slope / loop.step
 
 
-def few_late(loop: Loop) -> bool:
-    """Whether the second half of the horizon has too few samples to fit a slope to."""
-    return loop.whole + 1 - loop.late + (loop.rest > 0.0) < FEW_LATE
+def _slope(loop: Loop, late: Float[np.ndarray, "scenario time"]) -> Float[np.ndarray, " scenario"]:
+    """The same of |x|² at `Loop.late_times`."""
+    assert loop.late_times is not None
+    place = loop.late_times / loop.horizon - 0.75
+    weights = -0.5 * place / (place @ place * loop.horizon)
+    return sum((w * log for w, log in zip(weights, np.log(late.T), strict=True)), start=np.zeros(1))
 
 
-def needs_own_run(loop: Loop, figures: Figures) -> Bool[np.ndarray, " scenario"]:
-    """Scenarios that diverge, vanish or are too short for sums: `simulate` knows what they are."""
-    if few_late(loop):
-        return np.ones(figures.ise.size, dtype=bool)
+def needs_own_run(
+    figures: Figures, late: Float[np.ndarray, "scenario time"] | None = None
+) -> Bool[np.ndarray, " scenario"]:
+    """Scenarios that diverge or vanish, `late` as in `metrics_of`: `simulate` runs them."""
     peak = np.maximum(figures.peak, figures.final)
     least = np.minimum(figures.least, figures.final)
+    if late is not None:
+        least = np.minimum(least, late.min(axis=1))
     fine = (peak <= _LIMIT) & (least >= _TINY)
     for figure in (figures.ise, figures.energy, figures.log_sum, figures.log_double):
         fine &= np.isfinite(figure)

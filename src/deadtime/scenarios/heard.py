@@ -119,7 +119,7 @@ class HeardBlock:
                 reach = sights.lay(*given, lag, reach)
             elif sample is not nothing.sample:
                 reach = lay_lags(sample, few, begin // LANES, lag, reach)
-            if heard.noise.shape[1] > 1:
+            if heard.noise is not nothing.noise:
                 if noise.size == 0:
                     noise = self._room("noise", size * self.measured)
                     noise.fill(0.0)

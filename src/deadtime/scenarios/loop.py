@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.feedback.table import OLDEST
@@ -27,6 +27,7 @@ from deadtime.scenarios.cut_periods import (
     whole_periods,
 )
 from deadtime.scenarios.records import Laid, Records
+from deadtime.simulation.trajectory import LATE
 from deadtime.switching import SignalBatch
 
 _CELLS = 1024  # of a period, for a plant that is so fast
@@ -88,6 +89,14 @@ class Loop:
         step, half = self.step, 0.5 * self.horizon
         first = max(0, math.floor(half / step) - 1)
         return next(k for k in range(first, first + 4) if k * step >= half)
+
+    @cached_property
+    def late_times(self) -> Float[np.ndarray, " time"] | None:
+        """When |x| is asked for, where the samples of the second half are too few for a slope."""
+        samples = self.whole + 1 - self.late + (self.rest > 0.0)
+        if samples >= LATE:
+            return None
+        return read_only(np.linspace(0.5 * self.horizon, self.horizon, LATE))
 
     @cached_property
     def root(self) -> Float[np.ndarray, "rows m"]:
@@ -173,6 +182,24 @@ class Loop:
             end = np.where(last[which], self.rest, self.step)
             given = end, records, modes, acting, tables.pieces, self.step
             compose_cuts(maps, which, records.until[which], *given)
+
+    def moves(
+        self,
+        records: Records,
+        modes: Int[np.ndarray, " sojourn"],
+        cut: Int[np.ndarray, " part"],
+        until: Float[np.ndarray, " part"],
+    ) -> Float[np.ndarray, "part n z"]:
+        """x(t_k + τ) = M z_k: the M of cut periods `cut`, `until` being τ, seconds."""
+        from deadtime.scenarios.laid_sights import follow_cuts
+
+        assert self.tables is not None
+        _, n, m = self.acting.B.shape
+        pieces, width = self.tables.pieces, (0.0,) * -(-(n * n + n * m) // WIDE)
+        moves = np.empty((cut.size, n, self.acting.wide))
+        cell = self.step / pieces.shape[1]
+        follow_cuts(moves, cut, until, records, modes, self.acting, pieces, cell, width)
+        return moves
 
     def lay_nothing(self) -> Laid:
         """No signals, as `lay` lays them, but without a compiler."""

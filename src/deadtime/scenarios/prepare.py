@@ -14,7 +14,6 @@ from deadtime.imperfections import Disturbance, Imperfection, Limiting, TimingIm
 from deadtime.imperfections.known import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.scenarios.engine import Engine, Table
-from deadtime.scenarios.figures import few_late
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.switching import SwitchingSignal
@@ -61,7 +60,7 @@ def _tables(
         return {}
     if loop.forced and not (loop.plant.delays == loop.plant.delays[0]).all():
         return {}
-    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
+    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS:
         return {}
     timed = any(isinstance(one, TimingImperfection) for one in imperfections)
     tables = {name: _table(engine, loop, law, timed) for name, law in laws.items()}
@@ -101,6 +100,8 @@ def _with_memory(engine: Engine, loop: Loop, law: Law, timed: bool) -> Table | N
             return None
         return engine.estimate(tables.feedback, tables.bank, C)
     if tables is None or tables.memory is None or tables.feedback is None or C is None:
+        return None
+    if tables.memory.tracked.size and loop.whole == 0:  # errors are summed up to the horizon
         return None
     wide = max(part.shape[-1] for part in (tables.memory.Phi, tables.memory.Gamma))
     if (timed and (C[0] != C).any()) or wide**2 * 4 > _MOST_TERMS:

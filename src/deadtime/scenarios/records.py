@@ -29,10 +29,16 @@ class Records(NamedTuple):
 
     def modes(self, samples: int) -> Int[np.ndarray, "scenario sample"]:
         """The sampled mode of every scenario at the samples 0, …, samples − 1."""
+        return self._along(self.mode, samples)
+
+    def maps(self, samples: int) -> Int[np.ndarray, "scenario period"]:
+        """The map of every scenario over the periods 0, …, samples − 1."""
+        return self._along(self.map, samples)
+
+    def _along(self, values: Int[np.ndarray, " record"], samples: int) -> Int[np.ndarray, "s k"]:
         ends = np.append(self.step[1:], samples)
         ends[self.first[1:-1] - 1] = samples
-        modes = np.repeat(self.mode, ends - self.step)
-        return modes.reshape(-1, samples).astype(np.int64)
+        return np.repeat(values, ends - self.step).reshape(-1, samples).astype(np.int64)
 
 
 class Laid(NamedTuple):

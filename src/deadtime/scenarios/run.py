@@ -79,10 +79,10 @@ def monte_carlo(
     that weigh rows by a belief (`BeliefPredictor`). One by one, by `simulate`, run: laws that are
     no table, laws that draw their first estimate or reference (`OutputFeedback`), in scenario i
     by the seed ``scenario_seed(seed, i)`` alone, all laws where the plant is disturbed and its
-    delays differ between modes, or an imperfection is a function of the user's own, horizons of
-    fewer than some 20 periods, plants beyond some 30 states (11 for a law that knows the signal)
-    or a thousand times faster than the
-    period; `attrs["one_by_one"]` names the laws. So do scenarios that diverge or vanish.
+    delays differ between modes, or an imperfection is a function of the user's own, plants beyond
+    some 30 states (11 for a law that knows the signal) or a thousand times faster than the period,
+    and servos over less than a period; `attrs["one_by_one"]` names the laws. So do scenarios that
+    diverge or vanish.
 
     Parameters
     ----------

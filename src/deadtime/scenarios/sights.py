@@ -10,6 +10,7 @@ period has its own M.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -21,7 +22,7 @@ from deadtime.imperfections import Imperfection, Sizes, TimingImperfection
 from deadtime.numerics.lanes.code import LANES
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.acting import acting_of
-from deadtime.scenarios.cut_periods import WIDE, compose, nodes, parts_of, series_through, stack
+from deadtime.scenarios.cut_periods import compose, nodes, parts_of, series_through, stack
 from deadtime.scenarios.drawn import InManyRuns, in_many_runs
 from deadtime.scenarios.layout import Sight
 from deadtime.scenarios.loop import Loop
@@ -115,23 +116,8 @@ class Sights:
                 self.row, self.place, self.news, lag, heard, offset, begin, few, records, modes,
                 edges, loop.cells, series + sum(map(len, self.cuts)), cut, when,
             )  # fmt: skip
-            self.cuts.append(self._moves(signals, records, cut[:noted], when[:noted]))
+            self.cuts.append(loop.moves(records, signals.modes, cut[:noted], when[:noted]))
         return reach
-
-    def _moves(
-        self, signals: SignalBatch, records: Records, cut: np.ndarray, when: np.ndarray
-    ) -> Float[np.ndarray, "count n z"]:
-        """The M of measurements in cut periods."""
-        from deadtime.scenarios.laid_sights import follow_cuts
-
-        loop, tables = self.loop, self.loop.tables
-        assert tables is not None
-        _, n, m = loop.acting.B.shape
-        width, cell = (0.0,) * -(-(n * n + n * m) // WIDE), loop.step / tables.pieces.shape[1]
-        moves = np.empty((cut.size, n, loop.acting.wide))
-        given = records, signals.modes, loop.acting, tables.pieces
-        follow_cuts(moves, cut, when, *given, cell, width)
-        return moves
 
     def sight(self) -> Sight | None:
         """All that was laid."""
@@ -139,7 +125,8 @@ class Sights:
             return None
         series = sight_series(self.loop.sampled, self.loop.cells, self.loop.forced)
         cuts = np.concatenate(self.cuts) if self.cuts else np.empty((0, *series.shape[2:]))
-        flat = series.reshape(len(series), -1), cuts.reshape(len(cuts), -1)
+        # Where no switch comes before a measurement there are no cuts.
+        flat = series.reshape(len(series), -1), cuts.reshape(len(cuts), math.prod(cuts.shape[1:]))
         return Sight(*flat, self.row, self.place, self.news)
 
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
     from deadtime.base.figure_files import Width
 
+LATE = 11  # instants of the second half, at least, whose |x| the decay rate is fitted to
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Frozen):
@@ -224,9 +226,9 @@ class Trajectory(Frozen):
     def _decay_rate(self, time: np.ndarray, norm: np.ndarray) -> float:
         """Minus the slope of log|x| over the second half, from |x| on the grid or finer."""
         late = time >= 0.5 * self.end
-        if late.sum() < 11:
-            time = np.linspace(0.5 * self.end, self.end, 11)
-            norm, late = np.linalg.norm(self.record.states_at(time), axis=1), np.full(11, True)
+        if late.sum() < LATE:
+            time = np.linspace(0.5 * self.end, self.end, LATE)
+            norm, late = np.linalg.norm(self.record.states_at(time), axis=1), np.full(LATE, True)
         late &= norm > 0.0
         time, norm = time[late], norm[late]
         if self.end == 0.0 or norm.size < 2:

@@ -135,6 +135,21 @@ class SignalBatch(Frozen):
             self.initial_age[start:stop],
         )
 
+    def take(self, signals: Int[np.ndarray, " some"]) -> SignalBatch:
+        """Signals of these numbers as a batch of their own, in this order.
+
+        Examples
+        --------
+        >>> batch = SignalBatch.of([SwitchingSignal([0, 0.5], [0, 1]), SwitchingSignal.constant(2)])
+        >>> batch.take(np.array([1, 0, 1])).modes
+        array([2, 0, 1, 2])
+        """
+        sizes = np.diff(self.first)[signals]
+        first = np.concatenate(([0], np.cumsum(sizes)))
+        own = np.repeat(self.first[signals] - first[:-1], sizes) + np.arange(first[-1])
+        whole = self.end[signals], self.initial_age[signals]
+        return SignalBatch(first, self.times[own], self.modes[own], *whole)
+
     def require_modes(self, modes: int) -> SignalBatch:
         """The batch itself, when all its modes are in 0, …, modes − 1; an error otherwise."""
         if self.modes.max() >= modes:

@@ -115,11 +115,12 @@ def _measure(loop: Loop, laws: Mapping[str, Law], scenarios: int, seed: int) -> 
 def _distinct(signals: SignalBatch) -> tuple[SignalBatch, np.ndarray]:
     """The different signals of a batch, and which of them every signal is."""
     times, modes, first = signals.times.tobytes(), signals.modes.tobytes(), 8 * signals.first
-    places: dict[tuple[bytes, bytes], int] = {}
-    which = np.empty(len(signals), np.int64)
+    others = np.stack((signals.end, signals.initial_age), axis=1).tobytes()
+    places: dict[tuple[bytes, bytes, bytes], int] = {}
+    which, examples = np.empty(len(signals), np.int64), list[int]()
     for i, (a, b) in enumerate(zip(first[:-1].tolist(), first[1:].tolist(), strict=True)):
-        which[i] = places.setdefault((times[a:b], modes[a:b]), len(places))
-    if len(places) == len(signals):
-        return signals, which
-    _, examples = np.unique(which, return_index=True)
-    return SignalBatch.of([signals[int(i)] for i in examples]), which
+        key = times[a:b], modes[a:b], others[16 * i : 16 * i + 16]
+        which[i] = places.setdefault(key, len(places))
+        if len(places) > len(examples):
+            examples.append(i)
+    return (signals.take(np.array(examples)) if len(examples) < len(signals) else signals), which

@@ -8,6 +8,7 @@ from os import PathLike
 import numpy as np
 
 from deadtime.scenarios.sweeps.layout import costs_of, layout_of
+from deadtime.scenarios.sweeps.pilot import Timed, time_cells
 from deadtime.scenarios.sweeps.store import exists, open_store, place_of
 from deadtime.scenarios.sweeps.study import Study
 
@@ -31,7 +32,10 @@ class Plan:
     runs : int
         Of one law on one signal, in the cells that are missing.
     seconds : float
-        That the missing cells take one core of the machine of benchmarks/README.md, estimated.
+        That the missing cells take one core, estimated; without a trial the machine of
+        benchmarks/README.md, from a table of costs.
+    timed : int
+        Cells that were run on a few signals to estimate it.
     size : int
         Bytes of the whole store before compression.
     objects : int
@@ -46,12 +50,23 @@ class Plan:
     missing: int
     runs: int
     seconds: float
+    timed: int
     size: int
     objects: int
 
 
-def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
+def plan_of(study: Study, store: str | PathLike[str], *, trial: bool = False) -> Plan:
     """What `sweep` would do: its cells, and which of them the store holds already.
+
+    Parameters
+    ----------
+    study : Study
+    store : path
+        As `sweep` takes them.
+    trial : bool
+        Run some of the missing cells on a few signals, for some seconds, to say how long all of
+        them take one core of this machine. What has to be compiled is compiled then, and does not
+        count.
 
     Raises
     ------
@@ -79,6 +94,7 @@ def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
     else:
         layout, done = layout_of(study, costs), np.zeros(study.shape, dtype=bool)
     runs = len(study.laws) * study.scenarios
+    seconds = time_cells(study, costs, ~done) if trial else Timed(float(costs[~done].sum()), 0)
     return Plan(
         store=url,
         exists=there,
@@ -87,7 +103,8 @@ def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
         blocks=layout.size,
         missing=sum(not done[layout.slices(number)].all() for number in range(layout.size)),
         runs=int((~done).sum()) * runs,
-        seconds=float(costs[~done].sum()),
+        seconds=seconds.seconds,
+        timed=seconds.cells,
         size=study.size * runs * (8 * len(study.metrics) + 1),
         objects=layout.size * (len(study.metrics) + _FLAGS),
     )
