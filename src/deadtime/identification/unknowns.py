@@ -69,9 +69,9 @@ class Unknowns:
                 outside.append(f"{name} ({self.estimate(name):.4g}, not {low:.4g} … {high:.4g})")
         if outside:
             raise ArgumentError(
-                "log leaves several delays open, and their 95 % intervals do not hold the likeliest "
-                f"plant: {', '.join(outside)}. Move the input more, log for longer, or narrow "
-                "delay=(low, high), --delay LOW HIGH."
+                "log leaves several delays open, and their 95 % intervals do not hold the "
+                f"likeliest plant: {', '.join(outside)}. Move the input more, log for longer, or "
+                "narrow delay=(low, high), --delay LOW HIGH."
             )
 
     def _place(self, name: str) -> int:

@@ -11,7 +11,12 @@ from deadtime.identification.cells import cells_of
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
-from deadtime.identification.levels import with_constant, without_level
+from deadtime.identification.levels import (
+    at_zero,
+    likelier_than_chance,
+    with_constant,
+    without_level,
+)
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.largest import largest_maximum
@@ -96,9 +101,20 @@ def estimate_with_noise(
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(bounds[1])))
     top, scan = largest_maximum(some, begins)
     best, window = maximise(log, top.theta)
-    log, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
+    smaller, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
     if kept.size < best.theta.size:
-        best, window = maximise(log, best.theta[kept])
+        log, (best, window) = smaller, maximise(smaller, best.theta[kept])
+    elif log.layout.constant:
+        # Noise that is told as less than it is makes Wald's test too sure.
+        plain, kept = at_zero(log, best.theta.size)
+        climbed = [best.theta[kept]]
+        few, _ = at_zero(some, best.theta.size)
+        top, beside = largest_maximum(few, [begin[kept] for begin in begins], climbed)
+        other, around = maximise(plain, top.theta)
+        starts = log.starts(min(window[0], around[0]), max(window[1], around[1]))
+        rise = log.value(best.theta, starts) - plain.value(other.theta, starts)
+        if not likelier_than_chance(rise, best.theta.size - other.theta.size):
+            log, best, window, scan = plain, other, around, beside
     curves = scan.curves * (recording.samples / some.recording.samples)
     return estimated_of(log, best, window, start_beside(log, best, scan.first, curves), exact.spare)
 
