@@ -34,6 +34,7 @@ def made_up(monkeypatch):
         return SimpleNamespace(
             growth_rate=0.28 if grows else -0.4,
             proven=grows,
+            grows=grows,
             modes=(1,),
             sojourns=(np.inf,),
             length=1.0,
