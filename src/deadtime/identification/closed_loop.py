@@ -31,7 +31,7 @@ from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.noisy.noise import begun_with_noise, estimated_of
-from deadtime.identification.noisy.noise_intervals import sensor_intervals
+from deadtime.identification.noisy.noise_intervals import exact_holds
 from deadtime.identification.peaks import plausible_fall
 from deadtime.identification.scoring import Evaluate, Maximum, climb
 from deadtime.identification.start import Start, cell_range
@@ -140,12 +140,4 @@ def estimate_in_loop(
 ) -> Estimate:
     """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
     found = over_all_cells(*begun_with_noise(recording, C, exact, within, bounds))
-    if sure or not exact.tests.white or found.several.any():
-        return found
-    noiseless = all(low == 0.0 for low, _ in sensor_intervals(found))
-    return exact if noiseless and _overlap(found.intervals, exact.intervals) else found
-
-
-def _overlap(one: Float[np.ndarray, "delay 2"], other: Float[np.ndarray, "delay 2"]) -> bool:
-    low, high = np.maximum(one, other)[:, 0], np.minimum(one, other)[:, 1]
-    return bool((low <= high).all())
+    return exact if not sure and exact_holds(exact, found) else found

@@ -28,6 +28,7 @@ from deadtime.identification.log.recording import Recording, read_recording
 from deadtime.identification.log.rest import disproved, resting
 from deadtime.identification.log.units import require_same_units, require_seconds
 from deadtime.identification.noisy.noise import estimate_with_noise
+from deadtime.identification.noisy.noise_intervals import exact_holds
 from deadtime.identification.options import (
     choice,
     range_of_delays,
@@ -37,6 +38,7 @@ from deadtime.identification.options import (
 from deadtime.identification.outputs.identified import identify_outputs
 from deadtime.identification.outputs.request import is_states, require_logged
 from deadtime.identification.parameters import Layout
+from deadtime.identification.residuals import alternates
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -221,9 +223,10 @@ def _identified(recording: Recording, asked: _Asked) -> Identification:
     if noise is not False and fed_back(recording).any():
         progress("taking sensors for noisy, as inputs follow them")
         found = estimate_in_loop(about, sensors, found, within, bounds, sure)
-    elif sure or (noise is None and not found.tests.white):
+    elif sure or (noise is None and (not found.tests.white or alternates(list(found.white)))):
         progress("taking sensors for noisy")
-        found = estimate_with_noise(about, sensors, found, within, bounds)
+        noisy = estimate_with_noise(about, sensors, found, within, bounds)
+        found = found if not sure and exact_holds(found, noisy) else noisy
     model, why = fit_switching(recording)
     fit = Identification.of(found, found.log.recording, model, why, sensors, named)
     return replace(fit, sentences=(*said, *fit.sentences))

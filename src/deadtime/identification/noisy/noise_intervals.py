@@ -80,3 +80,15 @@ def _errors(
         with np.errstate(over="ignore"):  # what the log does not tell at all may be any
             variance[a] += 2.0 * float((C[np.ix_(own, own)] ** 2).sum())
     return np.sqrt(variance)
+
+
+def exact_holds(exact: Estimate, noisy: Estimate) -> bool:
+    """Whether measurements may be taken as exact: sensors' noise is not told, and little changes.
+
+    Else the exact estimate is biased, and its intervals are too narrow by far.
+    """
+    if not exact.tests.white or noisy.several.any():
+        return False
+    low = np.maximum(exact.intervals, noisy.intervals)[:, 0]
+    high = np.minimum(exact.intervals, noisy.intervals)[:, 1]
+    return bool((low <= high).all()) and all(least == 0.0 for least, _ in sensor_intervals(noisy))
