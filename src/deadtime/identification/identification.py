@@ -242,7 +242,7 @@ class Identification(Frozen):
         >>> fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
         >>> law = dt.AveragedPredictor(fit.plant, dt.place(fit.plant, [-1.0]))
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
-        Delay 0.2595 s (0.259 … 0.2599); the law bears 0 … 1.054 s: enough.
+        Delay 0.2594 s (0.2589 … 0.26); the law bears 0 … 1.054 s: enough.
         """
         from deadtime.identification.results.verdict import verdict_of
 

@@ -119,7 +119,7 @@ def likelier_than_chance(rise: float, more: int) -> bool:
     """
     from scipy.stats import chi2
 
-    return 2.0 * rise > float(chi2.isf(_SELDOM, more))
+    return bool(2.0 * rise > chi2.isf(_SELDOM, more))
 
 
 def _needs_level(
