@@ -101,6 +101,11 @@ def test_the_digits_of_a_delay_show_how_sure_it_is():
 REFUSED = {
     "empty": (GOOD.iloc[:0], {}, "log must have at least 3 rows, got 0: log for longer"),
     "short": (GOOD.iloc[:30], {}, "mode '.' has .* periods? .*: it is too short. The log lasts"),
+    "rows lost often": (
+        GOOD.drop(index=range(5, T, 8)),
+        {},
+        "too short. Its longest stretch without a gap lasts .* with no row lost",
+    ),
     "a mode hardly": (
         GOOD.assign(mode=np.arange(T) // 395),
         {"switches": "samples"},

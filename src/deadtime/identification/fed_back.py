@@ -49,7 +49,7 @@ def _rows(part: Part, mode: int) -> tuple[np.ndarray, np.ndarray]:
     """Measurements of rows of a mode and of those before, in one line each; inputs likewise."""
     k = np.arange(_PAST, part.time.size)
     lags = k[:, None] - np.arange(_PAST + 1)
-    y, u = part.output[lags].reshape(k.size, -1), part.input[lags]
+    y, u = part.output[lags].reshape(k.size, lags.shape[1] * part.output.shape[1]), part.input[lags]
     known = np.isfinite(y).all(axis=1) & np.isfinite(u).all(axis=(1, 2))
     own = known & (part.mode[lags] == mode).all(axis=1)
     return y[own], u[own]

@@ -127,10 +127,12 @@ def require_enough(
         whole = max(float(np.ptp(part.time)) for part in recording.parts)
         hint = " Log for longer." if layout.modes == 1 else " Log longer stays in it."
         if whole < 2.0 * window:
+            lasts = "The log" if len(recording.parts) == 1 else "Its longest stretch without a gap"
             hint = (
-                f" The log lasts {whole:g} s, and delays of up to {window:g} s are looked for: "
-                "is t in seconds? Narrow delay=(low, high), in seconds, or log for longer."
+                f" {lasts} lasts {whole:g} s, and delays of up to {window:g} s are looked for: "
+                "is t in seconds? Narrow delay=(low, high), in seconds, or log for longer"
             )
+            hint += "." if len(recording.parts) == 1 else ", with no row lost."
         if (rows := _longest_stay(recording, int(i))) <= _BRIEF and layout.modes > 1:
             hint = (
                 f" It stays for {number_of(rows, 'row')} at a time, at most: put rows right whose "

@@ -24,6 +24,7 @@ class Part(NamedTuple):
     """One log: samples at rising times; a measurement that is missing is NaN.
 
     rests : whether inputs before its first row were that row's
+    torn : whether it goes on after rows that were lost
     """
 
     time: Float[np.ndarray, " sample"]
@@ -31,6 +32,7 @@ class Part(NamedTuple):
     input: Float[np.ndarray, "sample m"]
     mode: Int[np.ndarray, " sample"]
     rests: bool = False
+    torn: bool = False
 
     def rows(self, own: Int[np.ndarray, " row"] | slice) -> Part:
         """Some of the rows, one after the other; what was before them is known no more."""
@@ -261,7 +263,7 @@ def _split_at_gaps(parts: tuple[Part, ...]) -> tuple[Part, ...]:
     for part in parts:
         ends = np.flatnonzero(np.diff(part.time) > 1.5 * step) + 1
         rows = np.split(np.arange(part.time.size), ends)
-        pieces += [part.rows(own) for own in rows if own.size > 1]
+        pieces += [part.rows(own)._replace(torn=bool(own[0])) for own in rows if own.size > 1]
     if len(pieces) == len(parts) or not pieces or not _period(tuple(pieces))[1]:
         return parts
     return tuple(pieces)

@@ -25,7 +25,8 @@ _AT_LEAST = 3  # rows that states are still in, where there are as many
 def resting(recording: Recording, rest: bool | None) -> Recording:
     """The recording, of which each part tells whether it rests before its first row."""
     parts = tuple(
-        part._replace(rests=_rests(part) if rest is None else rest) for part in recording.parts
+        part._replace(rests=not part.torn and (_rests(part) if rest is None else rest))
+        for part in recording.parts
     )
     return recording._replace(parts=parts)
 
