@@ -108,7 +108,7 @@ def test_reproduce_runs_a_problem_file_and_reports_json(folder, capsys):
         (["simulate", "papr"], "problem must be one of paper, three-mode, follower, or a file"),
         (
             ["simulate", "paper", "--out", "run.xyz"],
-            "out must end in .png or .svg or .pdf, got",
+            "out must end in .png or .svg or .pdf or .pgf, got",
         ),
         (["simulate", "paper", "--out", "no/run.png"], "out 'no/run.png' cannot be written"),
         (["reproduce", "--out", "/proc/report"], " '/proc/report' cannot be written"),
