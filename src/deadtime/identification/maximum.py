@@ -16,7 +16,14 @@ from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import concentrated, even_terms, lags_of
-from deadtime.identification.scoring import GAIN, Evaluate, Maximum, climb, climb_cells
+from deadtime.identification.scoring import (
+    GAIN,
+    Evaluate,
+    Maximum,
+    Stride,
+    climb,
+    climb_cells,
+)
 from deadtime.identification.uneven import uneven_terms, usable
 
 REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
@@ -83,6 +90,11 @@ def window_of(
     return low, min(log.bounds[1], float(delays.max()) + reach * h)
 
 
+def stride_of(log: Likelihood) -> Stride | None:
+    """How far unknowns may go at a time; None: as far as the information says."""
+    return log.stride if isinstance(log, NoisyLog) else None
+
+
 def maximise(
     log: Likelihood,
     theta: Float[np.ndarray, " size"],
@@ -100,7 +112,7 @@ def maximise(
     if gain is None:
         gain = 1e-3 if isinstance(log, HiddenNoisyLog) else GAIN
     h, asked = log.recording.step, window
-    stride = log.stride if isinstance(log, NoisyLog) else None
+    stride = stride_of(log)
     while True:
         low, high = asked or window_of(log, theta[place])
         evaluate_in, ends = log.evaluate_in(low, high), log.limits

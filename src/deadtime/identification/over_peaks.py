@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.intervals import LEVEL, Spread, inverse
-from deadtime.identification.maximum import ExactLog, Likelihood
+from deadtime.identification.maximum import ExactLog, Likelihood, stride_of
 from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.peaks import fresh_rise, plausible_fall
 from deadtime.identification.scoring import Maximum, climb
@@ -70,8 +70,7 @@ def _mixed(
         theta = theta if begins is None else begins[k]
         low[place] = np.maximum((own - 1) * h, log.bounds[0])
         high[place] = np.minimum(own * h, log.bounds[1])
-        stride = log.stride if isinstance(log, NoisyLog) else None
-        found = climb(evaluate_in(own), theta, low, high, gain=_GAIN, stride=stride)
+        found = climb(evaluate_in(own), theta, low, high, gain=_GAIN, stride=stride_of(log))
         if not np.isfinite(found.found.value):
             continue
         F = found.found.information.copy()

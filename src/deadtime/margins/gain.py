@@ -294,7 +294,7 @@ def _sentence(lower: _End, upper: _End) -> str:
 
 
 def _cure(factors: _Factors, stable: bool) -> str:
-    """What effect of the inputs would make an unstable loop stable; else what was looked at."""
+    """Say which effect of the inputs would make an unstable loop stable, or the range tried."""
     low, high = factors
     if not stable:
         tried = f"{inwards(low, 1.0)} to {inwards(high, 1.0)}"

@@ -112,7 +112,7 @@ def _decay_rate(loop: Loop, figures: Figures) -> Float[np.ndarray, " scenario"]:
 
 
 def _slope(loop: Loop, late: Float[np.ndarray, "scenario time"]) -> Float[np.ndarray, " scenario"]:
-    """The same of |x|² at `Loop.late_times`."""
+    """Minus the slope of log|x| fitted to the instants `Loop.late_times`; `late` is |x|² there."""
     assert loop.late_times is not None
     place = loop.late_times / loop.horizon - 0.75
     weights = -0.5 * place / (place @ place * loop.horizon)

@@ -19,7 +19,7 @@ _SEEN, _SHARE = 0.1, 0.3  # seconds by which a longer run must differ, and share
 
 
 class Timed(NamedTuple):
-    """What cells were found to take.
+    """The time that cells were found to take.
 
     seconds : of one core of this machine, for all that were asked about
     cells : how many of them were run
@@ -56,7 +56,7 @@ def time_cells(
 
 
 def _seconds(study: Study, cell: Cell) -> tuple[float, float]:
-    """What a cell takes, from runs on ever more signals; and what these took.
+    """Seconds of a cell, from runs on ever more signals, and seconds of these runs.
 
     The time of this process counts, so that others on the machine do not. A run before compiles.
     """
