@@ -30,7 +30,7 @@ def likelihood(plant, count, last, per_mode=False, seed=0):
     part = Part(t, y, u, np.zeros(count, np.int64))
     record = Recording((part,), H, True, ("x",) * n, ("u",) * m, ("0", "1"), False)
     layout, S = Layout(modes, n, m, per_mode), [plant.covariance(i, H) for i in range(modes)]
-    periods = EvenPeriods.of((part,), 1, last, None)
+    periods = EvenPeriods.of((part,), 1, last, None, constant=False)
     nodes = nodes_for((part,), plant.A)
     log = HiddenLog(
         record, layout, (1e-8, last * H), nodes, periods, np.array(S), Jumps(CHAIN, H, rates=False)
@@ -112,7 +112,8 @@ def test_uneven_rows_have_the_sum_over_all_paths_and_rates_are_scored_by_its_slo
     part = Part(t, y, u, np.zeros(13, np.int64))
     record = Recording((part,), H, False, ("x",) * 2, ("u",), ("0", "1"), False)
     layout, S = Layout(2, 2, 1, False), np.array([plant.covariance(i, H) for i in (0, 1)])
-    periods, nodes = UnevenPeriods.between((part,), 0.1, 0.12, None, H), nodes_for((part,), plant.A)
+    nodes = nodes_for((part,), plant.A)
+    periods = UnevenPeriods.between((part,), 0.1, 0.12, None, H, constant=False)
     jumps = Jumps(rates, H, rates=True)
     log = HiddenLog(record, layout, (1e-8, 0.2), nodes, periods, S, jumps)
     theta = layout.join(plant.A, plant.B, plant.D)

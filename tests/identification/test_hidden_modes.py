@@ -252,7 +252,8 @@ def test_a_start_has_a_covariance_where_noise_enters_at_the_end_of_a_chain_of_st
     plant = Plant([A], [np.eye(n)[:, 3:]], h, np.diag([1e-15, 1e-15, 1e-15, 1e-2]))
     y, u = plant.log(h * np.arange(400), rng.standard_normal((400, 1)), rng)
     part = Part(h * np.arange(400), y, u, np.zeros(400, np.int64))
-    periods, layout = EvenPeriods.of((part,), 1, 4, None), Layout(2, n, 1, per_mode=False)
+    layout = Layout(2, n, 1, per_mode=False)
+    periods = EvenPeriods.of((part,), 1, 4, None, constant=False)
     stretches = stretches_of(periods, layout)
     assert stretches is not None
     for _ in range(3):
@@ -270,3 +271,67 @@ def test_a_faint_input_leaves_delays_open_that_lie_far_from_the_likeliest():
     low, high = fit.interval("delay")
     assert low < 0.312 < high
     assert "others that lie apart explain it nearly as well" in fit.message
+
+
+def resting(terms, count=400, seed=0, even=True, at=0.0, sensor=0.0):
+    """A log of modes with constant terms, and these modes; inputs are `at` a level on average."""
+    plant, rng = stiffer(), np.random.default_rng(seed)
+    with_terms = np.concatenate((plant.B, np.array(terms)[:, :, None]), axis=2)
+    t = H * np.arange(count) if even else np.cumsum(H * rng.uniform(0.5, 1.5, count))
+    mode = np.repeat(np.arange(count) % 2, rng.integers(10, 31, count))[:count]
+    u = np.column_stack((at + rng.standard_normal(count), np.ones(count)))
+    made_of = Plant(plant.A, with_terms, [0.312, 0.0], plant.W)
+    y, u = made_of.log(t, u, rng, mode, sensor)
+    return table(t, y, u[:, :1]), mode
+
+
+SAME, APART, OPPOSITE = [[0.0, 40.0], [0.0, 120.0]], [[2.0, 9.0], [-1.0, 3.0]], [[0, 2.0], [0, -2]]
+
+
+@pytest.mark.parametrize(
+    ("terms", "even"),
+    [
+        (SAME, True),
+        pytest.param(SAME, False, marks=pytest.mark.long),
+        pytest.param(APART, True, marks=pytest.mark.long),
+        pytest.param(APART, False, marks=pytest.mark.long),
+        pytest.param(OPPOSITE, True, marks=pytest.mark.long),
+    ],
+)
+def test_modes_that_rest_elsewhere_than_at_0_are_told_with_where_they_rest(terms, even):
+    """Of an oscillator, ẋ₁ = x₂: all that is told of where it rests is A x₀ + B u₀ + c_i = 0."""
+    log, mode = resting(terms, even=even)
+    fit = found(log)
+    share, order = matched(fit, mode)
+    assert share > 0.95
+    low, high = fit.interval("delay")
+    assert low - 0.5 * (high - low) < 0.312 < high + 0.5 * (high - low)
+    assert high - low < 5e-3
+    rest = fit.operating_point
+    assert rest is not None
+    still = fit.plant.A @ rest.x + fit.plant.B @ rest.u - fit.offset
+    np.testing.assert_allclose(-still, np.array(terms, float)[list(order)], atol=0.35)
+    assert fit.tests.white
+
+
+@pytest.mark.long
+def test_modes_that_rest_elsewhere_are_told_behind_noisy_sensors():
+    log, mode = resting(SAME, sensor=0.02, count=600)
+    fit = found(log)
+    assert matched(fit, mode)[0] > 0.75
+    low, high = fit.interval("delay")
+    assert low - 0.5 * (high - low) < 0.312 < high + 0.5 * (high - low)
+    np.testing.assert_allclose(fit.noise, 0.02, rtol=0.3)
+    assert fit.operating_point is not None
+    still = fit.plant.A @ fit.operating_point.x + fit.plant.B @ fit.operating_point.u - fit.offset
+    np.testing.assert_allclose(-still[:, 0], 0.0, atol=0.5)
+
+
+@pytest.mark.parametrize("sensor", [0.0, pytest.param(0.02, marks=pytest.mark.long)])
+def test_inputs_that_are_not_0_on_average_are_no_level(sensor):
+    log, mode = resting(np.zeros((2, 2)), at=3.0, sensor=sensor)
+    fit = found(log)
+    assert matched(fit, mode)[0] > 0.75
+    assert fit.operating_point is None
+    low, high = fit.interval("delay")
+    assert low - 0.5 * (high - low) < 0.312 < high + 0.5 * (high - low)

@@ -120,7 +120,7 @@ def test_as_noise_of_sensors_vanishes_densities_become_those_of_exact_states():
     part = log.recording.parts[0]
     exact = log.recording._replace(parts=(part._replace(output=part.output[:, :2]),))
     S = np.array([plant.covariance(i, H) for i in (0, 1)])
-    periods = EvenPeriods.of(exact.parts, 1, 3, None)
+    periods = EvenPeriods.of(exact.parts, 1, 3, None, constant=False)
     other = HiddenLog(exact, log.layout, log.bounds, log.nodes, periods, S, log.jumps)
     theta = vector[: log.layout.size]
     node = log.posterior(vector, log.starts(0.1, 0.12)).node[0]

@@ -207,18 +207,18 @@ def _identified(recording: Recording, asked: _Asked) -> Identification:
     named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
     require_sizes(recording)
     require_states(as_states(recording, sensors), named)
-    layout = Layout(len(recording.modes), count, len(recording.inputs), per_mode)
+    layout = Layout(len(recording.modes), count, len(recording.inputs), per_mode, constant=True)
+    direct = as_states(about, sensors)
     said: tuple[str, ...] = ()
     if numbers is not None:
         noisy = True if C is not None else noise
-        sensed = Sensed(as_states(recording, sensors), recording, sensors, noisy)
+        sensed = Sensed(direct, about, sensors, noisy)
         hidden = identify_hidden(sensed, numbers, layout, bounds, within, progress)
         if hidden.estimate is not None:
             return Identification.of_hidden(hidden, sensors, named)
         said = hidden.sentences
     progress(f"looking for the delay between {low:g} and {high:g} s")
-    direct = as_states(about, sensors)
-    found = estimate_exactly(direct, replace(layout, constant=True), bounds, within)
+    found = estimate_exactly(direct, layout, bounds, within)
     sure = C is not None or bool(noise)
     if noise is not False and fed_back(recording).any():
         progress("taking sensors for noisy, as inputs follow them")

@@ -96,10 +96,12 @@ def without_level(
 
     information : of a vector at which the likelihood is largest
     """
-    layout, level = log.layout, log.recording.level
-    if level is None or not layout.constant:
+    from scipy.stats import chi2
+
+    if log.recording.level is None or not log.layout.constant:
         return log, np.arange(theta.size)
-    if _needs_level(layout, theta, information, log.recording, back):
+    far, terms = from_zero(log.layout, theta, information, log.recording, back)
+    if terms and far > float(chi2.isf(CHANCE, terms)):
         return log, np.arange(theta.size)
     return at_zero(log, theta.size)
 
@@ -122,16 +124,14 @@ def likelier_than_chance(rise: float, more: int) -> bool:
     return bool(2.0 * rise > chi2.isf(_SELDOM, more))
 
 
-def _needs_level(
+def from_zero(
     layout: Layout,
     theta: Float[np.ndarray, " size"],
     information: Float[np.ndarray, "size size"],
     recording: Recording,
     back: Float[np.ndarray, "n p"],
-) -> bool:
-    """Whether constant terms about 0 are told from none, by Wald's test, and from round-off."""
-    from scipy.stats import chi2
-
+) -> tuple[float, int]:
+    """Wald's statistic of constant terms about 0, and of how many: of those beyond round-off."""
     assert recording.level is not None
     level, scale = recording.level, _deviations(recording, back)
     terms, variance = _about(layout, theta, information, back @ level.output, level.input)
@@ -139,9 +139,8 @@ def _needs_level(
     size = np.abs(np.concatenate((A, B[:, :, : layout.m]), axis=2)) @ scale
     free = (np.diagonal(variance) > 0.0) & (np.abs(terms) > _NOTHING * size.ravel())
     if not free.any():
-        return False
-    far = _wald(terms[free], variance[np.ix_(free, free)])
-    return far > float(chi2.isf(CHANCE, int(free.sum())))
+        return 0.0, 0
+    return _wald(terms[free], variance[np.ix_(free, free)]), int(free.sum())
 
 
 def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:

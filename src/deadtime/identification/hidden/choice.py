@@ -45,13 +45,17 @@ _ALIKE = 5.0  # of log likelihood: starts so close after a few steps lead to the
 
 
 class Search(NamedTuple):
-    """A recording and its periods; and the same on a grid, where searches begin."""
+    """A recording and its periods; and the same on a grid, where searches begin.
+
+    plain : of a recording about its level, for plants with constant terms, the same about 0
+    """
 
     recording: Recording
     periods: EvenPeriods | UnevenPeriods
     grid: Recording
     even: EvenPeriods
     bounds: tuple[float, float]
+    plain: Search | None
 
 
 class Begun(NamedTuple):
@@ -87,13 +91,17 @@ def search_of(
     recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
 ) -> Search:
     """The usable periods of a recording, with the density of one model for all modes."""
-    grid, one = gridded(recording), Layout(1, layout.n, layout.m, per_mode=False)
+    one = replace(layout, modes=1, per_mode=False)
+    plain, grid = None, gridded(recording)
+    if layout.constant:
+        plain = search_of(recording.absolute(), replace(layout, constant=False), bounds, within)
     even = _even_periods(grid, one, bounds, within)
     if recording.even:
-        return Search(recording, even, grid, even, bounds)
+        return Search(recording, even, grid, even, bounds, plain)
     pooled = _one_plant(recording, grid, one, bounds) if even.within else None
-    periods = UnevenPeriods.between(recording.parts, *bounds, pooled, recording.step)
-    return Search(recording, periods, grid, even, bounds)
+    given = pooled, recording.step, layout.constant
+    periods = UnevenPeriods.between(recording.parts, *bounds, *given)
+    return Search(recording, periods, grid, even, bounds, plain)
 
 
 def _even_periods(
@@ -101,14 +109,14 @@ def _even_periods(
 ) -> EvenPeriods:
     """Those of even rows, with one regression for all modes."""
     first, last = cell_range(recording.step, bounds, one.m)
-    periods = EvenPeriods.of(recording.parts, first, last, None)
+    periods = EvenPeriods.of(recording.parts, first, last, None, one.constant)
     stretches = stretches_of(periods, one)
     if not within or stretches is None:
         return periods
     cells = first_cells(periods, stretches, one)
     z = periods.rows(cells)
     pooled = regressed(rooted(z, np.ones(len(z))), one.n, float(len(z)))
-    return replace(periods, pooled=PooledRegression(*pooled, cells))
+    return replace(periods, pooled=PooledRegression(*pooled, cells, one.constant))
 
 
 def _one_plant(
@@ -180,17 +188,37 @@ def fitted(search: Search, layout: Layout) -> Fitted:
     """
     each = begun(search, layout)
     for one in each:
-        ascent = ascended(one.log, one.theta, layout.least_periods, one.found)
-        if ascent is None:
-            continue
-        grid = ascent.log
-        if not search.recording.even and (ascent := _off_the_grid(search, ascent)) is None:
-            continue
-        unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
-        unknowns += layout.modes * (layout.modes - 1)
-        bic = unknowns * float(np.log(search.periods.count)) - 2.0 * ascent.found.value
-        return Fitted(layout, ascent, grid, bic, one.agreed, one.starts)
+        found = _led(search, one, one.found)
+        if found is not None:
+            return min(found, _at_zero(search, found) or found, key=lambda fit: fit.bic)
     raise _too_many(layout, each[0].starts)
+
+
+def _led(search: Search, begin: Begun, found: Posterior | None) -> Fitted | None:
+    """The maximum that a beginning leads to; None where a mode is left with next to no period."""
+    layout = begin.layout
+    ascent = ascended(begin.log, begin.theta, layout.least_periods, found)
+    if ascent is None:
+        return None
+    grid = ascent.log
+    if not search.recording.even and (ascent := _off_the_grid(search, ascent)) is None:
+        return None
+    unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
+    unknowns += layout.modes * (layout.modes - 1)
+    bic = unknowns * float(np.log(search.periods.count)) - 2.0 * ascent.found.value
+    return Fitted(layout, ascent, grid, bic, begin.agreed, begin.starts)
+
+
+def _at_zero(search: Search, fit: Fitted) -> Fitted | None:
+    """The maximum near a fit without its constant terms; None if it has none, or there is none."""
+    plain = search.plain
+    if plain is None:
+        return None
+    layout, kept = fit.layout.without_constant()
+    log = replace(fit.grid, recording=plain.grid, layout=layout, periods=plain.even)
+    theta = fit.ascent.theta[kept]
+    begin = Begun(layout, log, theta, fit.ascent.found, fit.agreed, fit.starts)
+    return _led(plain, begin, None)
 
 
 def _too_many(layout: Layout, starts: int) -> ArgumentError:

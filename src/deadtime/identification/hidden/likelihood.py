@@ -53,13 +53,13 @@ class HiddenLog(Frozen):
         """The likelihood of the periods that are usable for delays between two, seconds."""
         h, old = self.recording.step, self.periods
         if isinstance(old, UnevenPeriods):
-            new = UnevenPeriods.between(old.parts, low, high, old.pooled, h)
+            new = UnevenPeriods.between(old.parts, low, high, old.pooled, h, old.constant)
             return self if (low, high) == (old.low, old.high) else replace(self, periods=new)
         first, last = cell_of(low, h, up=True), cell_of(high, h)
         if (first, last) == (old.first, old.last):
             return self
         pooled = old.pooled if isinstance(old.pooled, PooledRegression) else None
-        return replace(self, periods=EvenPeriods.of(old.parts, first, last, pooled))
+        return replace(self, periods=EvenPeriods.of(old.parts, first, last, pooled, old.constant))
 
     @property
     def window(self) -> tuple[float, float]:

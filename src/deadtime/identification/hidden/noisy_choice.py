@@ -8,6 +8,7 @@ is set to the jumps that are expected then, in turn.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,9 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.hidden.choice import Begun, Search, begun
+from deadtime.identification.hidden.choice import Begun, Search, begun, fitted
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
+from deadtime.identification.levels import from_zero
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise, window_of
 from deadtime.identification.noisy.likelihood import NoisyLog
@@ -28,6 +30,7 @@ from deadtime.identification.scoring import Maximum
 _ENOUGH = 2_000  # samples that tell which of two beginnings is the better one
 _ROUNDS = 10  # of plant and chain, each the other held
 _CHAIN = 20  # steps of the chain in a round
+_FAR = 10.0  # times what BIC asks of constant terms: they are no chance
 _SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at first, at the end
 
 
@@ -47,7 +50,7 @@ class NoisyFit(NamedTuple):
     @property
     def layout(self) -> Layout:
         """Where unknowns of the plant lie."""
-        return self.begun.layout
+        return self.log.layout
 
 
 def fitted_with_noise(
@@ -63,7 +66,54 @@ def fitted_with_noise(
     ArgumentError
         If the log is too short for so many, or a mode is left with next to no row.
     """
-    start, log, theta, window = _best_start(search, layout, recording, C)
+    if search.plain is not None and not _seems_to_need_level(search, layout):
+        plain = replace(layout, constant=False)
+        return fitted_with_noise(search.plain, plain, recording.absolute(), C)
+    found = _led(search, *_best_start(search, layout, recording, C))
+    if search.plain is None:
+        return found
+    return min(found, _at_zero(search.plain, found) or found, key=lambda fit: fit.bic)
+
+
+def _seems_to_need_level(search: Search, layout: Layout) -> bool:
+    """Whether constant terms lower BIC of exact states; where these cannot tell, they might."""
+    try:
+        return fitted(search, layout).layout.constant
+    except ArgumentError:
+        return True
+
+
+def _at_zero(search: Search, fit: NoisyFit) -> NoisyFit | None:
+    """The maximum near a fit without its constant terms; None where these are far from chance."""
+    theta, information, C = fit.best.theta, fit.best.found.information, fit.log.noisy.C
+    recording = fit.log.recording
+    far, terms = from_zero(fit.layout, theta, information, recording, np.linalg.pinv(C))
+    if far > _FAR * terms * np.log(search.periods.count):
+        return None
+    layout, kept = fit.layout.without_constant()
+    kept = np.append(kept, np.arange(fit.layout.size, theta.size))
+    one = replace(fit.log.noisy.layout, constant=False)
+    noisy = replace(fit.log.noisy, recording=recording.absolute(), layout=one)
+    log = replace(fit.log, noisy=noisy, layout=layout, unit=fit.log.unit[kept], _kept={})
+    with suppress(ArgumentError):
+        return _led(search, fit.begun, log, theta[kept], fit.window)
+
+
+def _led(
+    search: Search,
+    begin: Begun,
+    log: HiddenNoisyLog,
+    theta: Float[np.ndarray, " size"],
+    window: tuple[float, float],
+) -> NoisyFit:
+    """The maximum that a vector leads to.
+
+    Raises
+    ------
+    ArgumentError
+        If it leaves a mode with next to no row.
+    """
+    layout = log.layout
     log, best, values = _climbed(log, theta, window, _LATE)
     best, window = maximise(log, best.theta, gain=_LATE)
     if (rows := _least_rows(log, best.theta, window)) < layout.least_periods:
@@ -72,10 +122,12 @@ def fitted_with_noise(
             f"left with {rows:.0f} rows: ask for fewer, or log for longer."
         )
     n, modes = layout.n, layout.modes
-    unknowns = layout.size + n * (n + 1) // 2 + len(C) + modes * (modes - 1)
-    value = log.value(best.theta, log.starts(*search.bounds))  # of the same samples for all numbers
+    unknowns = layout.size + n * (n + 1) // 2 + len(log.noisy.C) + modes * (modes - 1)
+    # Of the same samples for all numbers, and all levels: nothing but P0 is known of the first.
+    starts = log.starts(*search.bounds)
+    value = float(log.filtered(best.theta, starts)[1][~np.concatenate(starts)].sum())
     bic = unknowns * float(np.log(search.periods.count)) - 2.0 * value
-    return NoisyFit(start, log, best, window, values, bic)
+    return NoisyFit(begin, log, best, window, values, bic)
 
 
 def _best_start(

@@ -31,7 +31,6 @@ from deadtime.identification.noisy.noise import noisy_residuals
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
-from deadtime.plant import SwitchedSystem
 
 _SMALL = 0.1  # of a standard error, a step of second differences
 _VAGUE = 1e-2  # information on the logarithm of a noise: its standard error is 10 at most
@@ -90,7 +89,7 @@ def estimated_with_noise(found: NoisyDecoded) -> tuple[Estimate, Said]:
     start = _start(found)
     intervals, several = delay_intervals(log, best, window, spread, start)
     noise = log.noise(theta)
-    A, B, delays = layout.split(theta[: layout.size])
+    plant = layout.plant(theta[: layout.size])
     white = noisy_residuals(path, theta, path.starts(*window))
     posterior = log.posterior(theta, starts)
     rows = np.vstack(posterior.node).sum(axis=0)
@@ -98,7 +97,7 @@ def estimated_with_noise(found: NoisyDecoded) -> tuple[Estimate, Said]:
         log=log,
         best=best,
         window=window,
-        plant=SwitchedSystem(A, B, delays),
+        plant=plant,
         spread=spread,
         intervals=intervals,
         several=several,
@@ -106,7 +105,7 @@ def estimated_with_noise(found: NoisyDecoded) -> tuple[Estimate, Said]:
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
         spare=np.maximum(rows, 1.0).astype(np.int64),
-        tests=judge_residuals(white, record, float(delays.max())),
+        tests=judge_residuals(white, record, plant.longest_delay),
         white=tuple(white),
     )
     return estimate, Said(posterior.node, log.jumps.chain, fit.values, widening_of(told))

@@ -46,11 +46,13 @@ class Periods(Frozen):
     """The periods k of every part that are usable whatever the delays in a range are.
 
     pooled : of periods within which the mode changes; None if it does at samples only
+    constant : whether dx/dt has a constant term in each mode
     """
 
     parts: tuple[Part, ...]
     usable: tuple[Int[np.ndarray, " period"], ...]
     pooled: Pooled | None
+    constant: bool
 
     @property
     def count(self) -> int:
@@ -107,18 +109,23 @@ class EvenPeriods(Periods):
 
     @classmethod
     def of(
-        cls, parts: tuple[Part, ...], first: int, last: int, pooled: PooledRegression | None
+        cls,
+        parts: tuple[Part, ...],
+        first: int,
+        last: int,
+        pooled: PooledRegression | None,
+        constant: bool,
     ) -> EvenPeriods:
         """Those of parts, for delays in a range of cells and in those of the one regression."""
         if pooled is not None:
             first, last = min(first, *pooled.cells.tolist()), max(last, *pooled.cells.tolist())
         good = tuple(rows_of(part, first - 1, last, within=False) for part in parts)
-        return cls(parts, good, pooled, first, last)
+        return cls(parts, good, pooled, constant, first, last)
 
     def rows(self, cells: Int[np.ndarray, " m"]) -> Float[np.ndarray, "period z"]:
-        """z = (x_{k+1}, x_k, u_{k−N}, u_{k−N+1}), N the cell of each input."""
+        """The rows of `cell_rows`."""
         each = zip(self.parts, self.usable, strict=True)
-        return np.vstack([cell_rows(part, k, cells) for part, k in each])
+        return np.vstack([cell_rows(part, k, cells, self.constant) for part, k in each])
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +138,19 @@ class UnevenPeriods(Periods):
 
     @classmethod
     def between(
-        cls, parts: tuple[Part, ...], low: float, high: float, pooled: Pooled | None, step: float
+        cls,
+        parts: tuple[Part, ...],
+        low: float,
+        high: float,
+        pooled: Pooled | None,
+        step: float,
+        constant: bool,
     ) -> UnevenPeriods:
         """Those of parts, for delays between two and those of the one plant."""
         of = pooled.delays.tolist() if isinstance(pooled, PooledPlant) else []
         ends = max([high, *of]), min([low, *of])
         good = tuple(np.flatnonzero(usable(part, False, *ends)) for part in parts)
-        return cls(parts, good, pooled, low, high, step)
+        return cls(parts, good, pooled, constant, low, high, step)
 
     def rows(
         self, delays: Float[np.ndarray, " m"], nodes: Float[np.ndarray, " node"]
@@ -145,7 +158,7 @@ class UnevenPeriods(Periods):
         """What acts by the weights of nodes, for delays of one mode; noise scaled to a period."""
         each = zip(self.parts, self.usable, strict=True)
         return np.vstack(
-            [node_rows(part, k, delays, nodes, self.step, constant=False) for part, k in each]
+            [node_rows(part, k, delays, nodes, self.step, self.constant) for part, k in each]
         )
 
 

@@ -73,10 +73,10 @@ def maximised(
     common: bool,
 ) -> Regressions:
     """The likeliest regressions given how likely each mode was; `common`: of one S for all."""
-    count, n = found.weight.sum(axis=0), 0
+    count = found.weight.sum(axis=0)
     P, S = [], []
     for z, weight, total in zip(rows, found.weight.T, count, strict=True):
-        n = (z.shape[1] - 2 * cells.shape[1]) // 2
+        n = (z.shape[1] - 2 * cells.shape[1]) // 2  # of an odd number one column is the constant's
         one = regressed(rooted(z, weight), n, max(float(total), 1e-300))
         P.append(one[0])
         S.append(one[1])

@@ -36,7 +36,8 @@ def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> S
 
     Short ones have periods for little more than a regression, and more often one mode.
     """
-    length = (1 if short else 2) * (layout.n + 2 * layout.m) + layout.n + 2
+    columns = layout.n + 2 * layout.m + layout.constant
+    length = (1 if short else 2) * columns + layout.n + 2
     places, start = [], 0
     for k in periods.usable:
         runs = np.split(np.arange(k.size), np.flatnonzero(np.diff(k) != 1) + 1)
@@ -73,7 +74,7 @@ def _together(
     z = periods.rows(np.array([periods.first if c is None else c for c in cells]))
     n = layout.n
     known = np.array([c is not None for c in cells])
-    keep = np.concatenate((np.ones(2 * n, bool), known, known))
+    keep = np.concatenate((np.ones(2 * n, bool), known, known, np.ones(int(layout.constant), bool)))
     return float(-_own(z[:, keep][stretches.rows], n)[1].sum())
 
 
