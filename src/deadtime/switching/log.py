@@ -20,6 +20,7 @@ from deadtime.base.text_files import read_text
 
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known
+_MOST_NAMES = 4  # of modes, in a message
 TIMES = ("t", "time")  # what a column of times is called; the first that is there
 UNITS = {"s": 0, "ms": -3, "us": -6, "ns": -9}  # of a clock, and their powers of ten
 LATEST = 10**11  # seconds; counted from 1970 it is the year 5138
@@ -74,7 +75,7 @@ def read_log(
     clocked, rows, age = _rows(source, text)
     clock = [_decimal(f"{source}, line {row.line}: {clocked}", row.time) for row in rows]
     power = _power(source, clock[0], unit)
-    visited = [_mode(source, row.line, row.mode, modes, labels) for row in rows]
+    visited = [_mode(source, row, rows, modes, labels) for row in rows]
     # Told from the first row, so that a clock that counts from 1970 loses nothing.
     times = np.array([float((time - clock[0]).scaleb(power)) for time in clock])
     for before, row, late in zip(rows, rows[1:], times[1:] <= times[:-1], strict=False):
@@ -148,10 +149,14 @@ def _decimal(name: str, text: str | None) -> Decimal:
 
 
 def _mode(
-    source: Path, line: int, text: str | None, modes: int | None, labels: Mapping[str, int] | None
+    source: Path,
+    row: _Row,
+    rows: list[_Row],
+    modes: int | None,
+    labels: Mapping[str, int] | None,
 ) -> int:
     """The mode that a row's text names."""
-    text = (text or "").strip()
+    text = (row.mode or "").strip()
     if labels is not None and text in labels and (modes is None or labels[text] < modes):
         return labels[text]
     known = f"one of {sorted(labels)}" if labels is not None else "an integer counted from 0"
@@ -160,8 +165,15 @@ def _mode(
         return int(text)
     if labels is None and (modes is not None or text.isdecimal()):
         known = f"an integer in 0..{most - 1}"
-    hint = "" if labels is not None else ": map other names with labels, such as {'idle': 0}"
-    raise ArgumentError(f"{source}, line {line}: mode must be {known}, got {_short(text)}{hint}.")
+    hint = ""
+    if labels is None:
+        names = sorted({(one.mode or "").strip() for one in rows} - {""})[:_MOST_NAMES]
+        own = {name: mode for mode, name in enumerate(names)} or {"idle": 0}
+        options = " ".join(f"--labels.{name} {mode}" for name, mode in own.items())
+        hint = f": map other names with labels, such as {own}, {options}"
+    raise ArgumentError(
+        f"{source}, line {row.line}: mode must be {known}, got {_short(text)}{hint}."
+    )
 
 
 def _short(value: object) -> str:
