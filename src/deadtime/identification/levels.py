@@ -3,8 +3,10 @@
     dx/dt = A_σ (x − x₀) + B_σ (u(t − D) − u₀) = A_σ x + B_σ u(t − D) + c_σ
 
 A log is taken about a level of its own, (x̄, ū), where it rests or its mean, and there each mode has
-a constant term c̃ of its own. About 0 that is c = c̃ − A x̄ − B ū. Where all c are 0 as far as the log
-tells (Wald's test), the log is about 0 and terms are left out. Else an operating point is what
+a constant term c̃ of its own. About 0 that is c = c̃ − A x̄ − B ū. Where 0 lies within what was
+logged and all c are 0 as far as the log tells (Wald's test), the log is about 0 and terms are left
+out. Far from 0 that would be no test: c = 0 ties the states to the inputs of the level, so that a
+log which cannot contradict it would have its matrices from it. Else an operating point is what
 every mode rests at,
 
     A_i x₀ + B_i u₀ = A_i x̄ + B_i ū − c̃_i    for all i,
@@ -37,7 +39,20 @@ CHANCE = 1e-3  # that constant terms are taken for such though there are none
 _SELDOM = 1e-6  # the same where noise has to be told, too
 _APART = 1e-3  # that modes are taken to rest apart though they do not
 _NOTHING = 1e-6  # of what states and inputs move dx/dt by: a term so small is round-off
+_RIDGE = 1e-4  # of what a unit of deviation moves: of many points the nearest
+_BESIDE = 0.1  # of the range of a column: 0 is next to it
 _RANK = 1e-6  # of the largest singular value, scaled: a direction that hardly moves a rest
+
+
+def near_zero(recording: Recording) -> bool:
+    """Whether 0 lies within what was logged of all outputs and inputs, or next to it."""
+    parts = recording.absolute().parts
+    for every in (np.vstack([part[a] for part in parts]) for a in (1, 2)):
+        low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+        beside = _BESIDE * (high - low)
+        if not ((low - beside <= 0.0) & (high + beside >= 0.0)).all():
+            return False
+    return True
 
 
 class Rest(NamedTuple):
@@ -98,7 +113,7 @@ def without_level(
     """
     from scipy.stats import chi2
 
-    if log.recording.level is None or not log.layout.constant:
+    if log.recording.level is None or not log.layout.constant or not near_zero(log.recording):
         return log, np.arange(theta.size)
     far, terms = from_zero(log.layout, theta, information, log.recording, back)
     if terms and far > float(chi2.isf(CHANCE, terms)):
@@ -145,6 +160,7 @@ def from_zero(
 
 def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
     """Where the plant of an estimate rests; None where that is 0 as far as the log tells."""
+    from scipy.optimize import lsq_linear
     from scipy.stats import chi2
 
     log, recording = found.log, found.log.recording
@@ -158,16 +174,36 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
     size = 1.0 / np.maximum(np.linalg.norm(M * scale, axis=1), 1e-300)
     weighted = size[:, None] * M * scale
     solve = scale[:, None] * np.linalg.pinv(weighted, rcond=_RANK) * size
-    shift = -solve @ layout.constant_of(theta).ravel()
+    terms = layout.constant_of(theta).ravel()
+    shift, ends = -solve @ terms, _ends(recording, back)
+    spare = int(np.linalg.matrix_rank(weighted, tol=_RANK))
+    if ((shift < ends[0]) | (shift > ends[1])).any():
+        # Modes whose rests hardly differ meet anywhere: the nearest point of the log to that.
+        own = np.vstack((weighted, _RIDGE * np.eye(shift.size)))
+        given = np.append(-size * terms, np.zeros(shift.size))
+        shift, spare = scale * lsq_linear(own, given, ends / scale).x, 0
     shift[np.abs(shift) < _NOTHING * scale] = 0.0  # round-off, of what is no deviation
     states, inputs = shift[: layout.n], shift[layout.n :]
     left, variance = _about(layout, theta, information, -states, -inputs)
     free = np.diagonal(variance) > 0.0
-    spare = int(free.sum()) - int(np.linalg.matrix_rank(weighted, tol=_RANK))
+    spare = int(free.sum()) - spare
     apart = spare > 0 and _wald(left[free], variance[np.ix_(free, free)]) > chi2.isf(_APART, spare)
     point = OperatingPoint(back @ level.output + states, level.input + inputs)
     error = np.sqrt(np.einsum("ab,bc,ac->a", solve, variance, solve).clip(0.0))
     return Rest(point, error, left.reshape(A.shape[:2]) if apart else np.zeros(A.shape[:2]))
+
+
+def _ends(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "2 xu"]:
+    """The ends of what was logged of states and inputs, and next to it."""
+    parts, each = recording.parts, []
+    for every in (
+        np.vstack([p.output @ back.T for p in parts]),
+        np.vstack([p.input for p in parts]),
+    ):
+        low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+        beside = _BESIDE * np.where(high > low, high - low, np.inf)  # a speed that was not logged
+        each.append((low - beside, high + beside))
+    return np.concatenate(each, axis=1)
 
 
 def _deviations(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[np.ndarray, " xu"]:

@@ -30,6 +30,7 @@ from deadtime.identification.hidden.regressions import (
     scanned,
 )
 from deadtime.identification.hidden.starts import drawn_start, first_cells, stretches_of
+from deadtime.identification.levels import near_zero
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import ExactLog, maximise, window_of
 from deadtime.identification.parameters import Layout
@@ -47,7 +48,7 @@ _ALIKE = 5.0  # of log likelihood: starts so close after a few steps lead to the
 class Search(NamedTuple):
     """A recording and its periods; and the same on a grid, where searches begin.
 
-    plain : of a recording about its level, for plants with constant terms, the same about 0
+    plain : of plants with constant terms, the same without; None where 0 is far from the log
     """
 
     recording: Recording
@@ -93,7 +94,7 @@ def search_of(
     """The usable periods of a recording, with the density of one model for all modes."""
     one = replace(layout, modes=1, per_mode=False)
     plain, grid = None, gridded(recording)
-    if layout.constant:
+    if layout.constant and near_zero(recording):
         plain = search_of(recording.absolute(), replace(layout, constant=False), bounds, within)
     even = _even_periods(grid, one, bounds, within)
     if recording.even:

@@ -14,6 +14,7 @@ from deadtime.identification.intervals import Spread, inverse, require_seen, spr
 from deadtime.identification.levels import (
     at_zero,
     likelier_than_chance,
+    near_zero,
     with_constant,
     without_level,
 )
@@ -104,7 +105,7 @@ def estimate_with_noise(
     smaller, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
     if kept.size < best.theta.size:
         log, (best, window) = smaller, maximise(smaller, best.theta[kept])
-    elif log.layout.constant:
+    elif log.layout.constant and near_zero(recording):
         # Noise that is told as less than it is makes Wald's test too sure.
         plain, kept = at_zero(log, best.theta.size)
         climbed = [best.theta[kept]]

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.levels import near_zero
 from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
@@ -80,6 +81,8 @@ def _about_its_rest(request: Request) -> tuple[Chosen, Request]:
 
     Each is sought by itself: a maximum of the one may lead to a lower one of the other.
     """
+    if request.layout.constant and not near_zero(request.recording):
+        return chosen_of(request), request
     layout = replace(request.layout, constant=False)
     plain = request._replace(recording=request.recording.absolute(), layout=layout)
     chosen = chosen_of(plain)

@@ -16,6 +16,8 @@ _EDGE = 1e-6  # of the range searched
 _SINGULAR = 1e8  # a condition of A: such a mode, as an integrator, has no rest of its own
 _WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
+_NEVER = 1e-6  # that one of all rows lies so far off by chance
+_FAINT = 1e-3  # of a column's deviation
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
 
 
@@ -109,6 +111,8 @@ def doubts_of(found: Estimate, recording: Recording) -> tuple[str, ...]:
         said.append("what is left of the log is not white, and intervals are too narrow then")
     if not found.tests.unrelated:
         said.append(f"what is left still has {recording.inputs[found.tests.input]} in it")
+    if _far_off(found, recording):
+        said.append("a measurement lies farther off than chance makes it")
     return tuple(said)
 
 
@@ -203,8 +207,8 @@ def _noise(found: Estimate) -> list[str]:
 
 
 def _tests(found: Estimate, recording: Recording) -> list[str]:
-    tests, said = found.tests, []
-    if tests.white and tests.unrelated:
+    tests, said = found.tests, _far_off(found, recording)
+    if tests.white and tests.unrelated and not said:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
         said.append(
@@ -227,6 +231,36 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
             f"What is left still has {name} of {tests.input_delay:.4g} s before in it: {cause}"
         )
     return said
+
+
+def _far_off(found: Estimate, recording: Recording) -> list[str]:
+    """The row that lies farthest from what the model foretells, if chance makes no such row.
+
+    Errors of less than a thousandth of what a column moves by are left aside: without noise what is
+    left is round-off, and that is not normal.
+    """
+    from scipy.stats import norm
+
+    z = np.abs(np.nan_to_num(np.vstack(found.white)))
+    far = np.argwhere(z > norm.isf(0.5 * _NEVER / z.size))
+    if not len(far):
+        return []
+    row, column = max(far.tolist(), key=lambda at: z[*at])
+    if [row - 1, column] in far.tolist():  # a wrong reading foretells the next one wrongly, too
+        row -= 1
+    moves = np.nanstd(np.vstack([part.output for part in recording.parts]), axis=0)
+    W, size = found.disturbance.max(axis=0), z[:, column].max()
+    name, noise = "a state", 0.0
+    if len(moves) == z.shape[1]:
+        name, noise = recording.outputs[column], found.noise[column]
+    if size * np.hypot(np.sqrt(W[column, column] * recording.step), noise) < _FAINT * moves[column]:
+        return []
+    time = np.concatenate([part.time for part in recording.parts])[row]
+    return [
+        f"{name} at t = {time:.10g} s lies {size:.0f} standard deviations off what the model "
+        "foretells, farther than chance makes it: if it is a wrong reading, leave the cell empty, "
+        "for it bends the estimate; else noise is not normal, or something else acts."
+    ]
 
 
 def _states(found: Estimate, recording: Recording) -> list[str]:

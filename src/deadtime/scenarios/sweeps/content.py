@@ -3,8 +3,9 @@
 Values are described by what they hold and never by where they lie: numbers and texts as they are,
 arrays by their entries, other objects by what `pickle` would keep of them, without what they only
 compute once (`functools.cached_property`). A function is its source, its defaults and what its
-code reads by name: the values around it and the globals of its module. Functions, classes and
-modules of the standard library and of installed packages are told by their names.
+code reads by name: the values around it, the globals of its module, and what it reads of other
+modules by their names. Functions, classes and modules of the standard library and of installed
+packages are told by their names.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ _DRAWS = ("Generator", "RandomState", "Random", "SystemRandom")
 # What `dataclass` writes into a class, from what its body defines.
 _GENERATED = ("init", "repr", "eq", "lt", "le", "gt", "ge", "hash", "setattr", "delattr", "replace")
 _GENERATED = tuple(f"__{name}__" for name in _GENERATED)
-# Beside cached properties: texts, the state of a distribution's draws, tables that laws keep.
-_MADE = ("__doc__", "_random_state", "_table", "_kept")
+# Beside cached properties: the state of a distribution's draws, tables that laws keep.
+_MADE = ("_random_state", "_table", "_kept")
+_LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF")
 _HERE = "make it in the function, from numbers, texts and arrays"
 
 
@@ -100,6 +102,11 @@ class _Description:
         for name in _globals_read(function.__code__):
             if name in function.__globals__:
                 found.setdefault(name, function.__globals__[name])
+        for name, value in list(found.items()):
+            if _is_own(value):
+                del found[name]
+                found |= dict(_reads_of(function.__code__, name, value))
+        _require_no_imports(function, path)
         return {name: self.of(value, _join(path, name)) for name, value in found.items()}
 
     def _inside(self, value: Any, path: str) -> Any:
@@ -120,7 +127,9 @@ class _Description:
         if type(value) in (bytes, bytearray):
             return {"bytes": hashlib.sha256(value).hexdigest()}
         if isinstance(value, types.ModuleType):
-            return {"module": value.__name__, **_own_text(value)}
+            if _is_own(value):
+                _refuse(value, path, "read what it holds by name, as in settings.delay")
+            return {"module": value.__name__}
         if isinstance(value, types.FunctionType):
             return self._function(value, path)
         if isinstance(value, type):
@@ -160,7 +169,8 @@ class _Description:
         if type(value).__name__ in _DRAWS:
             _refuse(value, path, "make it in the function, from a seed")
         wrapped = getattr(value, "__wrapped__", None) or getattr(value, "py_func", None)
-        if isinstance(wrapped, types.FunctionType):  # functools.lru_cache, numba.njit
+        if isinstance(wrapped, types.FunctionType) and _is_library(type(value).__module__):
+            # functools.lru_cache, numba.njit
             return {"(type)": type(value).__name__, "(of)": self.of(wrapped, path)}
         try:
             reduce = copyreg.dispatch_table.get(type(value))
@@ -195,9 +205,48 @@ def _globals_read(code: types.CodeType) -> Iterator[str]:
     for step in dis.get_instructions(code):
         if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
             yield step.argval
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _globals_read(constant)
+    for inner in _within(code):
+        yield from _globals_read(inner)
+
+
+def _within(code: types.CodeType) -> Iterator[types.CodeType]:
+    """The functions that code makes."""
+    return (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
+
+
+def _reads_of(
+    code: types.CodeType, name: str, module: types.ModuleType
+) -> Iterator[tuple[str, Any]]:
+    """What code and the functions within it read of a module that they know by a name.
+
+    Of a module within the module that is what it reads of that.
+    """
+    steps = list(dis.get_instructions(code))
+    for place, step in enumerate(steps):
+        if step.opname not in _LOADS or step.argval != name:
+            continue
+        path, value = name, module
+        for after in steps[place + 1 :]:
+            if not _is_own(value) or after.opname not in ("LOAD_ATTR", "LOAD_METHOD"):
+                break
+            path, value = f"{path}.{after.argval}", getattr(value, after.argval, None)
+        yield path, value
+    for inner in _within(code):
+        yield from _reads_of(inner, name, module)
+
+
+def _require_no_imports(function: types.FunctionType, path: str) -> None:
+    """Refuse imports within a function of modules that are neither Python's nor installed."""
+    for code in (function.__code__, *_within(function.__code__)):
+        for step in dis.get_instructions(code):
+            # A name of "" is a relative import.
+            if step.opname == "IMPORT_NAME" and not (step.argval and _is_library(step.argval)):
+                name = step.argval or "of its package"
+                raise ArgumentError(
+                    f"function{f' {path}' if path else ''} imports {name} within itself, which "
+                    "cannot be compared with that of another run of the study: import it at the "
+                    "top of the file."
+                )
 
 
 def _digest_of(code: types.CodeType) -> str:
@@ -222,18 +271,18 @@ def _is_library(name: str | None) -> bool:
     return file is not None and any(Path(file).is_relative_to(folder) for folder in folders)
 
 
-def _own_text(module: types.ModuleType) -> dict[str, str]:
-    """A digest of the text of a module that is neither Python's nor installed."""
-    file = getattr(module, "__file__", None)
-    if _is_library(module.__name__) or file is None:
-        return {}
-    return {"digest": hashlib.sha256(Path(file).read_bytes()).hexdigest()}
+def _is_own(value: Any) -> bool:
+    """Whether a value is a module that is neither Python's nor installed."""
+    return isinstance(value, types.ModuleType) and not _is_library(value.__name__)
 
 
 def _is_made(value: Any, name: str) -> bool:
     """Whether an entry of an object's state follows from the others, or says nothing of it."""
     kept = inspect.getattr_static(type(value), name, None)
-    return isinstance(kept, functools.cached_property) or name in _MADE
+    ours = any(_is_library(base.__module__) for base in type(value).__mro__ if base is not object)
+    return (
+        isinstance(kept, functools.cached_property) or name == "__doc__" or (ours and name in _MADE)
+    )
 
 
 def _is_slot(part: Any) -> bool:
