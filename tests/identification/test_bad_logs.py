@@ -1,5 +1,7 @@
 """Logs that tell little, and what is said of them: the cause in words, and what to do."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -174,3 +176,32 @@ def test_tables_of_other_programs_are_refused_with_what_to_do(text, message, tmp
 def test_what_cannot_be_is_refused_by_name(log, how, message):
     with pytest.raises(dt.ArgumentError, match=message):
         dt.identify(log, **how)
+
+
+@pytest.mark.parametrize(("row", "value"), [(150, 40.0), (60, -4.0), (399, 1e3)])
+def test_a_wrong_reading_is_named_and_nothing_looks_like_chance_beside_it(row, value):
+    log = table(ONE, BINARY)
+    log.loc[row, "x1"] = value
+    fit = dt.identify(log, modes=None, delay=(0.0, 0.6))
+    assert f"x1 at t = {log['t'][row]:.10g} s lies" in fit.message
+    assert "looks like chance" not in fit.message
+    assert any("farther off than chance" in doubt for doubt in fit.doubts)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_a_sensor_that_is_slower_than_the_rows_is_seen(share):
+    log = table(ONE, BINARY)
+    stale = np.flatnonzero(np.random.default_rng(2).random(T - 1) < share) + 1
+    log.loc[stale, "x2"] = log["x2"].to_numpy()[stale - 1]
+    fit = dt.identify(log, modes=None, delay=(0.0, 0.6))
+    assert re.search(r"\d+ % of rows repeat the x2 before", fit.message)
+    assert any("repeated" in doubt for doubt in fit.doubts)
+
+
+def test_rounded_measurements_and_a_rest_without_noise_are_no_repeats():
+    log = table(ONE, BINARY)
+    assert "repeat the" not in dt.identify(log.round(2), modes=None, delay=(0.0, 0.6)).message
+    still = table(Plant([[[-1.0]]], [[[1.0]]], 0.31), np.repeat([0.0, 1.0], T // 2)[:, None])
+    fit = dt.identify(still, modes=None, delay=(0.0, 0.6))
+    assert "repeat the" not in fit.message
+    assert not fit.doubts

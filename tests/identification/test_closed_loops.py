@@ -148,3 +148,16 @@ def test_a_loop_whose_law_asks_for_something_else_is_answered(name, added):
     assert low - (high - low) < plant.D.item() < high + (high - low)
     assert high - low < 3.0 * H
     assert "hardly tells" not in fit.message
+
+
+@pytest.mark.parametrize(
+    ("law", "unit"), [(p(-1.5), 100.0), (p(-0.8), 1e3), (pi(-0.5, -0.3), 30.0)]
+)
+def test_a_loop_about_0_is_answered_in_any_unit(law, unit):
+    """Without the level that it does not need a delay lies elsewhere in the vector of unknowns."""
+    log = run(LAG, law, NOTHING, 0.02, seed=4)
+    log[["x1", "u1"]] *= unit
+    fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
+    low, high = fit.interval("delay")
+    assert low <= fit.delays[0, 0] <= high
+    assert low - 0.02 < 0.3091 < high + 0.02

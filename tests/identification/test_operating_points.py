@@ -104,3 +104,56 @@ horizon = 2.0
     )
     with pytest.raises(dt.ArgumentError, match=message):
         load_problem(path)
+
+
+def weak(seed, x0, u0, sensor=0.0, count=300):
+    """A slow lag, moved a little: its log hardly contradicts that it rests at 0."""
+    rng, plant = (
+        np.random.default_rng(seed),
+        Plant([[[-1 / 3]]], [[[0.8 / 3]]], 0.73, 0.02 * np.eye(1)),
+    )
+    u = 2.0 * np.repeat(rng.choice([-1.0, 1.0], count // 10), 10)[:, None]
+    t = 0.1 * np.arange(count)
+    y, u = plant.log(t, u, rng, sensor=sensor)
+    return pd.DataFrame({"t": t, "x1": y[:, 0] + x0, "u1": u[:, 0] + u0})
+
+
+@pytest.mark.parametrize(
+    ("seed", "x0", "u0", "sensor"),
+    [
+        (1, 21.0, 40.0, 0.0),
+        (2, 294.15, 0.4, 0.0),
+        pytest.param(3, -21.0, 40.0, 0.05, marks=pytest.mark.long),
+        pytest.param(4, 21.0, 40.0, 0.05, marks=pytest.mark.long),
+    ],
+)
+def test_matrices_are_the_same_whatever_level_a_log_is_about(seed, x0, u0, sensor):
+    """As far from 0 as it moves little: that it rests at 0 would give A x̄ = −B ū for certain."""
+    plain = dt.identify(weak(seed, 0.0, 0.0, sensor), modes=None)
+    fit = dt.identify(weak(seed, x0, u0, sensor), modes=None)
+    assert plain.operating_point is None
+    assert fit.operating_point is not None
+    half = np.diff(plain.interval("A[0][0,0]"))[0] / 2.0
+    assert abs(fit.plant.A - plain.plant.A) < 0.5 * half
+    assert fit.interval("A[0][0,0]")[0] < -1 / 3 < fit.interval("A[0][0,0]")[1]
+    assert fit.delays == pytest.approx(plain.delays, abs=0.02)
+
+
+def test_modes_whose_rests_hardly_differ_rest_within_the_log():
+    """Their equilibria are nearly parallel and meet far off, where nothing was logged."""
+    rng, count = np.random.default_rng(0), 400
+    plant = Plant(
+        [[[-0.2]], [[-0.5]]], [[[0.21, 3.0]], [[0.5, 9.0]]], [0.31, 0.0], 1e-4 * np.eye(1)
+    )
+    mode = (np.arange(count) // 20) % 2
+    u = np.column_stack((4.0 + rng.standard_normal(count), np.ones(count)))
+    y, u = plant.log(H * np.arange(count), u, rng, mode)
+    table = {"t": H * np.arange(count), "mode": mode, "x1": y[:, 0], "u1": u[:, 0]}
+    log = pd.DataFrame(table).iloc[100:]
+    fit = dt.identify(log, delay=(0.0, 1.0))
+    point = fit.operating_point
+    for value, column in ((point.x[0], log["x1"]), (point.u[0], log["u1"])):
+        beside = 0.11 * np.ptp(column)
+        assert column.min() - beside <= value <= column.max() + beside
+    still = fit.plant.A @ point.x + fit.plant.B @ point.u - fit.offset
+    np.testing.assert_allclose(still[:, 0], [-3.0, -9.0], rtol=0.15)

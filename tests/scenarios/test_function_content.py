@@ -139,6 +139,11 @@ def test_what_an_object_has_computed_for_itself_makes_no_difference():
     assert [holding(one) for one in held] == before
 
 
+MODULE = "import types\nm = types.ModuleType('settings_of_mine')\n"
+CALLABLE = (
+    "import functools\nclass Like:\n def __init__(self, f, v):\n"
+    "  functools.update_wrapper(self, f)\n  self.v = v\n"
+)
 HELPERS = {
     "a helper's source": ("def g(k): return k + 1", "def g(k): return k + 2"),
     "a helper's default": ("def g(k, a=1): return k + a", "def g(k, a=2): return k + a"),
@@ -180,6 +185,26 @@ HELPERS = {
     "a dataclass's default": (
         "from dataclasses import dataclass\n@dataclass\nclass g:\n a: int = 1",
         "from dataclasses import dataclass\n@dataclass\nclass g:\n a: int = 2",
+    ),
+    "a module's attribute": (
+        f"{MODULE}m.D = 1\ndef g(k): return m.D",
+        f"{MODULE}m.D = 2\ndef g(k): return m.D",
+    ),
+    "a module within a module": (
+        f"{MODULE}m.n = types.ModuleType('m.n')\nm.n.D = 1\ndef g(k): return [m.n.D for _ in 'ab']",
+        f"{MODULE}m.n = types.ModuleType('m.n')\nm.n.D = 2\ndef g(k): return [m.n.D for _ in 'ab']",
+    ),
+    "a function of a module": (
+        f"{MODULE}m.h = lambda k: 1\ndef g(k): return m.h(k)",
+        f"{MODULE}m.h = lambda k: 2\ndef g(k): return m.h(k)",
+    ),
+    "a callable that is like a function": (
+        f"{CALLABLE}g = Like(lambda k: 0, 1)",
+        f"{CALLABLE}g = Like(lambda k: 0, 2)",
+    ),
+    "an attribute that is called as a law's tables": (
+        "class B: pass\ng = B()\ng._table = 1",
+        "class B: pass\ng = B()\ng._table = 2",
     ),
     "a compiled helper": (
         "import numba\n@numba.njit\ndef g(k): return 1",
@@ -225,6 +250,29 @@ def test_what_cannot_be_compared_is_refused_by_its_path(value, kind):
 
     with pytest.raises(dt.ArgumentError, match=message):
         dt.function_study(loop, {"delay": [0.1]})
+
+
+def test_modules_of_ones_own_are_compared_by_what_is_read_of_them_and_refused_as_a_whole():
+    read, whole = named(
+        f"{MODULE}m.D, m.E = 1, object\ndef f(k): return m.D\n",
+        f"{MODULE}def f(k): return vars(m)\n",
+    )
+    assert values_of(read) == {"m.D": 1}
+    with pytest.raises(
+        dt.ArgumentError, match=r"reads m, a module, .*: read what it holds by name"
+    ):
+        values_of(whole)
+
+
+@pytest.mark.parametrize("line", ["import settings_of_mine", "from . import settings_of_mine"])
+def test_modules_of_ones_own_that_a_function_imports_itself_are_refused(line):
+    inner, library = named(
+        f"def g():\n {line}\ndef f(k): return g()\n",
+        "def f(k):\n import numpy as np\n from scipy import linalg\n return np.pi\n",
+    )
+    with pytest.raises(dt.ArgumentError, match=r"function g imports .* import it at the top"):
+        values_of(inner)
+    assert values_of(library) == {}
 
 
 def test_an_open_file_is_refused(tmp_path):

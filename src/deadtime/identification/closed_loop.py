@@ -24,7 +24,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.cells import cells_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.levels import without_level
 from deadtime.identification.log.recording import Recording
@@ -47,7 +46,7 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
 
     begins : vectors of the likelihood to climb from, in each cell
     """
-    recording, bounds, place = log.recording, log.bounds, log.layout.at_delays
+    recording, bounds = log.recording, log.bounds
     lag = recording.lag(bounds[1])
     some = replace(log, recording=recording.stretches(_FEW, lag))
     theta, curves, vectors = begins[0], [], []
@@ -67,7 +66,7 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
     if kept.size < best.theta.size:
         best, window = maximise(log, best.theta[kept], gain=_GAIN)
         vectors = [[vector[kept] for vector in each] for each in vectors]
-    cells = cells_of(best.theta[place], recording.step)
+    cells = log.cells(best.theta)
     for row, cell in enumerate(cells):  # a climb over kinks may have gone further
         own = log.evaluate_in(*bounds)(cells)(best.theta).value
         curves[row][cell - first] = max(curves[row][cell - first], own)

@@ -47,9 +47,8 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
     for root, count, P, by_P, place in terms:
         n = len(P)
         y, r = root[:, :n], root[:, n:]
-        with np.errstate(all="ignore"):
-            e = y - r @ P.T
-            S = e.T @ e / count
+        e = y - r @ P.T
+        S = e.T @ e / count
         if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows
             nothing = Evaluation(-np.inf, score, np.eye(size))
             return nothing, np.full((len(terms), n, n), np.nan)

@@ -41,6 +41,7 @@ Evaluate = Callable[[np.ndarray], Evaluation]
 Stride = Callable[[np.ndarray], np.ndarray]
 
 
+@np.errstate(all="ignore")  # of trials far out, whose exponentials overflow
 def climb(
     evaluate: Evaluate,
     theta: Float[np.ndarray, " size"],

@@ -16,6 +16,8 @@ _EDGE = 1e-6  # of the range searched
 _SINGULAR = 1e8  # a condition of A: such a mode, as an integrator, has no rest of its own
 _WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
+_OFTEN = 0.03  # of rows begin such a run
+_OWN = 0.9  # of measurements that are no repeats are met once: they are not rounded
 _NEVER = 1e-6  # that one of all rows lies so far off by chance
 _FAINT = 1e-3  # of a column's deviation
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
@@ -113,6 +115,8 @@ def doubts_of(found: Estimate, recording: Recording) -> tuple[str, ...]:
         said.append(f"what is left still has {recording.inputs[found.tests.input]} in it")
     if _far_off(found, recording):
         said.append("a measurement lies farther off than chance makes it")
+    if _repeats(recording):
+        said.append("measurements are repeated, so that their times are not known")
     return tuple(said)
 
 
@@ -207,7 +211,7 @@ def _noise(found: Estimate) -> list[str]:
 
 
 def _tests(found: Estimate, recording: Recording) -> list[str]:
-    tests, said = found.tests, _far_off(found, recording)
+    tests, said = found.tests, [*_repeats(recording), *_far_off(found, recording)]
     if tests.white and tests.unrelated and not said:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
@@ -233,6 +237,23 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
     return said
 
 
+def _repeats(recording: Recording) -> list[str]:
+    """Outputs that often repeat what was measured before, though their values are not rounded."""
+    said = []
+    for column, name in enumerate(recording.outputs):
+        each = [part.output[:, column] for part in recording.parts]
+        same = [np.append(False, y[1:] == y[:-1]) for y in each]
+        rows, again = sum(one.size for one in same), sum(int(one.sum()) for one in same)
+        runs = sum(int((one[1:] & ~one[:-1]).sum()) for one in same)  # a rest without noise is one
+        fresh = len(np.unique(np.concatenate(each)))
+        if runs >= _OFTEN * rows and fresh >= _OWN * (rows - again):
+            said.append(
+                f"{100.0 * again / rows:.0f} % of rows repeat the {name} before: a sensor slower than "
+                "the rows? When it measured is not known then: leave those cells empty."
+            )
+    return said
+
+
 def _far_off(found: Estimate, recording: Recording) -> list[str]:
     """The row that lies farthest from what the model foretells, if chance makes no such row.
 
@@ -242,11 +263,11 @@ def _far_off(found: Estimate, recording: Recording) -> list[str]:
     from scipy.stats import norm
 
     z = np.abs(np.nan_to_num(np.vstack(found.white)))
-    far = np.argwhere(z > norm.isf(0.5 * _NEVER / z.size))
-    if not len(far):
+    far = np.argwhere(z > norm.isf(0.5 * _NEVER / z.size)).tolist()
+    if not far:
         return []
-    row, column = max(far.tolist(), key=lambda at: z[*at])
-    if [row - 1, column] in far.tolist():  # a wrong reading foretells the next one wrongly, too
+    row, column = max(far, key=lambda at: z[*at])
+    if [row - 1, column] in far:  # a wrong reading foretells the next one wrongly, too
         row -= 1
     moves = np.nanstd(np.vstack([part.output for part in recording.parts]), axis=0)
     W, size = found.disturbance.max(axis=0), z[:, column].max()
