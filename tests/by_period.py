@@ -6,8 +6,8 @@ import deadtime as dt
 import plants
 from by_sample import by_sample
 from deadtime.imperfections import Disturbance, Noise, RateLimit, Saturation, Sizes, streams
-from deadtime.simulation.digital import Grid
 from deadtime.simulation.imperfect import ImperfectLaw
+from deadtime.simulation.loop_arrays import Grid
 from deadtime.simulation.online import run_online
 
 MODEL = plants.generic()

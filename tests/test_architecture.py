@@ -32,21 +32,12 @@ FILES = {module_of(path): path for path in sorted(SOURCE.rglob("*.py"))}
 
 
 def imports_of(path: Path) -> set[str]:
-    """The files of deadtime that a file imports, anywhere in it, but for type checking."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    hidden = {
-        id(node)
-        for block in ast.walk(tree)
-        if isinstance(block, ast.If) and getattr(block.test, "id", "") == "TYPE_CHECKING"
-        for node in ast.walk(block)
-    }
+    """The files of deadtime that a file imports, anywhere in it, for type checking, too."""
     found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import) and id(node) not in hidden:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names if alias.name.startswith("deadtime")}
-        if not isinstance(node, ast.ImportFrom) or id(node) in hidden:
-            continue
-        if (node.module or "").split(".")[0] == "deadtime":
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "deadtime":
             inner = {f"{node.module}.{alias.name}" for alias in node.names}
             found |= {name if name in FILES else str(node.module) for name in inner}
     return found
@@ -99,38 +90,6 @@ def test_the_picture_says_what_a_room_is_and_uses(room, sentence, used):
 def test_every_file_lies_in_a_room():
     loose = {path.stem for path in SOURCE.glob("*.py")}
     assert loose == {"__init__", "__main__"}
-
-
-def test_no_file_is_long():
-    long = {name: text.count("\n") for name, text in texts(SOURCE) if text.count("\n") > 400}
-    assert long == {}
-
-
-def test_no_test_file_is_long():
-    tests = Path(__file__).parent
-    long = {name: text.count("\n") for name, text in texts(tests) if text.count("\n") > 400}
-    assert long == {}
-
-
-# A loop that is compiled whole: a period of eight scenarios, in registers.
-STRAIGHT_LINE = {"run_scenarios"}
-
-
-def test_no_function_is_long():
-    """More than 60 lines, but for its signature and its docstring."""
-    long = {
-        (name, function.name)
-        for name, text in texts(SOURCE)
-        for function in ast.walk(ast.parse(text))
-        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
-        and _lines_of_body(function) > 60
-    }
-    assert {name for _, name in long} <= STRAIGHT_LINE, long
-
-
-def _lines_of_body(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    body = function.body[ast.get_docstring(function) is not None :]
-    return body[-1].end_lineno - body[0].lineno + 1 if body else 0
 
 
 def texts(folder: Path) -> list[tuple[str, str]]:

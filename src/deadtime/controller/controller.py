@@ -11,6 +11,7 @@ from deadtime.controller.running import RunningLaw
 
 if TYPE_CHECKING:
     from deadtime.controller.export import Exported, ExportedFmu, Names
+    from deadtime.controller.prediction import Prediction
 
 
 class Controller(RunningLaw):
@@ -64,6 +65,18 @@ class Controller(RunningLaw):
     >>> controller.update([float("nan"), 1.0]).round(3), controller.status.name
     (array([20.058]), 'BAD_STATE')
     """
+
+    @property
+    def prediction(self) -> Prediction:
+        """The state that the input of the last `update` will meet, and how surely; see there.
+
+        Its tables are made at the first call, and take a few times as long as the law's. Raises
+        `ArgumentError` where there is nothing to predict from, as before the first sample and
+        after one whose state was not finite, and of a law that has no forecast.
+        """
+        from deadtime.controller.prediction import prediction_of
+
+        return prediction_of(self)
 
     def export_c(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,9 +22,6 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.prediction import PredictionTable, prediction_table
 from deadtime.simulation.initial_input import InitialInput, held_samples
-
-if TYPE_CHECKING:
-    from deadtime.controller.prediction import Prediction
 
 
 class RunningLaw(Stateful):
@@ -276,18 +273,6 @@ class RunningLaw(Stateful):
     def belief(self) -> Float[np.ndarray, " mode"] | None:
         """How likely each mode is at the last sample; None of a law that keeps no belief."""
         return None if self.believing is None else self.believing.now.sum(axis=1)
-
-    @property
-    def prediction(self) -> Prediction:
-        """The state that the input of the last `update` will meet, and how surely; see there.
-
-        Its tables are made at the first call, and take a few times as long as the law's. Raises
-        `ArgumentError` where there is nothing to predict from, as before the first sample and
-        after one whose state was not finite, and of a law that has no forecast.
-        """
-        from deadtime.controller.prediction import prediction_of
-
-        return prediction_of(self)
 
     @cached_property
     def prediction_table(self) -> PredictionTable:

@@ -8,9 +8,9 @@ from deadtime.estimation.belief_kernel import believe
 from deadtime.estimation.kernel import remember
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
-from deadtime.plant.cut_pieces import up_to
 from deadtime.simulation.foreseen import foresee
-from deadtime.simulation.plain_loop import LIMIT, bare_loop, is_bare
+from deadtime.simulation.loop_arrays import LIMIT
+from deadtime.simulation.plain_loop import bare_loop, is_bare
 
 _LONG = (
     400_000  # numbers of a run, some 14 a period, that Python's loop takes about two seconds for
@@ -218,21 +218,6 @@ def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
         Phi, Gamma = up_to(A, B, table, cut_offset, cut_mode, table.entry[q], offset[i])
         advance(Phi, Gamma, path[q], acting[q], result[i])
     return result
-
-
-@kernel
-def ways(A, B, table, cut_offset, cut_mode, entry, offset):
-    """Φ and Γ of entries from their starts up to `offset` seconds after their period's sample."""
-    n, m = B.shape[1:]
-    Phi, Gamma = np.empty((entry.size, n, n)), np.empty((entry.size, n, m))
-    for v in range(entry.size):
-        one_Phi, one_Gamma = up_to(A, B, table, cut_offset, cut_mode, entry[v], offset[v])
-        for i in range(n):
-            for j in range(n):
-                Phi[v, i, j] = one_Phi[i, j]
-            for j in range(m):
-                Gamma[v, i, j] = one_Gamma[i, j]
-    return Phi, Gamma
 
 
 def _forms_at_once(

@@ -20,8 +20,9 @@ from deadtime.feedback.belief import Believing
 from deadtime.feedback.law import Update, require_input
 from deadtime.plant.steps import snap
 from deadtime.simulation.compiled import Lags
-from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
+from deadtime.simulation.digital import Drawn, Outcome, initial_age
 from deadtime.simulation.imperfect import ImperfectLaw
+from deadtime.simulation.loop_arrays import Grid
 from deadtime.simulation.record import DigitalRecord
 from deadtime.simulation.slides import slides_in_words
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
@@ -111,7 +112,7 @@ def _run(
     grid: Grid,
 ) -> tuple[int, list[np.ndarray], _Stop | None]:
     """Run over the samples and on until an input is missing, as `kernel.closed_loop` does."""
-    from deadtime.simulation.kernel import LIMIT
+    from deadtime.simulation.loop_arrays import LIMIT
 
     h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
     path, first = [x0], [0]

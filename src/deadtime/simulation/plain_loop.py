@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.plant.pieces import PieceTable
+from deadtime.simulation.loop_arrays import LIMIT, Line, Rows
 
 if TYPE_CHECKING:
     from deadtime.simulation.compiled import Clip
-    from deadtime.simulation.digital import Line, Rows
     from deadtime.simulation.sight import Sight
-
-LIMIT = 1e100
 
 
 def is_bare(table: PieceTable, line: Line, sight: Sight, clip: Clip, shift: np.ndarray) -> bool:

@@ -78,7 +78,7 @@ def _within(
 ) -> tuple[np.ndarray, ...]:
     """`piece`, `step`, `way`, `Phi` and `Gamma` of measurements that may lie within periods."""
     A, B = sampled.plant.A, sampled.plant.B
-    from deadtime.simulation.kernel import ways
+    from deadtime.simulation.sight_kernel import ways
 
     measured, offset = lags.instants(sampled.step, heard.size)
     step = np.where(heard < 0, -1, measured[heard])

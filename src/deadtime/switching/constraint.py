@@ -11,24 +11,35 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from deadtime.switching.signal import SwitchingSignal
-
     PerMode = float | Sequence[float] | np.ndarray
 else:
     PerMode = object  # checked inside, with better messages
 
 T = TypeVar("T")
 ROUND_OFF = 1e-9  # of a dwell time, which a sum of times may miss
+
+
+@runtime_checkable
+class Sojourns(Protocol):
+    """A signal as a constraint reads it: times and modes of its sojourns, see `SwitchingSignal`."""
+
+    times: Float[np.ndarray, " sojourn"]
+    modes: Int[np.ndarray, " sojourn"]
+    end: float
+    initial_age: float
+
+    def require_modes(self, modes: int) -> Any:
+        """Refuse modes beyond so many."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +189,7 @@ class SwitchingConstraint:
         ]
         return stays, f"switches at any time, but only so: {', '.join(ways)}"
 
-    def require(self, signal: SwitchingSignal, tolerance: float = ROUND_OFF) -> None:
+    def require(self, signal: Sojourns, tolerance: float = ROUND_OFF) -> None:
         """Refuse a signal that is not admissible, by the first switch or sojourn that is not.
 
         Sojourns may be shorter and longer by the part `tolerance`, as a clock counts them.
@@ -188,7 +199,7 @@ class SwitchingConstraint:
         starts[0] -= signal.initial_age
         ends = np.append(signal.times[1:], signal.end)
         for k, mode in enumerate(signal.modes.tolist()):
-            lasts, last = float(ends[k] - starts[k]), k == signal.switches
+            lasts, last = float(ends[k] - starts[k]), k == signal.times.size - 1
             least, most = self.dwell_time[mode], self.maximum_dwell[mode]
             where = f"stays in mode {mode} from {starts[k]:g} s"
             if lasts > most * (1.0 + tolerance):

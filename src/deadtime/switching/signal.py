@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,13 +18,9 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, brief, number, positive, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.switching.constraint import PerMode, SwitchingConstraint
 from deadtime.switching.models.jump_process import require_few
 from deadtime.switching.random import random_switches
-
-if TYPE_CHECKING:
-    from deadtime.switching.constraint import PerMode
-else:
-    PerMode = object  # checked inside, with better messages
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -199,8 +194,6 @@ class SwitchingSignal(Frozen):
         >>> signal.require_admissible(dwell_time=[0.4, 0.2]) is signal
         True
         """
-        from deadtime.switching.constraint import SwitchingConstraint
-
         if modes is None:
             modes = len(transitions) if np.ndim(transitions) == 2 else int(self.modes.max()) + 1  # pyright: ignore
         SwitchingConstraint.of(modes, dwell_time, maximum_dwell, transitions).require(self)

@@ -248,8 +248,8 @@ def _repeats(recording: Recording) -> list[str]:
         fresh = len(np.unique(np.concatenate(each)))
         if runs >= _OFTEN * rows and fresh >= _OWN * (rows - again):
             said.append(
-                f"{100.0 * again / rows:.0f} % of rows repeat the {name} before: a sensor slower than "
-                "the rows? When it measured is not known then: leave those cells empty."
+                f"{100.0 * again / rows:.0f} % of rows repeat the {name} before, as of a sensor "
+                "slower than the rows: its times are not known. Leave those cells empty."
             )
     return said
 

@@ -14,14 +14,22 @@ from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Imperfection, SensorImperfection, Sizes, require
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.imperfection_registry import ENTRIES, ImperfectionSection, build_imperfection
-from deadtime.problems.toml import section as _section
+from deadtime.problems.toml import Shape, section as _section
+from deadtime.problems.toml.table import Section, Vector
 
 if TYPE_CHECKING:
-    from deadtime.problems.file.schema import OffsetSection
-
     ImperfectionEntry = ImperfectionSection
 else:
     ImperfectionEntry = Annotated[Union[ENTRIES], Field(discriminator="kind")]  # noqa: UP007
+
+
+class OffsetSection(Section):
+    """A constant force in one mode: dx/dt = A_σ x + B_σ u(t − D) + force, as of a load."""
+
+    mode: int
+    force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
+        description="Units of x per second."
+    )
 
 
 def build_imperfections(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 from pydantic import Field, model_validator
 
 from deadtime.problems.file.distribution import DistributionSection
-from deadtime.problems.file.imperfections import ImperfectionEntry
+from deadtime.problems.file.imperfections import ImperfectionEntry, OffsetSection
 from deadtime.problems.file.mode_filter import ModeFilterSection
 from deadtime.problems.file.observer import ObserverSection
 from deadtime.problems.file.servo import ServoSection
@@ -300,15 +300,6 @@ Signal = Annotated[
     | QuadraticSignal,
     Field(discriminator="kind"),
 ]
-
-
-class OffsetSection(Section):
-    """A constant force in one mode: dx/dt = A_σ x + B_σ u(t − D) + force, as of a load."""
-
-    mode: int
-    force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
-        description="Units of x per second."
-    )
 
 
 class ProblemFile(Section):

@@ -30,7 +30,7 @@ import numpy as np
 
 from deadtime.numerics.exponential import discretise, product
 from deadtime.numerics.kernels import kernel
-from deadtime.simulation.kernel import LIMIT
+from deadtime.simulation.loop_arrays import LIMIT
 
 
 @kernel(eager=True)

@@ -25,7 +25,7 @@ from deadtime.simulation.ideal.kernel import flows, interpolate, locate, solve_a
 from deadtime.simulation.ideal.loop import arrivals
 from deadtime.simulation.ideal.rereading import feedback_through_rereading
 from deadtime.simulation.initial_input import refit
-from deadtime.simulation.kernel import LIMIT
+from deadtime.simulation.loop_arrays import LIMIT
 
 _AGAIN = -1
 _FEW, _SHORT = 4, 0.125  # nodes that do on a panel so much shorter than the longest segment

@@ -210,7 +210,7 @@ def _closed(plant: SwitchedSystem, horizon: float, rate: float) -> _Stage:
 
 def _march(motion: Motion, stage: _Stage, x: np.ndarray, place: int) -> _March:
     """Move over the pieces of a stage."""
-    from deadtime.simulation.kernel import LIMIT
+    from deadtime.simulation.loop_arrays import LIMIT
 
     edges = stage.edges.tolist()
     parts: list[Part] = []

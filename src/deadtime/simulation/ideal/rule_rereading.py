@@ -270,7 +270,7 @@ class _March:
 
     def _keep(self, motion: Motion, leg: Leg, readings: _Readings, end: float) -> None:
         """Keep what x did from t to `end`, and what inputs were sent to make it so."""
-        from deadtime.simulation.kernel import LIMIT
+        from deadtime.simulation.loop_arrays import LIMIT
 
         n, support, none = self.x.size, gauss(NODES).support, np.zeros(self.plant.inputs)
         times = (end - self.t) * support
