@@ -26,7 +26,7 @@ import deadtime as dt
 from deadtime.numerics import kernels
 from deadtime.scenarios.sweeps import Progress
 from deadtime.scenarios.sweeps.cluster import cluster
-from deadtime.scenarios.sweeps.layout import Layout
+from deadtime.scenarios.sweeps.layout import BlockLayout
 from deadtime.scenarios.sweeps.run import run_block
 from deadtime.scenarios.sweeps.store import create, open_store
 
@@ -82,7 +82,7 @@ def swept(study: dt.Study, store: Path, workers: int) -> tuple[list[Progress], f
     """What a sweep reported after each block, and all its seconds."""
     seen: list[Progress] = []
     began = time.perf_counter()
-    create(str(store), study, Layout(study.shape, (1,) * len(study.shape)), {})
+    create(str(store), study, BlockLayout(study.shape, (1,) * len(study.shape)), {})
     dt.sweep(study, store, workers=workers, progress=seen.append)
     return seen, time.perf_counter() - began
 
@@ -90,7 +90,7 @@ def swept(study: dt.Study, store: Path, workers: int) -> tuple[list[Progress], f
 def speed_up(folder: Path, cells: int, scenarios: int) -> None:
     """One worker and two on the same cells."""
     study = dt.function_study(loop, grid(cells, 4), scenarios, metrics=["ise"])
-    plain = create(str(folder / "plain.zarr"), study, Layout(study.shape, (1, 1)), {})
+    plain = create(str(folder / "plain.zarr"), study, BlockLayout(study.shape, (1, 1)), {})
     alone = [run_block(study, plain.url, plain.key, number)[1] for number in range(cells)]
     print(
         f"| one block after the other, no cluster | {sum(alone):.1f} s | | {cells} cells, median "

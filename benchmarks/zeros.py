@@ -24,7 +24,7 @@ from uneven_logs import uneven_states
 import deadtime as dt
 import identification
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 
 H, COUNT, HELD, MARGIN = 0.05, 500, 2, 5.0
 # name: W of all states, deviation of the sensor, jitter of the rows' times in periods
@@ -78,7 +78,7 @@ def short_of_the_truth(fit, A, B, D, W, sensor):
         return None
     vector = log.join(
         log.layout.join(A, B, np.array([[D]])),
-        Noise(max(W, 1e-14) * np.eye(A.shape[1]), np.array([sensor])),
+        NoiseLevels(max(W, 1e-14) * np.eye(A.shape[1]), np.array([sensor])),
     )
     found, _ = maximise(log, vector, window=window)
     return found.found.value > fit.log_likelihood + MARGIN

@@ -15,7 +15,7 @@ from deadtime.app.documents import MOST_BYTES, open_named, open_upload, to_toml
 from deadtime.app.laws import laws_on_offer
 from deadtime.app.outcome import run_draft
 from deadtime.app.page import Page
-from deadtime.app.settings import Drawn, Settings, draft_of
+from deadtime.app.settings import DrawnSignal, Settings, draft_of
 from deadtime.problems.file import load_problem
 from mixer import OWN
 
@@ -33,7 +33,7 @@ def test_what_is_saved_is_what_is_shown_and_keeps_comments(own, tmp_path):
     settings = Settings(
         {"delay": 0.4, "noise": 0.01, "dwell_time": 0.3, "run.x0.1": 0.25, "step": 0.04},
         laws=("averaged", "middle", "expected", "oracle"),
-        signal=Drawn(5),
+        signal=DrawnSignal(5),
     )
     draft = draft_of(own, offer, settings)
     text = to_toml(own, draft)

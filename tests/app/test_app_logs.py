@@ -17,7 +17,7 @@ from deadtime.app.door import Door
 from deadtime.app.found import details, shown
 from deadtime.app.jobs import try_log
 from deadtime.app.log_form import HIDDEN, INPUT, MODE, ONE, STATE, UNUSED, LogForm
-from deadtime.app.logs import MOST_ROWS, Asked, FoundPlant, look_at, open_log
+from deadtime.app.logs import MOST_ROWS, FoundPlant, LogRequest, look_at, open_log
 from deadtime.app.page import Page
 from deadtime.app.workers import TooLongError
 from deadtime.cli import main
@@ -105,7 +105,7 @@ def test_a_log_becomes_the_problem_that_identify_makes(log, tmp_path):
 def test_the_likelihood_comes_last_so_that_nothing_is_lost_if_it_takes_too_long(log):
     told = []
     picture, report = try_log(
-        "drive.csv", log, Asked(("x1", "x2"), ("u1",), "mode", (0.0, 1.0)), told.append
+        "drive.csv", log, LogRequest(("x1", "x2"), ("u1",), "mode", (0.0, 1.0)), told.append
     )
     assert picture.name == "likelihood"
     assert picture.image in report.decode()
@@ -261,7 +261,7 @@ def test_the_form_asks_for_what_names_do_not_tell(tmp_path):
     with pytest.raises(dt.ArgumentError, match="No column is said to be input"):
         form.asked()
     form.roles["voltage"].value = INPUT
-    assert form.asked() == Asked(("speed", "current"), ("voltage",), "arm", (0.0, 0.6))
+    assert form.asked() == LogRequest(("speed", "current"), ("voltage",), "arm", (0.0, 0.6))
     form.samples.value = form.apart.value = True
     assert form.asked()[-2:] == (True, True)
     form.high.value = 0.0

@@ -20,7 +20,7 @@ from deadtime.app.outcome import run_draft
 from deadtime.app.page import Page
 from deadtime.app.ranges import ranges_of, steps_of
 from deadtime.app.script import script_of
-from deadtime.app.settings import Drawn, Settings, draft_of
+from deadtime.app.settings import DrawnSignal, Settings, draft_of
 from deadtime.app.table import csv_of
 from deadtime.problems.file import load_problem
 from deadtime.reports.figures.colours import looks_of
@@ -221,7 +221,7 @@ def test_the_csv_holds_every_sample_of_every_law(own):
 def test_the_script_makes_the_same_runs_and_a_figure(name, own, tmp_path, monkeypatch, capsys):
     document = own if name == "own" else open_named("paper")
     offer, _ = laws_on_offer(document)
-    settings = Settings({"noise": 0.01, "saturation": 30.0}, tuple(offer), Drawn(1))
+    settings = Settings({"noise": 0.01, "saturation": 30.0}, tuple(offer), DrawnSignal(1))
     outcome = run_draft(draft_of(document, offer, settings), document.source)
     monkeypatch.chdir(tmp_path)
     names = {}

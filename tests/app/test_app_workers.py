@@ -12,7 +12,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import open_named
-from deadtime.app.settings import Given
+from deadtime.app.settings import GivenSignal
 
 
 @pytest.mark.long
@@ -87,12 +87,12 @@ def test_where_no_process_lives_a_job_says_so_and_the_next_one_runs(workers, mon
 
 
 def test_a_job_that_is_stopped_while_it_waits_leaves_nothing_of_it(workers):
-    class Given:
+    class GivenSignal:
         """What no other process could read."""
 
     worker = workers._idle.get()  # all are busy
     try:
-        first, given = workers.submit(30.0, math.sqrt, 4.0), Given()
+        first, given = workers.submit(30.0, math.sqrt, 4.0), GivenSignal()
         waiting = workers.submit(30.0, math.sqrt, given)
         seen = weakref.ref(given)
         workers.stop(waiting)
@@ -111,5 +111,5 @@ def test_errors_of_jobs_come_back(workers):
 
 
 def test_given_signals_and_seeds_are_plain_data():
-    assert Given((0.0,), (0,)).about == ""
+    assert GivenSignal((0.0,), (0,)).about == ""
     assert Path(open_named("paper").source).name == "paper.toml"

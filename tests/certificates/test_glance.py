@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.certificates.dwell.search import Level, Search
+from deadtime.certificates.dwell.search import EvidenceSearch, Freedom
 
 FOLLOWER = dt.problems.follower()
 DWELL, STEP = 1.0, 0.05
@@ -29,7 +29,7 @@ def certificate(law):
 
 
 def searched(law="averaged"):
-    return Search(certificate(law).evidence.setting, Level(0))
+    return EvidenceSearch(certificate(law).evidence.setting, Freedom(0))
 
 
 def assert_same(ours, theirs):

@@ -6,7 +6,7 @@ runs of any length are walks through finitely many states, all of which are visi
 
 import pytest
 
-from deadtime.certificates.proof.transitions import Transitions
+from deadtime.certificates.proof.transitions import SwitchGraph
 
 PARTS = 6  # of a period
 OLD = 40  # samples: no table of these tells ages apart from here on
@@ -70,7 +70,7 @@ def test_each_step_that_any_signal_and_any_losses_bring_about_is_in_the_graph(ca
     times = tuple(x * 0.1 / PARTS for x in dwell)
     ends = tuple(x and x * 0.1 / PARTS for x in longest)
     about = context, ages, 0, following, most
-    graph = Transitions.of(len(dwell), (times, ends), 1, 0.1, 1e-5, *about)
+    graph = SwitchGraph.of(len(dwell), (times, ends), 1, 0.1, 1e-5, *about)
     known, last = {}, [clock.last for clock in graph.clocks]
     for one in graph.all(tuple(range(graph.last + 1))):
         key = one.mode, one.age, one.row, one.lost, one.next_lost, one.after, one.next_age

@@ -13,7 +13,7 @@ import deadtime as dt
 import observer_reference as reference
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import load_evidence
-from deadtime.certificates.proof.transitions import Transitions
+from deadtime.certificates.proof.transitions import SwitchGraph
 from deadtime.certificates.worst_case.losses import _allowed
 from deadtime.certificates.worst_case.lost_at import LostAt
 from deadtime.cli.entry import main
@@ -168,7 +168,7 @@ def test_runs_and_controllers_that_lose_samples_follow_the_same_equations(name):
 )  # fmt: skip
 def test_every_row_that_acts_in_a_run_is_in_the_graph(context, ages, most, chatter):
     following = ((1, 2), (2,), (0, 1))
-    graph = Transitions.of(3, (0.35, None), chatter, STEP, 1e-5, context, ages, 0, following, most)
+    graph = SwitchGraph.of(3, (0.35, None), chatter, STEP, 1e-5, context, ages, 0, following, most)
     if chatter > 1:
         told = {(i, lost, row, then) for i in range(3) for row, lost, then in graph._told(i, 1)}
     else:

@@ -16,7 +16,7 @@ import deadtime as dt
 import delayed_loops
 from certificate_reference import rewritten
 from deadtime.certificates.proof import StretchEvidence
-from deadtime.certificates.proof.transitions import Transitions
+from deadtime.certificates.proof.transitions import SwitchGraph
 from deadtime.imperfections import ModeDelay
 
 STEP = 0.1
@@ -73,7 +73,7 @@ def told_in_histories(modes, ages, shortest, lag):
 def test_the_rows_that_may_act_are_those_of_all_histories(modes, ages, shortest, lag):
     context = "mode" if ages == 1 else "mode_age"
     times = ((shortest + 1) * STEP, None)
-    graph = Transitions.of(modes, times, 1, STEP, 1e-5, context, ages, lag)
+    graph = SwitchGraph.of(modes, times, 1, STEP, 1e-5, context, ages, lag)
     assert graph.first + 1 == shortest
     found = told_in_histories(modes, ages, shortest, lag)
     assert len(found) == modes * (lag + ages)

@@ -20,7 +20,7 @@ from scipy.linalg import expm, logm
 import deadtime as dt
 from certificate_reference import rewritten
 from deadtime.certificates.proof import check
-from deadtime.certificates.proof.transitions import Transitions
+from deadtime.certificates.proof.transitions import SwitchGraph
 from deadtime.switching.constraint import SwitchingConstraint
 
 VERIFY = Path(__file__).parents[2] / "verifier/verify.py"
@@ -257,7 +257,7 @@ def test_a_law_that_is_run_is_run_along_admissible_cycles_only():
 
 def test_the_graph_has_the_steps_of_every_mode_s_own_sojourns():
     h, least, most = Fraction(1, 10), (0.23, 0.3, 0.52), (0.5, None, 0.6)
-    graph = Transitions.of(
+    graph = SwitchGraph.of(
         3, (least, most), 1, 0.1, 1e-5, "mode", 1, following=((1,), (0, 2), (0,))
     )
     seen = {(t.mode, t.age, t.after): t.instants for t in graph.all((0,))}

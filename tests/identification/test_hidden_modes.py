@@ -13,7 +13,7 @@ from deadtime.identification.hidden.identified import _chosen
 from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.hidden.starts import drawn_start, stretches_of
-from deadtime.identification.hidden.words import Tried, of_numbers
+from deadtime.identification.hidden.words import TriedNumbers, of_numbers
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
 from synthetic_logs import Plant, oscillator
@@ -199,13 +199,13 @@ def test_the_next_number_is_taken_where_the_likeliest_path_leaves_a_mode_out():
             raise dt.ArgumentError("a mode is left out")
         return "a path"
 
-    tried = Tried([fit(2, 20.0), fit(3, 10.0)], (2, 3), None)
+    tried = TriedNumbers([fit(2, 20.0), fit(3, 10.0)], (2, 3), None)
     best, path, left_out = _chosen(tried, decode)
     assert (best.layout.modes, path, left_out) == (2, "a path", [3])
     said = of_numbers(2, tried, left_out)[0]
     assert said.endswith("20.0 with 2, 10.0 with 3; that of 3 leaves one out.")
     with pytest.raises(dt.ArgumentError, match="a mode is left out"):
-        _chosen(Tried([fit(3, 10.0)], (3,), None), decode)
+        _chosen(TriedNumbers([fit(3, 10.0)], (3,), None), decode)
 
 
 def test_uneven_rows_tell_modes_as_even_ones_do():

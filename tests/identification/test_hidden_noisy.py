@@ -17,7 +17,7 @@ from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
 from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.noisy.noise_intervals import sensor_intervals
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
@@ -47,7 +47,7 @@ def hidden_log(plant, sensor, count=13, seed=0, even=True, within=False):
     chain = CHAIN if modes == 2 else np.eye(1)
     log = HiddenNoisyLog(noisy, layout, unit, Jumps.of(chain, H, not even), within)
     theta = layout.join(plant.A, plant.B, plant.D)
-    return log, log.whole.join(theta, Noise(plant.W, np.full(3, sensor)))
+    return log, log.whole.join(theta, NoiseLevels(plant.W, np.full(3, sensor)))
 
 
 def every_path(log, plant, sensor, first):

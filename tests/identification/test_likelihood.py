@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import ExactLog
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import (
     concentrated,
@@ -168,7 +168,7 @@ def test_the_likelihood_of_noisy_states_is_the_dense_gaussian_of_the_whole_log(r
     assert starts[0][: first + 1].all()
     alone = record._replace(parts=(Part(*(column for column in record.parts[0])),))
     log = NoisyLog(alone, LAYOUT, np.eye(2), False, (0.25, 0.4), nodes)
-    vector = log.join(THETA, Noise(W, SENSOR))
+    vector = log.join(THETA, NoiseLevels(W, SENSOR))
     found = log.value(vector, starts)
     before = 0.0  # samples of which nothing before is known: each on its own
     for k in range(first):

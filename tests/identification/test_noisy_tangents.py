@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
@@ -20,7 +20,7 @@ B = np.array([[[0.2, 1.0], [1.0, -0.5]], [[0.1, 0.7], [1.2, 0.3]]])
 D = np.array([[0.112, 0.184], [0.137, 0.061]])  # of every mode and input
 LAYOUT = Layout(2, 2, 2, per_mode=True)
 C = np.array([[1.0, 0.2], [0.1, -0.9]])
-NOISE = Noise(np.array([[2e-3, 5e-4], [5e-4, 1e-3]]), np.array([0.02, 0.05]))
+NOISE = NoiseLevels(np.array([[2e-3, 5e-4], [5e-4, 1e-3]]), np.array([0.02, 0.05]))
 WINDOW = 0.05, 0.2
 
 
@@ -113,7 +113,7 @@ def test_derivatives_by_what_is_unknown_are_the_same_without_those_by_what_is_kn
     record = record._replace(parts=(part._replace(output=part.output[:, :1]),), outputs=("y1",))
     shape = Embedding((2,), False, np.array([0.3, 0.5]))
     log = NoisyLog(record, LAYOUT, shape.C, False, WINDOW, nodes_for(record.parts, A), shape)
-    vector = log.join(LAYOUT.join(A, B, D), Noise(np.diag([2e-3, 1e-3]), np.array([0.02])))
+    vector = log.join(LAYOUT.join(A, B, D), NoiseLevels(np.diag([2e-3, 1e-3]), np.array([0.02])))
     some, starts, free = log.evaluate(vector, log.starts(*WINDOW)), log.starts(*WINDOW), log.free
     assert free.size < log.size
     monkeypatch.setattr(NoisyLog, "free", np.arange(log.size))

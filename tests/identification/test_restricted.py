@@ -8,7 +8,7 @@ import deadtime as dt
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import restricted as restricted_noise
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.noisy.restricted import restricted
 from deadtime.identification.parameters import Layout
 from synthetic_logs import Plant
@@ -34,7 +34,7 @@ def test_of_exact_sensors_the_noise_is_the_residuals_over_the_rows_less_the_unkn
     """One regression: its variance is unbiased, and Student's freedom and intervals its own."""
     count = 44
     log, part = log_of(count, 0.0, 5)
-    start = log.join(START, Noise(0.04 * np.eye(1), np.array([1e-5])))
+    start = log.join(START, NoiseLevels(0.04 * np.eye(1), np.array([1e-5])))
     fixed = np.arange(log.size) == log.size - 1  # sensors as good as exact
     best, _ = maximise(log, start, fixed, WINDOW)
     found = restricted(log, log, best, WINDOW, float(count))
@@ -85,7 +85,7 @@ def dense(log, vector):
 @pytest.mark.parametrize("seed", [1, 3])
 def test_the_restricted_likelihood_of_the_dense_gaussian_is_largest_there(seed):
     log, _ = log_of(90, 0.03, seed)
-    start = log.join(START, Noise(0.04 * np.eye(1), np.array([0.03])))
+    start = log.join(START, NoiseLevels(0.04 * np.eye(1), np.array([0.03])))
     best, _ = maximise(log, start, None, WINDOW)
     found = restricted(log, log, best, WINDOW, 90.0)
 
@@ -134,7 +134,7 @@ def test_noise_beside_many_unknowns_is_not_too_small():
 def test_a_correction_that_would_run_away_is_left_out(monkeypatch):
     """The gradient is taken as constant: where it is huge the noise would grow for ever."""
     log, _ = log_of(60, 0.05, 4)
-    start = log.join(START, Noise(0.04 * np.eye(1), np.array([0.05])))
+    start = log.join(START, NoiseLevels(0.04 * np.eye(1), np.array([0.05])))
     best, _ = maximise(log, start, window=WINDOW)
     moves = restricted_noise._moves
     monkeypatch.setattr(restricted_noise, "_moves", lambda *given: 1e6 * moves(*given))

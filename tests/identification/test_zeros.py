@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import deadtime as dt
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from output_logs import MOTOR, OUTPUTS, H, logged, misses
 from synthetic_logs import Plant
 
@@ -67,7 +67,7 @@ def test_a_zero_in_a_quiet_log_is_found_where_the_likelihood_is_largest(a, b, W,
     log, window = fit._found.log, fit._found.window
     assert isinstance(log, NoisyLog)
     truth = log.layout.join(plant.A, plant.B, plant.D)
-    vector = log.join(truth, Noise(plant.W, np.array([sensor])))
+    vector = log.join(truth, NoiseLevels(plant.W, np.array([sensor])))
     assert fit.log_likelihood > maximise(log, vector, window=window)[0].found.value - 0.1
     low, high = fit.interval("delay")
     assert 0.17 - 1.5 * (high - low) < low < high < 0.17 + 1.5 * (high - low)

@@ -6,7 +6,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.imperfections import LateSamples, Noise, Saturation, StepDisturbance
-from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, Setting
+from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, RobustnessRuns
 from deadtime.reports.figures.robustness import plot_robustness
 from deadtime.simulation.outcome import outcome_of
 
@@ -42,7 +42,9 @@ def signal(horizon):
 
 def setting(horizon, law=LAW, x0=(1.0, 0.0), imperfections=(LIMITS,)):
     start = np.array(x0)
-    return Setting(PLANT, law, signal(horizon), start, horizon, STEP, 1, 0, tuple(imperfections))
+    return RobustnessRuns(
+        PLANT, law, signal(horizon), start, horizon, STEP, 1, 0, tuple(imperfections)
+    )
 
 
 def ends(of, periods):
@@ -104,7 +106,7 @@ def test_a_limited_plain_loop_must_come_to_rest_at_zero():
     law = dt.SingleModePredictor(plant, dt.place(plant, [-2.0, -3.0]), 0)
     limited = Saturation(-1.0, 1.0)
     always = dt.SwitchingSignal.constant(0)
-    of = Setting(plant, law, always, np.array([3.0, 0.0]), 40.0, 0.05, 1, 0, (limited,))
+    of = RobustnessRuns(plant, law, always, np.array([3.0, 0.0]), 40.0, 0.05, 1, 0, (limited,))
     late = [limited, LateSamples(10)]
     run = dt.simulate(plant, law, always, of.x0, 40.0, 0.05, imperfections=late)
     assert outcome_of(run, 40.0).kind == "falls"

@@ -12,14 +12,14 @@ from deadtime.imperfections import ActuatorImperfection
 from deadtime.problems.imperfection_registry import (
     ENTRIES,
     SWEPT,
-    Axis,
+    ImperfectionAxis,
     ImperfectionSection,
     Slider,
     build_imperfection,
     collect,
     require_all,
 )
-from deadtime.scenarios.sweeps.axes import AXES, Axis as SweepAxis, _by_name
+from deadtime.scenarios.sweeps.axes import AXES, ImperfectionAxis as SweepAxis, _by_name
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,9 @@ class Backlash(ActuatorImperfection):
 
 
 def axis(name="backlash", key="width"):
-    return Axis(name=name, label="backlash", unit="u", description="", keys=lambda v: {key: v})
+    return ImperfectionAxis(
+        name=name, label="backlash", unit="u", description="", keys=lambda v: {key: v}
+    )
 
 
 def entry(name="BacklashSection", /, **own):

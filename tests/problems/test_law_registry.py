@@ -18,8 +18,8 @@ from deadtime.problems.law_registry import (
     ENTRIES,
     LAWS,
     LawSection,
+    LawSetting,
     Named,
-    Setting,
     build_law,
     collect,
     the_law,
@@ -29,7 +29,7 @@ from deadtime.scenarios.sweeps.laws import DEFAULT, KINDS
 PAPER = dt.problems.paper()
 GAIN = dt.place(PAPER.plant.mean(), [-1.0, -2.0])[0]
 MODEL = dt.Markov([[0.0, 1.0], [2.0, 0.0]])
-SETTING = Setting(
+SETTING = LawSetting(
     plant=PAPER.plant,
     gains=PAPER.gains,
     mean_gain=lambda _: GAIN,
@@ -139,7 +139,7 @@ def test_a_file_without_an_entry_is_refused():
 def test_the_first_name_of_an_entry_is_the_label_of_its_law(name):
     known, setting = LAWS[name], SETTING
     if "rule" in known.entry.needs:
-        setting = Setting(
+        setting = LawSetting(
             PAPER.plant, PAPER.gains, setting.mean_gain, 0.05, rule=dt.HalfSpace([1.0, 0.0])
         )
     for mode in known.modes(2):
@@ -151,7 +151,7 @@ def test_what_an_entry_needs_is_asked_for_before_it_builds(entry):
     known = next(known for known in LAWS.values() if known.entry is entry)
     for need in entry.needs:
         rule = dt.HalfSpace([1.0, 0.0]) if need == "signal" else None
-        bare = Setting(PAPER.plant, PAPER.gains, SETTING.mean_gain, 0.05, rule=rule)
+        bare = LawSetting(PAPER.plant, PAPER.gains, SETTING.mean_gain, 0.05, rule=rule)
         with pytest.raises(dt.ArgumentError, match=rf"kind = .{known.kind}. needs a "):
             known.build(bare)
 

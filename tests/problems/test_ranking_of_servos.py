@@ -9,7 +9,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.costs import table_of
-from deadtime.app.outcome import Outcome
+from deadtime.app.outcome import ProblemOutcome
 from deadtime.app.table import csv_of
 from deadtime.imperfections.words import in_words
 from deadtime.problems.comparison import compare
@@ -103,7 +103,7 @@ def test_where_one_law_has_no_reference_the_cost_ranks(problem):
 
 
 def test_the_explorer_ranks_by_the_error_and_hands_on_what_follows(problem, result):
-    outcome = Outcome(problem, result.runs, {}, result.metrics["quick"]["iae"])
+    outcome = ProblemOutcome(problem, result.runs, {}, result.metrics["quick"]["iae"])
     error = {name: row["iae"] for name, row in result.metrics.items()}
     for name in error:
         assert outcome.ratio(name) == pytest.approx(error[name] / error["quick"])

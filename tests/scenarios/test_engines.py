@@ -11,7 +11,7 @@ import plants
 from deadtime.imperfections import RateLimit, Saturation
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.engine import Engine
-from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.figures import ScenarioSums, metrics_of, needs_own_run
 from deadtime.scenarios.kernel import run_scenarios
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
@@ -154,7 +154,7 @@ def held(A, B, length):
 
 
 def plain_figures(plant, law, signal):
-    """What `Figures` says it holds, from dense rows and an exponential for every stretch."""
+    """What `ScenarioSums` says it holds, from dense rows and an exponential for every stretch."""
     feedback, m = law.digital(H), plant.inputs
     samples, taps = int(HORIZON / H) + 1, feedback.taps
     back = int(np.ceil(plant.delay / H))
@@ -184,7 +184,7 @@ def plain_figures(plant, law, signal):
     outside = np.flatnonzero(squares > 0.02**2 * squares.max())[-1]
     energy = spent[:-1].sum() + spent[-1] * (HORIZON / H - (samples - 1))
     sums = late.sum(), np.cumsum(late).sum()
-    return Figures(ise, energy, squares.max(), outside, np.exp(late.min()), *sums, x @ x)
+    return ScenarioSums(ise, energy, squares.max(), outside, np.exp(late.min()), *sums, x @ x)
 
 
 @pytest.mark.parametrize("name", mostly_long(["averaged", "averaged, dwell-aware"], "averaged"))
@@ -193,7 +193,7 @@ def test_figures_of_all_scenarios_are_those_of_a_plain_loop(name):
     engine = Engine(loop)
     figures = engine.run(table_of(engine, loop, law), loop.lay(SignalBatch.of(SIGNALS)))
     plain = np.array([plain_figures(TRUTH, law, signal) for signal in SIGNALS])
-    for field, found, wanted in zip(Figures._fields, figures, plain.T, strict=True):
+    for field, found, wanted in zip(ScenarioSums._fields, figures, plain.T, strict=True):
         assert found == pytest.approx(wanted, rel=1e-10), field
 
 

@@ -17,7 +17,7 @@ from deadtime.imperfections import Noise, Saturation
 from deadtime.scenarios import engine as engines, helper, laid
 from deadtime.scenarios.helper import Helper, share_of
 from deadtime.scenarios.kernel import run_scenarios
-from deadtime.scenarios.prepare import Request, prepare
+from deadtime.scenarios.prepare import BatchRequest, prepare
 from deadtime.switching import SignalBatch
 
 PAPER = dt.problems.paper()
@@ -26,7 +26,7 @@ KERNEL = run_scenarios.function
 
 
 def request(laws=PAPER.laws, imperfections=(), step=0.1):
-    return Request(PAPER.plant, dict(laws), X0, 3.0, step, imperfections)
+    return BatchRequest(PAPER.plant, dict(laws), X0, 3.0, step, imperfections)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.scenarios.sweeps.cluster import _reachable, cluster
-from deadtime.scenarios.sweeps.layout import Layout
+from deadtime.scenarios.sweeps.layout import BlockLayout
 from deadtime.scenarios.sweeps.store import create
 from own_sweep import filled, tree
 
@@ -60,7 +60,7 @@ def slow(tmp_path_factory):
     sys.path.insert(0, str(folder))
     study = importlib.import_module("cells").study()
     sys.path.remove(str(folder))
-    create(str(folder / "whole.zarr"), study, Layout(study.shape, (1, 1)), {})
+    create(str(folder / "whole.zarr"), study, BlockLayout(study.shape, (1, 1)), {})
     filled(study, folder / "whole.zarr")
     return study, folder
 
@@ -69,7 +69,7 @@ def started(slow, name):
     """The same sweep in a process of its own, some cells of which are done."""
     study, folder = slow
     store = folder / name
-    create(str(store), study, Layout(study.shape, (1, 1)), {})
+    create(str(store), study, BlockLayout(study.shape, (1, 1)), {})
     command = [sys.executable, str(folder / "cells.py"), str(store)]
     client = subprocess.Popen(command, cwd=folder, env=os.environ | {"CELL_SECONDS": "0.25"})
     wait_for(lambda: done(store) >= 3)
@@ -127,7 +127,7 @@ def test_a_cluster_elsewhere_is_used_by_its_address(slow, tmp_path, monkeypatch)
 
     study, folder = slow
     monkeypatch.setattr("deadtime.scenarios.sweeps.cluster._PATIENCE", 0.5)
-    create(str(tmp_path / "x.zarr"), study, Layout(study.shape, (1, 1)), {})
+    create(str(tmp_path / "x.zarr"), study, BlockLayout(study.shape, (1, 1)), {})
     options = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": "127.0.0.1:0"}
     with (
         LocalCluster(n_workers=0, processes=False, **options) as empty,
@@ -171,7 +171,7 @@ def test_after_a_killed_scheduler_the_sweep_ends_by_an_error_and_the_next_one_go
 ):
     study, folder = slow
     place, store = tmp_path / "scheduler.json", tmp_path / "killed.zarr"
-    create(str(store), study, Layout(study.shape, (1, 1)), {})
+    create(str(store), study, BlockLayout(study.shape, (1, 1)), {})
 
     def start(kind, *options):
         command = [sys.executable, "-m", "dask", kind, "--scheduler-file", str(place)]

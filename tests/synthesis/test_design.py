@@ -16,7 +16,7 @@ from deadtime.synthesis.families import Poles, Weights
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.message import percent, sentences
 from deadtime.synthesis.price import cost_and_growth, loop_cost
-from deadtime.synthesis.search import Search
+from deadtime.synthesis.search import DesignSearch
 from deadtime.synthesis.strategy import pairs_of
 
 # Three modes, two inputs, unstable poles in each; N = 5 and φ = 0.034 s.
@@ -271,7 +271,7 @@ def test_the_answer_depends_on_nothing_but_its_arguments():
 
 def test_longer_steps_are_tried_where_they_are_allowed():
     plant = plants.scalar(1.0, 1.0, 1.0)
-    search = Search(plant, dt.AveragedPredictor, False, 100, 100.0, Floors(0.1))
+    search = DesignSearch(plant, dt.AveragedPredictor, False, 100, 100.0, Floors(0.1))
     pairs = pairs_of(search, True, 0.05, 0.5)
     assert [step for _, step in pairs] == pytest.approx([0.05, 0.1, 0.25, 0.5])
     assert [(one.filtered, step) for one, step in pairs_of(search, None, 0.05, None)] == [

@@ -10,7 +10,7 @@ import plants
 from deadtime.cli.entry import main
 from deadtime.synthesis.families import Poles
 from deadtime.synthesis.floors import Floors
-from deadtime.synthesis.search import Search
+from deadtime.synthesis.search import DesignSearch
 
 # Stable without an input: the cheapest loop with the widest margin hardly moves.
 PLANT = dt.SwitchedSystem([[[-0.06]]], [[[1.0]]], 1.0)
@@ -76,7 +76,7 @@ def test_without_a_floor_an_estimate_that_hardly_grows_costs_nothing():
     def law(plant, K):
         return dt.SingleModePredictor(plant, K, 0)
 
-    search = Search(plant, law, False, 20, 10.0, Floors(0.1))
+    search = DesignSearch(plant, law, False, 20, 10.0, Floors(0.1))
     [start, *_] = Poles(plant, False).starts(dt.place(plant, [-1.0]))
     tried = search.evaluate(Poles(plant, False), 0.1, start)
     barely = dataclasses.replace(tried, growth=1e-12)

@@ -13,11 +13,11 @@ import panel_material_ui as pmui
 from deadtime.app.chart import BOUNDS, KEY, Chart
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.documents import Document
-from deadtime.app.figures import Figures
+from deadtime.app.figures import ProblemPanels
 from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
-from deadtime.app.outcome import Outcome
+from deadtime.app.outcome import ProblemOutcome
 from deadtime.app.script import SCRIPT, script_of
-from deadtime.app.settings import Given
+from deadtime.app.settings import GivenSignal
 from deadtime.app.table import csv_of
 from deadtime.base.wording import as_rate, file_name
 from deadtime.reports.figures.runs import plot_laws
@@ -38,14 +38,14 @@ cursor.tags = [timer];
 """
 
 
-class Shown(Protocol):
+class ActionPage(Protocol):
     """What the buttons act on: the page that shows them."""
 
     document: Document
     offer: Mapping[str, Any]
-    outcome: Outcome
+    outcome: ProblemOutcome
     controls: Controls
-    figures: Figures
+    figures: ProblemPanels
 
     def toml(self) -> str: ...
     def draft(self, without: Sequence[str] = ()) -> dict[str, Any]: ...
@@ -63,7 +63,7 @@ class Shown(Protocol):
 class Actions:
     """The buttons of a page and the chart."""
 
-    def __init__(self, page: Shown) -> None:
+    def __init__(self, page: ActionPage) -> None:
         self.page = page
         self.chart = Chart()
         self.law = pmui.Select(label="Law in question", options=[""], **WIDE)
@@ -214,7 +214,7 @@ class Actions:
         def on_found(result: dict[str, Any]) -> None:
             self.state.object = html.escape(result["message"])
             about = f"the worst found for {law} ({as_rate(result['growth_rate'])} /s)"
-            page.controls.choose(Given(tuple(result["times"]), tuple(result["modes"]), about))
+            page.controls.choose(GivenSignal(tuple(result["times"]), tuple(result["modes"]), about))
 
         self._search(
             self.worst, f"Looking for the worst signal of {law} …", on_found,

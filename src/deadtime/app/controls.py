@@ -10,7 +10,7 @@ import panel_material_ui as pmui
 from deadtime.app.documents import Document
 from deadtime.app.laws import Section
 from deadtime.app.ranges import FROM_FILE, IDEAL, Range, ranges_of, steps_of
-from deadtime.app.settings import Drawn, Given, Settings
+from deadtime.app.settings import DrawnSignal, GivenSignal, Settings
 from deadtime.problems.file.schema import RULES
 from deadtime.scenarios.sweeps.sojourns import FAMILIES
 
@@ -39,7 +39,7 @@ class Controls:
         changed: Callable[[], None],
     ) -> None:
         self._chosen, self._changed, self._quiet = chosen, changed, False
-        self.signal: Drawn | Given | None = None
+        self.signal: DrawnSignal | GivenSignal | None = None
         self._ruled = document.draft["signal"]["kind"] in RULES
         self.ranges = {one.name: one for one in ranges_of(document)}
         self.sliders = {name: _slider(one) for name, one in self.ranges.items()}
@@ -84,7 +84,7 @@ class Controls:
         """Where a parameter stands."""
         return float(self.sliders[name].value) * self.ranges[name].scale
 
-    def choose(self, signal: Drawn | Given | None) -> None:
+    def choose(self, signal: DrawnSignal | GivenSignal | None) -> None:
         """Take another signal."""
         self.signal = signal
         self._changed()
@@ -106,13 +106,13 @@ class Controls:
     def _on_drawn(self, _: Any) -> None:
         """What the switching is drawn from was moved: the signal is drawn again."""
         if not self._quiet:
-            self.choose(Drawn(int(self.seed.value or 0)))
+            self.choose(DrawnSignal(int(self.seed.value or 0)))
 
     def _next(self, _: Any) -> None:
-        if isinstance(self.signal, Drawn):
+        if isinstance(self.signal, DrawnSignal):
             self.seed.value = int(self.seed.value or 0) + 1
         else:
-            self.choose(Drawn(int(self.seed.value or 0)))
+            self.choose(DrawnSignal(int(self.seed.value or 0)))
 
 
 def _slider(one: Range) -> pmui.EditableFloatSlider:

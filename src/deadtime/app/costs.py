@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from deadtime.app.outcome import Outcome
+from deadtime.app.outcome import ProblemOutcome
 from deadtime.app.style import dash_of
 from deadtime.base.wording import compact
 from deadtime.plant.weight import text_of
@@ -31,7 +31,7 @@ CSS = """
 """
 
 
-def table_of(outcome: Outcome, laws: Sequence[str]) -> str:
+def table_of(outcome: ProblemOutcome, laws: Sequence[str]) -> str:
     """The table; `laws` are all on offer, which share the colours.
 
     Full figures are in the `data-` attributes of the rows.
@@ -50,7 +50,7 @@ def table_of(outcome: Outcome, laws: Sequence[str]) -> str:
     return f"{head}{''.join(rows)}</tbody></table>"
 
 
-def _row(outcome: Outcome, law: str, look: Look) -> str:
+def _row(outcome: ProblemOutcome, law: str, look: Look) -> str:
     metrics, ratio = outcome.metrics[law], outcome.ratio(law)
     colour = look.colour
     swatch = f"<span class='swatch' style='border-top-style: {_BORDERS[dash_of(look.dash)]}; " + (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deadtime.app.settings import Given
+from deadtime.app.settings import GivenSignal
 from deadtime.base.errors import ArgumentError
 
 MOST = 500  # switches
@@ -12,7 +12,7 @@ MOST = 500  # switches
 
 def switch_at(
     times: Sequence[float], modes: Sequence[int], at: float, mode: int, count: int
-) -> Given:
+) -> GivenSignal:
     """The signal that is in a mode from an instant on, up to its next switch.
 
     Where it is in that mode already, the switch that began it is taken away instead: the mode
@@ -55,6 +55,6 @@ def switch_at(
     merged = [pair for i, pair in enumerate(pairs) if i == 0 or pair[1] != pairs[i - 1][1]]
     if len(merged) > MOST:
         raise ArgumentError(f"a drawn signal holds at most {MOST} sojourns: clear it first.")
-    return Given(
+    return GivenSignal(
         tuple(time for time, _ in merged), tuple(which for _, which in merged), "drawn by hand"
     )

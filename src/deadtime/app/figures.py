@@ -11,7 +11,7 @@ from bokeh.events import Tap
 from bokeh.models import ColumnDataSource, FixedTicker, HoverTool, PlainText, Range1d, Span
 from bokeh.plotting import figure
 
-from deadtime.app.outcome import Outcome
+from deadtime.app.outcome import ProblemOutcome
 from deadtime.app.style import dash_of
 from deadtime.base.palette import GREY
 from deadtime.reports.figures.colours import looks_of
@@ -23,7 +23,7 @@ MOST_PANELS = 4  # of states
 _TIMES = 34  # pixels of the axis of times
 
 
-class Figures:
+class ProblemPanels:
     """The panels of one problem: states, outputs, inputs, the switching signal, the mismatch.
 
     A reference is drawn beside the state that follows it, or beside an output where that is no
@@ -39,7 +39,7 @@ class Figures:
         Which states have a panel.
     """
 
-    def __init__(self, outcome: Outcome, laws: Sequence[str], states: Sequence[int]) -> None:
+    def __init__(self, outcome: ProblemOutcome, laws: Sequence[str], states: Sequence[int]) -> None:
         problem = outcome.problem
         self.laws = list(laws)
         self.shown = list(states)
@@ -63,7 +63,7 @@ class Figures:
         *others, last = self.panels.values()
         return [*others, self.strip, last] if "w" in self.panels else [*others, last, self.strip]
 
-    def fits(self, outcome: Outcome) -> bool:
+    def fits(self, outcome: ProblemOutcome) -> bool:
         """Whether it has the panels for what is to be shown."""
         return ("w" in self.panels) == _has_mismatch(outcome)
 
@@ -109,7 +109,7 @@ class Figures:
 
         self.strip.on_event(Tap, on_tap)
 
-    def show(self, outcome: Outcome) -> None:
+    def show(self, outcome: ProblemOutcome) -> None:
         """Draw what the laws did."""
         self.x_range.end = outcome.problem.horizon
         runs = outcome.runs
@@ -168,7 +168,7 @@ class Figures:
         return self._sources[law]
 
 
-def _references(outcome: Outcome, shown: Sequence[int]) -> dict[str, int]:
+def _references(outcome: ProblemOutcome, shown: Sequence[int]) -> dict[str, int]:
     """The row that every reference is drawn beside, and its number among the references."""
     followed = next(iter(outcome.runs.values())).followed
     rows: dict[str, int] = {}
@@ -178,7 +178,7 @@ def _references(outcome: Outcome, shown: Sequence[int]) -> dict[str, int]:
     return rows
 
 
-def _has_mismatch(outcome: Outcome) -> bool:
+def _has_mismatch(outcome: ProblemOutcome) -> bool:
     return any(run.mismatch is not None for run in outcome.runs.values())
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
-from deadtime.app.logs import Asked, Columns, Tell, look_at, open_log, report_of
+from deadtime.app.logs import Columns, LogRequest, Tell, look_at, open_log, report_of
 from deadtime.app.outcome import run_draft
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify
@@ -62,7 +62,7 @@ def look_at_log(name: str, content: bytes) -> Columns:
 
 
 def try_log(
-    name: str, content: bytes, asked: Asked, tell: Tell = lambda _: None
+    name: str, content: bytes, asked: LogRequest, tell: Tell = lambda _: None
 ) -> tuple[Picture, bytes]:
     """The plant of a log that came through a browser.
 

@@ -15,8 +15,8 @@ from deadtime.app.documents import Document, file_stem
 from deadtime.app.errands import Errands
 from deadtime.app.jobs import look_at_log, try_log
 from deadtime.app.log_form import LogForm
-from deadtime.app.logs import Asked, Columns, FoundPlant
-from deadtime.app.progress import Progress
+from deadtime.app.logs import Columns, FoundPlant, LogRequest
+from deadtime.app.progress import ProgressBar
 from deadtime.app.workers import TooLongError, Workers
 from deadtime.base.errors import ArgumentError
 from deadtime.reports.identified import Picture
@@ -25,7 +25,7 @@ LIMIT = 120.0  # seconds after which a log is given up
 _LOOKING = 30.0
 
 
-class Shown(Protocol):
+class CardPage(Protocol):
     """The page that shows the card."""
 
     def open_found(self, document: Document, seconds: float, called: str) -> bool: ...
@@ -42,10 +42,10 @@ class LogCard:
     workers : Workers
     """
 
-    def __init__(self, page: Shown, workers: Workers) -> None:
+    def __init__(self, page: CardPage, workers: Workers) -> None:
         self._page, self._errands = page, Errands(workers)
         self._name, self._content = "", b""
-        self._asked: Asked | None = None
+        self._asked: LogRequest | None = None
         self._found: FoundPlant | None = None
         self._report = b""
         self.form = LogForm()
@@ -57,7 +57,7 @@ class LogCard:
         self.begin = pmui.Button(label="Identify", margin=4)
         self.cancel = pmui.Button(label="Cancel", variant="outlined", margin=4, visible=False)
         self.closing = pmui.Button(label="Close the log", variant="outlined", margin=4)
-        self.progress = Progress(LIMIT)
+        self.progress = ProgressBar(LIMIT)
         self._downloads = [
             self._download("Problem file", lambda: self._found and self._found.document.text),
             self._download("Report", lambda: self._report.decode()),

@@ -6,7 +6,7 @@ from typing import Any
 
 import panel_material_ui as pmui
 
-from deadtime.app.logs import Asked, Columns
+from deadtime.app.logs import Columns, LogRequest
 from deadtime.app.outcome import MOST_MODES
 from deadtime.base.errors import ArgumentError
 
@@ -61,7 +61,7 @@ class LogForm:
     def _of(self, role: str) -> tuple[str, ...]:
         return tuple(name for name, one in self.roles.items() if one.value == role)
 
-    def asked(self) -> Asked:
+    def asked(self) -> LogRequest:
         """What the form asks.
 
         Raises
@@ -87,7 +87,7 @@ class LogForm:
         at_samples, apart = (
             modes is not None and bool(box.value) for box in (self.samples, self.apart)
         )
-        return Asked(states, inputs, modes, (float(low), float(high)), at_samples, apart)
+        return LogRequest(states, inputs, modes, (float(low), float(high)), at_samples, apart)
 
     def _hidden(self) -> bool:
         return not self._of(MODE) and self.modes.value == HIDDEN

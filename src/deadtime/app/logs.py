@@ -15,7 +15,7 @@ from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
 from deadtime.identification.log.tables import (
     TIMES,
-    Table,
+    LogTable,
     columns_of,
     numeric_column,
     read_table,
@@ -42,7 +42,7 @@ _LAWS = b"".join(b'\n[[law]]\nkind = "%s"\n' % kind for kind in (b"averaged", b"
 Tell = Callable[[Any], None]
 
 
-class Asked(NamedTuple):
+class LogRequest(NamedTuple):
     """What is asked of a log.
 
     states, inputs : their columns
@@ -92,7 +92,7 @@ class Columns(NamedTuple):
     names: tuple[str, ...]
     numbers: tuple[str, ...]
     modes: tuple[str, ...]
-    guess: Asked
+    guess: LogRequest
     sure: bool
 
 
@@ -153,7 +153,7 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
         raise ArgumentError(
             f"{source.name} must have a column t of times in seconds, got {', '.join(columns)}."
         )
-    given = numeric_column(Table(frame, source.name, "line", 2), clock)  # or its refusal
+    given = numeric_column(LogTable(frame, source.name, "line", 2), clock)  # or its refusal
     steps = np.diff(given[np.isfinite(given)])
     step = float(np.median(steps)) if steps.size else np.nan
     others = [one for one in columns if one != clock]
@@ -170,7 +170,9 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
     rest = set(others) - {*states, *inputs}
     sure = bool(states and inputs) and (mode == "mode" or not rest)
     reach = _PERIODS * step if step > 0.0 else _LONGEST
-    guess = Asked(tuple(states), tuple(inputs), mode, (0.0, float(f"{min(_LONGEST, reach):.3g}")))
+    guess = LogRequest(
+        tuple(states), tuple(inputs), mode, (0.0, float(f"{min(_LONGEST, reach):.3g}"))
+    )
     return Columns(len(frame), step, tuple(others), numbers, few, guess, sure)
 
 
@@ -185,7 +187,7 @@ def _is_of_numbers(column: Any) -> bool:
 
 
 def open_log(
-    name: str, content: bytes, folder: Path, asked: Asked, tell: Tell = lambda _: None
+    name: str, content: bytes, folder: Path, asked: LogRequest, tell: Tell = lambda _: None
 ) -> tuple[FoundPlant, Identification]:
     """Identify the plant of a log: nothing that it says is trusted.
 

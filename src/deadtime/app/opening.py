@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from deadtime.app.documents import Document
 from deadtime.app.laws import Section, laws_on_offer
-from deadtime.app.outcome import Outcome, run_draft
+from deadtime.app.outcome import ProblemOutcome, run_draft
 from deadtime.app.settings import Settings, draft_of
 
 
@@ -29,7 +29,7 @@ class Opening:
     document: Document
     offer: Mapping[str, Section]
     chosen: tuple[str, ...]
-    outcome: Outcome
+    outcome: ProblemOutcome
 
     @classmethod
     def of(cls, document: Document) -> Opening:

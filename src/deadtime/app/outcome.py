@@ -30,7 +30,7 @@ _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class ProblemOutcome:
     """What a problem does (immutable).
 
     Attributes
@@ -121,7 +121,7 @@ def _columns(matrices: Any) -> int:
     return len(matrices[0][0]) if matrices and matrices[0] else 0
 
 
-def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
+def run_draft(draft: Mapping[str, Any], source: Path) -> ProblemOutcome:
     """Run every law of a problem file that can be built, and the oracle.
 
     Raises
@@ -142,7 +142,7 @@ def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
             reasons[name], fault = str(error), ArgumentError(f"{name}: {error}")
     if not runs and fault is not None:
         raise fault
-    return Outcome(problem, runs, reasons, _oracle_measure(problem, runs))
+    return ProblemOutcome(problem, runs, reasons, _oracle_measure(problem, runs))
 
 
 def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, str]]:

@@ -20,12 +20,12 @@ from deadtime.app.documents import MOST_BYTES, Document, file_stem, open_named, 
 from deadtime.app.door import Door
 from deadtime.app.drawing import switch_at
 from deadtime.app.errands import Errands
-from deadtime.app.figures import MOST_PANELS, Figures
+from deadtime.app.figures import MOST_PANELS, ProblemPanels
 from deadtime.app.jobs import try_upload
 from deadtime.app.log_card import LogCard
 from deadtime.app.opening import Opening
-from deadtime.app.outcome import Outcome, run_draft
-from deadtime.app.settings import Drawn, Given, draft_of
+from deadtime.app.outcome import ProblemOutcome, run_draft
+from deadtime.app.settings import DrawnSignal, GivenSignal, draft_of
 from deadtime.app.workers import Workers
 from deadtime.base.errors import DeadtimeError
 from deadtime.problems import NAMED
@@ -68,7 +68,7 @@ class Page:
         self.groups = {name: pmui.Column(sizing_mode="stretch_width") for name in GROUPS}
         self.laws = pmui.Column(sizing_mode="stretch_width")
         self.actions = Actions(self)
-        self.outcome: Outcome
+        self.outcome: ProblemOutcome
         self._scheduled = self._closed = False
         self._errands = Errands(workers)
         self._begin(Opening.of(document) if opening is None else opening)
@@ -94,15 +94,15 @@ class Page:
         self.actions.on_opened()
         self._show(outcome)
 
-    def _draw(self, outcome: Outcome, states: list[int]) -> None:
-        self.figures = Figures(outcome, list(self.offer), states)
+    def _draw(self, outcome: ProblemOutcome, states: list[int]) -> None:
+        self.figures = ProblemPanels(outcome, list(self.offer), states)
         self.figures.on_draw(self.draw_by_hand)
         self.figures.show(outcome)  # what a browser is still laying out had better not change
         panels = column(*self.figures.all, sizing_mode="stretch_width")
         self.panels.objects = [pn.pane.Bokeh(panels, sizing_mode="stretch_width", margin=0)]
         self.actions.on_drawn()
 
-    def _state_choice(self, outcome: Outcome) -> list[Any]:
+    def _state_choice(self, outcome: ProblemOutcome) -> list[Any]:
         """Which states have a panel, where there are too many for all."""
         names = list(outcome.problem.states)
         if len(names) <= MOST_PANELS:
@@ -262,7 +262,7 @@ class Page:
         """A message above the curves."""
         self.message.param.update(object=html.escape(text), severity=severity, visible=True)
 
-    def _move(self, outcome: Outcome) -> None:
+    def _move(self, outcome: ProblemOutcome) -> None:
         if self.message.severity == "info":
             self.message.visible = False
         if self.figures.fits(outcome):
@@ -271,20 +271,20 @@ class Page:
             self._draw(outcome, self.figures.shown)
         self._show(outcome)
 
-    def _show(self, outcome: Outcome) -> None:
+    def _show(self, outcome: ProblemOutcome) -> None:
         self.outcome = outcome
         self.costs.object = table_of(outcome, list(self.offer))
         self.about.object = self._about(outcome)
         self.actions.on_shown()
 
-    def _about(self, outcome: Outcome) -> str:
+    def _about(self, outcome: ProblemOutcome) -> str:
         """A line on what is shown."""
         problem, signal = outcome.problem, outcome.signal
         given = self.controls.signal
         kind = "the file's" if given is None else "drawn"
-        if isinstance(given, Drawn):
+        if isinstance(given, DrawnSignal):
             kind = f"drawn with seed {given.seed}"
-        elif isinstance(given, Given):
+        elif isinstance(given, GivenSignal):
             kind = given.about
         switches = int(((signal.times > 0) & (signal.times < problem.horizon)).sum())
         diverged = [name for name, run in outcome.runs.items() if run.diverged]

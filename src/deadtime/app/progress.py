@@ -12,7 +12,7 @@ import panel_material_ui as pmui
 _TICK = 1000  # milliseconds between looks at the clock
 
 
-class Progress:
+class ProgressBar:
     """A bar, and a line on what is being done.
 
     Parameters

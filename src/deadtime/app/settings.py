@@ -17,14 +17,14 @@ from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnSignal:
     """A signal drawn from the model of the switching."""
 
     seed: int = 0
 
 
 @dataclass(frozen=True)
-class Given:
+class GivenSignal:
     """A signal whose switches are known: drawn by hand, or found as the worst."""
 
     times: tuple[float, ...]
@@ -49,7 +49,7 @@ class Settings:
 
     values: Mapping[str, Any] = field(default_factory=dict)
     laws: tuple[str, ...] | None = None
-    signal: Drawn | Given | None = None
+    signal: DrawnSignal | GivenSignal | None = None
 
 
 def draft_of(document: Document, offer: Mapping[str, Section], settings: Settings) -> Draft:
@@ -72,7 +72,7 @@ def draft_of(document: Document, offer: Mapping[str, Section], settings: Setting
     if "sojourn" in values:
         values.setdefault("dwell_time", dwell_time_of(draft))
     wanted = any(law["kind"] in MODEL_KINDS for law in draft.get("law", []))
-    if wanted or isinstance(settings.signal, Drawn):
+    if wanted or isinstance(settings.signal, DrawnSignal):
         draft = with_model(draft)
     paths = [name for name in values if name not in AXES]
     for name in [*paths, *(name for name in AXES if name in values)]:
@@ -83,9 +83,9 @@ def draft_of(document: Document, offer: Mapping[str, Section], settings: Setting
     if not draft.get("imperfection", True):
         del draft["imperfection"]
     match settings.signal:
-        case Drawn(seed):
+        case DrawnSignal(seed):
             draft["signal"] = {"kind": "model", "seed": seed}
-        case Given(times, modes):
+        case GivenSignal(times, modes):
             draft["signal"] = {"kind": "switches", "times": list(times), "modes": list(modes)}
         case None:
             pass

@@ -33,7 +33,7 @@ class StoppedError(ArgumentError):
     """A job was stopped, since nobody waits for it any more."""
 
 
-class _Asked(NamedTuple):
+class _Job(NamedTuple):
     """A job as it was submitted."""
 
     limit: float
@@ -61,7 +61,7 @@ class Workers:
         self._closed = threading.Event()
         self._all: set[_Worker] = set()
         # A job that is stopped leaves this at once, with its arguments and all that awaits it.
-        self._waiting: dict[Future[Any], _Asked] = {}
+        self._waiting: dict[Future[Any], _Job] = {}
         self._doing: dict[Future[Any], _Worker] = {}
         self._stopped: WeakSet[Future[Any]] = WeakSet()
         self._lock = threading.Lock()
@@ -94,7 +94,7 @@ class Workers:
         """
         future: Future[Any] = Future()
         with self._lock:
-            self._waiting[future] = _Asked(limit, job, given, told)
+            self._waiting[future] = _Job(limit, job, given, told)
         self._threads.submit(self._run_next)
         return future
 
@@ -132,7 +132,7 @@ class Workers:
         else:
             future.set_result(result)
 
-    def _done_somewhere(self, future: Future[Any], asked: _Asked) -> Any:
+    def _done_somewhere(self, future: Future[Any], asked: _Job) -> Any:
         """The result of a job; an idle process may have died, and is no reason to fail."""
         for _ in range(_TRIES):
             if self._closed.is_set():  # nobody puts back an idle process any more
@@ -188,7 +188,7 @@ class _Worker:
     def alive(self) -> bool:
         return self._process.is_alive()
 
-    def do(self, asked: _Asked) -> Any:
+    def do(self, asked: _Job) -> Any:
         """Run a job here; the process does not outlive one that takes too long.
 
         Raises

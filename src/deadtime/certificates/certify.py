@@ -25,7 +25,7 @@ from deadtime.certificates.clock import (
     losses_in_range,
 )
 from deadtime.certificates.dwell.frame import whole
-from deadtime.certificates.dwell.search import Level, Search
+from deadtime.certificates.dwell.search import EvidenceSearch, Freedom
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.plants import delays_of, extremes, plants_of
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
@@ -46,10 +46,10 @@ from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
 from deadtime.switching.constraint import PerMode as Times
 
-LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
+LEVELS = (Freedom(0), Freedom(2), None, Freedom(4))  # None: along stretches
 # Where filters of left eigenvectors are rounded, or the levels of a bucket are many.
-EARLY_LEVELS = (Level(0), None, Level(2), Level(4))
-AGE_LEVELS = (Level(0), None, Level(2, 3))  # where the rows change with the age, V must, too
+EARLY_LEVELS = (Freedom(0), None, Freedom(2), Freedom(4))
+AGE_LEVELS = (Freedom(0), None, Freedom(2, 3))  # where the rows change with the age, V must, too
 FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of what the modes alone allow, tried as the certified decay
@@ -280,7 +280,7 @@ def _evidence(
     levels = _levels(setting)
     for kind, level in enumerate(levels, 1):
         progress(f"Lyapunov functions, kind {kind} of {len(levels)}")
-        search: Any = StretchSearch(setting) if level is None else Search(setting, level)
+        search: Any = StretchSearch(setting) if level is None else EvidenceSearch(setting, level)
         rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS * (rate > 0.0)) for rate in rates]
         slowest = search.glance(rhos[-1]) if len(rhos) > 1 else search.propose(rhos[-1])
         if slowest is None:
@@ -301,14 +301,14 @@ def _rate(rho: float, setting: Setting) -> str:
     return f"{-math.log(rho) / setting.step + 0.0:.3g}"
 
 
-def _levels(setting: Setting) -> list[Level | None]:
+def _levels(setting: Setting) -> list[Freedom | None]:
     """What to try, quickest first; None: along stretches."""
     remembers = setting.memory or setting.lost_samples
     early = remembers or setting.chatter > 1
-    levels: tuple[Level | None, ...] = EARLY_LEVELS if early else LEVELS
+    levels: tuple[Freedom | None, ...] = EARLY_LEVELS if early else LEVELS
     if setting.context == "mode_age":
         last = setting.transitions.last
-        every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
+        every = (Freedom(4, last, setting.order),) if last <= FEW_AGES else ()
         levels = AGE_LEVELS + every
     along = StretchSearch.suits(setting)
     if along and setting.order <= whole(setting) and setting.chatter == 1:  # V of others is there

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.proof.box import Interval
+from deadtime.certificates.proof.box import DelayInterval
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.plant.switched_system import check_delays
@@ -76,7 +76,7 @@ def delays_of(
 
 def _require_one_period(low: float, high: float, step: float, name: str) -> None:
     try:
-        Interval.of(low, high, step)
+        DelayInterval.of(low, high, step)
     except ValueError:
         raise ArgumentError(
             f"{name} must lie within one period, between two multiples of step = {step:g} s, got "

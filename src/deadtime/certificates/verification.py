@@ -63,7 +63,7 @@ class Verification:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ExpectedClaim:
     """What a certificate is wanted for (immutable); None where nothing is asked."""
 
     plant: SwitchedSystem | UncertainPlant | None = None
@@ -248,7 +248,7 @@ def verify(
     lag = None if mode_lag is None else lag_in_range(mode_lag)
     lost = None if lost_samples is None else losses_in_range(lost_samples)
     limit = positive("limit", limit)
-    asked = Asked(
+    asked = ExpectedClaim(
         plant, law, step, dwell_time, maximum_dwell, transitions, chatter, tolerance, lag, lost
     )
     archived = load_evidence(Path(path))
@@ -288,7 +288,7 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
     matching = []
     for name, law in laws.items():
         with suppress(DeadtimeError):  # a law without a table of its own at this period
-            if not Asked(law=law, mode_lag=setting.mode_lag).missing_from(setting):
+            if not ExpectedClaim(law=law, mode_lag=setting.mode_lag).missing_from(setting):
                 matching.append(name)
     return matching
 

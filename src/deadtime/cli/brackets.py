@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from deadtime.problems.asked import Signals
 
 
-class Bracket(NamedTuple):
+class ProvedBracket(NamedTuple):
     """What is proved of a law and what refuted, seconds; None where nothing is known."""
 
     certified: float | None
@@ -26,7 +26,9 @@ class Bracket(NamedTuple):
     def record(self) -> dict[str, object]:
         """For JSON; the dwell times of each mode where they are not one and the same."""
         found = self._asdict()
-        return found if _several(self) else {name: found[name] for name in Bracket._fields[:3]}
+        return (
+            found if _several(self) else {name: found[name] for name in ProvedBracket._fields[:3]}
+        )
 
 
 def least_dwell_times(
@@ -41,16 +43,18 @@ def least_dwell_times(
     from deadtime.reports.tables.certificates import left_out
 
     period, names = step_of(problem), list(problem.laws) if law is None else [law]
-    laws, brackets = [problem.law(name) for name in names], dict[str, Bracket]()
+    laws, brackets = [problem.law(name) for name in names], dict[str, ProvedBracket]()
     with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
         for name, one in zip(names, laws, strict=True):
             try:
                 margin = least_dwell_time(problem.plant, one, period, **signals)
-                brackets[name] = Bracket(*(getattr(margin, field) for field in Bracket._fields))
+                brackets[name] = ProvedBracket(
+                    *(getattr(margin, field) for field in ProvedBracket._fields)
+                )
             except ArgumentError as error:
                 if law is not None:
                     raise
-                brackets[name] = Bracket(None, None, str(error))
+                brackets[name] = ProvedBracket(None, None, str(error))
             advance(name)
     if json_output:
         record = about(problem, period) | for_json(signals)
@@ -85,18 +89,18 @@ def longest_mode_lags(
             "--longest-mode-lag is asked of a dwell time, not of an average one: give "
             "--dwell-time and --chatter 1."
         )
-    names, brackets = list(problem.laws) if law is None else [law], dict[str, Bracket]()
+    names, brackets = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
     laws = [problem.law(name) for name in names]
     with progress_bar(len(names), quiet=json_output) as advance:
         for name, one in zip(names, laws, strict=True):
             try:
                 found = longest_mode_lag(problem.plant, one, step=period, **asked.options)
                 certified, refuted = found.certified_seconds, found.refuted_seconds
-                brackets[name] = Bracket(certified, refuted, found.message)
+                brackets[name] = ProvedBracket(certified, refuted, found.message)
             except ArgumentError as error:
                 if law is not None:
                     raise
-                brackets[name] = Bracket(None, None, str(error))
+                brackets[name] = ProvedBracket(None, None, str(error))
             advance(name)
     if json_output:
         record = about(problem, period) | for_json(asked.options)
@@ -159,7 +163,7 @@ def about(problem: Problem, step: float) -> dict[str, object]:
     return {"problem": problem.name, "step": step, "imperfections_left_out": without}
 
 
-def _several(one: Bracket) -> bool:
+def _several(one: ProvedBracket) -> bool:
     """Whether modes have dwell times of their own."""
     return any(len(set(each)) > 1 for each in (one.certified_each, one.refuted_each) if each)
 

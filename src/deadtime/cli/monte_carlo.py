@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from deadtime.problems import Problem
-    from deadtime.problems.asked import Given
+    from deadtime.problems.asked import SourcedTime
     from deadtime.problems.law_registry import Model
     from deadtime.reports.tables.monte_carlo import Summary
     from deadtime.scenarios.dataset import Comparison
@@ -193,8 +193,8 @@ def _period(problem: Problem, step: float | None) -> float:
 class Sojourn(NamedTuple):
     """Dwell time and mean sojourn of the signals, and where each comes from."""
 
-    dwell: Given
-    mean: Given
+    dwell: SourcedTime
+    mean: SourcedTime
 
 
 def _require_signals(problem: Problem) -> None:
@@ -240,7 +240,7 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
     return Sojourn(shortest, whole)
 
 
-def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> Given:
+def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> SourcedTime:
     """The dwell time asked for, or the problem's."""
     from deadtime.problems.asked import dwell_time_of
 

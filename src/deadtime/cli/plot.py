@@ -21,7 +21,7 @@ Kind = Literal["heat", "bands", "wins", "regret", "all"]
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PlotPlan:
     """What to draw: the cells, the laws of heat maps and regret, and what laws are held against.
 
     `rivals` are the laws to choose the best of, `oracle` the law of the future; both are empty
@@ -157,7 +157,7 @@ def _plan(
     law: str | None,
     sides: tuple[str | None, str | None],
     held: dict[str, str],
-) -> Plan:
+) -> PlotPlan:
     """What to draw; all that can be refused is refused here, before the store is read."""
     from deadtime.reports.figures.sweeps import selection
     from deadtime.reports.figures.sweeps.bands import panes
@@ -183,7 +183,7 @@ def _plan(
         panes(kept, sides[0])
     except ArgumentError as error:
         left_out = f"bands are left out: {error}"
-    return Plan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle, left_out)
+    return PlotPlan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle, left_out)
 
 
 def _is_figure(out: Path) -> bool:
@@ -194,7 +194,7 @@ def _is_figure(out: Path) -> bool:
     return out.suffix[1:].lower() in known and not out.is_dir()
 
 
-def _write(plan: Plan, out: Path, single: bool, quiet: bool) -> list[Path]:
+def _write(plan: PlotPlan, out: Path, single: bool, quiet: bool) -> list[Path]:
     """Draw and save, in a file or into a folder; the paths."""
     paths = []
     with progress_bar(plan.count, quiet) as advance:
@@ -205,7 +205,7 @@ def _write(plan: Plan, out: Path, single: bool, quiet: bool) -> list[Path]:
     return paths
 
 
-def _figures(plan: Plan) -> Iterator[tuple[str, Figure]]:
+def _figures(plan: PlotPlan) -> Iterator[tuple[str, Figure]]:
     """Figures with the names of their files, from one pass over the store."""
     from deadtime.reports.figures.sweeps.bands import bands
     from deadtime.reports.figures.sweeps.heat import heat, regret

@@ -22,7 +22,7 @@ from deadtime.feedback.bank import BankForm, BankState
 from deadtime.feedback.belief import BeliefState
 
 
-class Bank:
+class RunningBank:
     """A bank that runs: `begin` at the first sample, then `advance` once a period.
 
     Attributes

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation.bank import Bank
+from deadtime.estimation.bank import RunningBank
 from deadtime.estimation.mode_filter import ModeFilter
 from deadtime.estimation.output_mode_filter import OutputModeFilter
 from deadtime.feedback import Feedback, Forecast, Law
@@ -170,7 +170,7 @@ class OutputBeliefUpdate(Believing, Remembering):
 
     def __init__(self, feedback: Feedback, form: BankForm) -> None:
         self._feedback, self._oldest_first = feedback, feedback.oldest_first
-        self._bank = Bank(form, len(feedback.state_gain))
+        self._bank = RunningBank(form, len(feedback.state_gain))
         self.beliefs: list[np.ndarray] = []
         self.estimates: list[np.ndarray] = []
 

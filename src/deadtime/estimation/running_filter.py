@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_shape
 from deadtime.base.frozen import Stateful
-from deadtime.estimation.bank import Bank
+from deadtime.estimation.bank import RunningBank
 from deadtime.estimation.filter_arguments import belief_of
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief, BeliefState
@@ -82,7 +82,7 @@ class RunningOutputFilter(Stateful):
 
     def __init__(self, form: BankForm, u0: ArrayLike | None = None) -> None:
         modes, _, _, m = form.chain.Gamma.shape
-        self.form, self._bank = form, Bank(form, modes)
+        self.form, self._bank = form, RunningBank(form, modes)
         self._line = _line_of(u0, m, int(form.chain.lag.max()))
         self._seen = False
 

@@ -157,7 +157,7 @@ def identify(
         require_logged(C, noise, numbers is not None)
         if is_states(order, recording.outputs):  # the same model as of states that are logged
             order = None
-    asked = _Asked(
+    asked = _Options(
         C,
         numbers,
         order,
@@ -175,7 +175,7 @@ def identify(
     return fit
 
 
-class _Asked(NamedTuple):
+class _Options(NamedTuple):
     """What is asked: see `identify`. numbers : of hidden modes; bounds : of delays, s."""
 
     C: ArrayLike | None
@@ -189,7 +189,7 @@ class _Asked(NamedTuple):
     progress: Callable[[str], None]
 
 
-def _identified(recording: Recording, asked: _Asked) -> Identification:
+def _identified(recording: Recording, asked: _Options) -> Identification:
     """What a recording tells."""
     C, numbers, order, zeros, per_mode, noise, (low, high), within, progress = asked
     bounds = max(low, _SHORTEST * recording.step), high

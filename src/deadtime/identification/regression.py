@@ -93,7 +93,7 @@ def log_density(
     return -0.5 * ((white**2).sum(axis=0) + constant)
 
 
-class Lags(NamedTuple):
+class LagRoots(NamedTuple):
     """An evenly sampled log, as roots over x_{k+1}, x_k and u_{k−low}, …, u_{k−high} per mode.
 
     With a constant term a column of ones comes last.
@@ -145,7 +145,7 @@ def stacked(part: Part, k: np.ndarray, low: int, high: int, constant: bool) -> n
 
 def lags_of(
     parts: tuple[Part, ...], layout: Layout, low: int, high: int, within: bool, root: bool = True
-) -> Lags:
+) -> LagRoots:
     """The sums of a log, in blocks; as a Gram matrix in place of its root where `root` is False."""
     size = 2 * layout.n + (high - low + 1) * layout.m + layout.constant
     sums = [np.zeros((0 if root else size, size)) for _ in range(layout.modes)]
@@ -162,11 +162,11 @@ def lags_of(
                     sums[i] = np.linalg.qr(np.vstack((sums[i], own)), mode="r")
                 else:
                     sums[i] += own.T @ own
-    return Lags(sums, counts, low, high)
+    return LagRoots(sums, counts, low, high)
 
 
 def even_terms(
-    lags: Lags, layout: Layout, step: float, cells: Int[np.ndarray, "mode m"], theta: np.ndarray
+    lags: LagRoots, layout: Layout, step: float, cells: Int[np.ndarray, "mode m"], theta: np.ndarray
 ) -> list[Term]:
     """The regressions of evenly sampled logs; input j of mode i is read in cell N of its delay.
 

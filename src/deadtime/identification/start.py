@@ -48,7 +48,7 @@ def start_of(
     """A first guess from an evenly sampled recording; delays are within `bounds`, seconds."""
     h = recording.step
     first, last = cell_range(h, bounds, layout.m)
-    scan = _Scan(_sums_of(recording, layout, first, last, within), layout, first, last)
+    scan = _CellScan(_sums_of(recording, layout, first, last, within), layout, first, last)
     cells, scanned = scan.best()
     own = [scan.own(cells, i) for i in range(layout.modes)]
     count = np.array([scan.periods(i, one) for i, one in enumerate(own)])
@@ -159,7 +159,7 @@ def plant_of(
     return layout.join(A, np.array(B), np.clip(D, *bounds))
 
 
-class _Scan:
+class _CellScan:
     """Linear regressions over the cells of all delays."""
 
     def __init__(

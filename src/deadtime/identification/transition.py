@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 
-class Transitions(NamedTuple):
+class TransitionMaps(NamedTuple):
     """Φ and W of times, and their derivatives by A_ab, a n + b their place."""
 
     Phi: Float[np.ndarray, "time n n"]
@@ -23,7 +23,9 @@ class Transitions(NamedTuple):
     W_by_A: Float[np.ndarray, "time n*n n n"]
 
 
-def transitions_of(A: Float[np.ndarray, "n n"], times: Float[np.ndarray, " time"]) -> Transitions:
+def transitions_of(
+    A: Float[np.ndarray, "n n"], times: Float[np.ndarray, " time"]
+) -> TransitionMaps:
     """Φ, W and their derivatives at times, seconds.
 
     Examples
@@ -45,7 +47,9 @@ def transitions_of(A: Float[np.ndarray, "n n"], times: Float[np.ndarray, " time"
         E = expm(joint * times[:, None, None, None])
     whole = E[:, 0, :size, :size]
     moved = E[:, :, :size, size:]
-    return Transitions(whole[:, :n, :n], whole[:, :n, n:], moved[..., :n, :n], moved[..., :n, n:])
+    return TransitionMaps(
+        whole[:, :n, :n], whole[:, :n, n:], moved[..., :n, :n], moved[..., :n, n:]
+    )
 
 
 def plain_transitions(

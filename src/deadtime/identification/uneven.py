@@ -25,7 +25,7 @@ _BLOCK = 2_000_000  # numbers of a log that are stacked at a time
 _ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
 
 
-class Acting(NamedTuple):
+class ActingInputs(NamedTuple):
     """What acts in periods: `held` (periods, nodes, m), W's weights; `moved`, those of −∂/∂D."""
 
     held: Float[np.ndarray, "period node m"]
@@ -58,7 +58,7 @@ def acting_in(
     k: np.ndarray,
     delays: Float[np.ndarray, "mode m"],
     nodes: Float[np.ndarray, " node"],
-) -> Acting:
+) -> ActingInputs:
     """What acts in periods k of a part, each with the delays of its mode.
 
     Before the part's first row its first inputs act: such periods are used where it rests there.
@@ -67,7 +67,7 @@ def acting_in(
     held = np.zeros((k.size, nodes.size, m))
     moved = np.zeros(held.shape)
     if k.size == 0:
-        return Acting(held, moved)
+        return ActingInputs(held, moved)
     slack = _ROUND_OFF * float(np.median(t[k + 1] - t[k]))
     over = interpolation(nodes, t[k + 1] - t[k])
     for j in range(m):
@@ -82,7 +82,7 @@ def acting_in(
             weight = interpolation(nodes, t[k[has] + 1] - t[index] - D[has]) * change
             held[has, :, j] += weight
             moved[has, :, j] += weight
-    return Acting(held, moved)
+    return ActingInputs(held, moved)
 
 
 def nodes_for(parts: tuple[Part, ...], A: Float[np.ndarray, "mode n n"]) -> np.ndarray:

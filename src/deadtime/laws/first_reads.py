@@ -29,7 +29,7 @@ from deadtime.switching.rules.motion import Beside, Motion, Move
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class RuleForecast:
     """A model, at its period, that runs a rule forward until all inputs are read.
 
     Attributes
@@ -52,7 +52,7 @@ class Prediction:
     motion: Motion
 
     @classmethod
-    def of(cls, sampled: SampledPlant, gains: np.ndarray, rule: Rule) -> Prediction:
+    def of(cls, sampled: SampledPlant, gains: np.ndarray, rule: Rule) -> RuleForecast:
         """The prediction of a model whose periods are cut alike in all modes."""
         every, h = EveryReading.of(sampled), sampled.step
         lengths = [part.stop - part.start for part in every.stretches]
@@ -103,7 +103,7 @@ class _Way:
     newest : (m,), the newest samples that have been read, counted from k; −1 for none of them
     """
 
-    ahead: Prediction
+    ahead: RuleForecast
     sent: np.ndarray
     newest: np.ndarray
     _columns: np.ndarray = field(init=False)

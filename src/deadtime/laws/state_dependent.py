@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Update
 from deadtime.gains.checked import check_gains
-from deadtime.laws.first_reads import Prediction, chattering_ahead
+from deadtime.laws.first_reads import RuleForecast, chattering_ahead
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal
@@ -119,7 +119,7 @@ class StateDependentPredictor(Law):
         if self.plant.has_one_delay:
             predict = self._to_the_delay(sampled)
         else:
-            predict = Prediction.of(sampled.cut_alike(), self.gains, self.rule)
+            predict = RuleForecast.of(sampled.cut_alike(), self.gains, self.rule)
 
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
             if not np.isfinite(x).all():

@@ -93,7 +93,7 @@ def bracket(ask: Questions, low: float, high: float, ratio: float) -> Bracket:
             f"low = {low:g} must be certified stable, and is not: {start.message} Begin closer "
             "to a loop that is known to be stable."
         )
-    search = _Search(ask, low, start, ratio, FLOOR * (high - low))
+    search = _BracketSearch(ask, low, start, ratio, FLOOR * (high - low))
     found = search.below(high)
     for _ in range(ROUNDS):
         lower = search.loss_below(found)
@@ -106,7 +106,7 @@ def bracket(ask: Questions, low: float, high: float, ratio: float) -> Bracket:
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _BracketSearch:
     ask: Questions
     low: float
     start: Any

@@ -47,7 +47,7 @@ class Crossing(NamedTuple):
     frequency: float
 
 
-class Branch(NamedTuple):
+class EigenvalueBranch(NamedTuple):
     """An eigenvalue in a band at one delay: ω, `Curve.above`, arg λ unwrapped; as `Band`."""
 
     omega: np.ndarray
@@ -81,7 +81,7 @@ def first_crossing(
 
 def _in_ring(
     response: Response,
-    branches: list[Branch],
+    branches: list[EigenvalueBranch],
     ring: tuple[float, float],
     start: float,
     end: float,
@@ -129,7 +129,7 @@ def unit_bands(response: Response, parts: list[Band], delay: float) -> list[Band
     return [parts[i] for i in np.unique(reached)]
 
 
-def _branches(response: Response, parts: list[Band], delay: float) -> list[Branch]:
+def _branches(response: Response, parts: list[Band], delay: float) -> list[EigenvalueBranch]:
     """A branch for each eigenvalue in each band."""
     every = Samples(
         *(np.concatenate(x) for x in zip(*(band.samples for band in parts), strict=True))
@@ -142,25 +142,30 @@ def _branches(response: Response, parts: list[Band], delay: float) -> list[Branc
     ends = np.cumsum([band.samples.omega.size for band in parts])[:-1]
     each = zip(parts, np.split(above, ends), np.split(phase, ends), strict=True)
     return [
-        Branch(band.samples.omega, *of_one, spread=band.spread, around=band.around)
+        EigenvalueBranch(band.samples.omega, *of_one, spread=band.spread, around=band.around)
         for band, *of_band in each
         for of_one in zip(*(part.T for part in of_band), strict=True)
     ]
 
 
-def _ahead(branch: Branch, k: int, sign: float) -> np.ndarray:
+def _ahead(branch: EigenvalueBranch, k: int, sign: float) -> np.ndarray:
     """About how far ahead the k-th curve is: the delay turns λ by e^{−iωD}, or nearly so."""
     return (sign * branch.phase - 2.0 * np.pi * k) / branch.omega
 
 
-def _least(branch: Branch, k: int, sign: float, inner: float) -> float:
+def _least(branch: EigenvalueBranch, k: int, sign: float, inner: float) -> float:
     """The k-th curve is no nearer than this, beyond a distance."""
     ahead = _ahead(branch, k, sign)
     return float(ahead[ahead >= inner - branch.around].min(initial=math.inf)) - branch.around
 
 
 def _guess(
-    branch: Branch, k: int, sign: float, start: float, ring: tuple[float, float], number: int
+    branch: EigenvalueBranch,
+    k: int,
+    sign: float,
+    start: float,
+    ring: tuple[float, float],
+    number: int,
 ) -> Curve:
     """The k-th curve where it may be in a ring, and a point on either side."""
     ahead = _ahead(branch, k, sign)

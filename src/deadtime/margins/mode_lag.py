@@ -140,7 +140,7 @@ def longest_mode_lag(
     ahead = max(plant.longest_delay, table.taps * step) + max(signals.dwell_time)
     most = round(snap(DELAYS * ahead / step))
     most = most if upto is None else count("upto", upto)
-    asked = _Asked.of(plant, law, signals, step)
+    asked = _LagQuestions.of(plant, law, signals, step)
     if plant.modes == 1 or table.context == "none":
         return _without_mode(asked, most, step)
     certified, beyond = _edge(lambda lag: asked.proof(lag).stable is True, most)
@@ -183,7 +183,7 @@ def _edge(holds: Callable[[int], bool], most: int) -> tuple[int | None, int | No
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _LagQuestions:
     """The two questions about a lag; answers are remembered."""
 
     proof: Callable[[int], Certificate]
@@ -193,7 +193,7 @@ class _Asked:
     @classmethod
     def of(
         cls, plant: SwitchedSystem, law: Law, signals: SwitchingConstraint, step: float
-    ) -> _Asked:
+    ) -> _LagQuestions:
         from deadtime.certificates import certify, falsify
 
         answers: dict[int, bool | None] = {}
@@ -220,7 +220,7 @@ class _Asked:
         return self.worst(lag).grows
 
 
-def _without_mode(asked: _Asked, most: int, step: float) -> LongestModeLag:
+def _without_mode(asked: _LagQuestions, most: int, step: float) -> LongestModeLag:
     """Of a law that is not told the mode, or of one mode."""
     proof, answers = asked.proof(0), tuple(asked.answers.items())
     text = "The law does not read the mode, so that no lag of it matters"
@@ -232,7 +232,7 @@ def _without_mode(asked: _Asked, most: int, step: float) -> LongestModeLag:
 
 
 def _result(
-    asked: _Asked, certified: int | None, refuted: int | None, step: float, most: int
+    asked: _LagQuestions, certified: int | None, refuted: int | None, step: float, most: int
 ) -> LongestModeLag:
     proof = None if certified is None else asked.proof(certified)
     witness = None if refuted is None else asked.worst(refuted)

@@ -22,7 +22,7 @@ STEP = 0.01  # for problems whose loop is ideal, seconds
 AS_ASKED = "as asked"
 
 
-class Given(NamedTuple):
+class SourcedTime(NamedTuple):
     """A number, seconds, and where it comes from."""
 
     value: float
@@ -35,7 +35,7 @@ class Signals(NamedTuple):
     With a `chatter` N₀ above 1 it is an average dwell time: N₀ + T/τ_a switches in any T seconds.
     """
 
-    dwell: Given
+    dwell: SourcedTime
     constraint: SwitchingConstraint
     chatter: int = 1
 
@@ -66,7 +66,7 @@ def step_of(problem: Problem) -> float:
 
 def dwell_time_of(
     problem: Problem, signal: SwitchingSignal | Rule, wanted: float | None = None
-) -> Given:
+) -> SourcedTime:
     """The dwell time that a problem is about.
 
     What somebody wanted to know about, if anything; else the problem's own; where it states none,
@@ -85,24 +85,26 @@ def dwell_time_of(
     Given(value=0.2, source='the shortest sojourn of its signal')
     """
     if wanted is not None:
-        return Given(number("dwell_time", wanted), AS_ASKED)
+        return SourcedTime(number("dwell_time", wanted), AS_ASKED)
     if problem.dwell_time is not None:
         own = problem.constraint
         several = own is not None and len(set(own.dwell_time)) > 1
-        return Given(problem.dwell_time, "the problem's dwell time" + "s" * several)
+        return SourcedTime(problem.dwell_time, "the problem's dwell time" + "s" * several)
     if isinstance(signal, Rule):
         raise ArgumentError(
             f"dwell_time of {problem.name!r} is not known, for a rule decides the mode by the "
             "state: give --dwell-time."
         )
     if not math.isfinite(signal.dwell_time):
-        return Given(problem.horizon, "the horizon, since its signal never switches")
+        return SourcedTime(problem.horizon, "the horizon, since its signal never switches")
     step = step_of(problem)
     periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
     if problem.switching is not None or problem.average_dwell_time is not None:
-        return Given(dwell, "the shortest sojourn of the one signal drawn; others may have shorter")
-    return Given(dwell, "the shortest sojourn of its signal")
+        return SourcedTime(
+            dwell, "the shortest sojourn of the one signal drawn; others may have shorter"
+        )
+    return SourcedTime(dwell, "the shortest sojourn of its signal")
 
 
 def signals_of(
@@ -128,7 +130,7 @@ def signals_of(
     if chatter is None:
         chatter = 1 if average is None else average[1]
     if wanted is None and average is not None:
-        given = Given(average[0], "the problem's average dwell time")
+        given = SourcedTime(average[0], "the problem's average dwell time")
     else:
         given = dwell_time_of(problem, signal, wanted)
     own, modes = problem.constraint, problem.plant.modes
@@ -185,7 +187,7 @@ def random_model(allowed: SwitchingConstraint, mean_sojourn: float | None = None
     return SemiMarkov(sojourns, table, maximum_dwell=allowed.maximum_dwell if limited else None)
 
 
-def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None) -> Given:
+def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None) -> SourcedTime:
     """The mean sojourn that a problem is about, for signals with a dwell time.
 
     What somebody wanted; else the problem's. Twice the dwell time where the problem states none, or
@@ -198,10 +200,10 @@ def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None)
     Given(value=1.0, source="twice the dwell time; the problem's, 0.4 s, is too short")
     """
     if wanted is not None:
-        return Given(number("mean_sojourn", wanted), AS_ASKED)
+        return SourcedTime(number("mean_sojourn", wanted), AS_ASKED)
     mean, twice = problem.mean_sojourn, mean_or_twice(dwell)
     if mean is None:
-        return Given(twice, "twice the dwell time")
+        return SourcedTime(twice, "twice the dwell time")
     if mean <= dwell:
-        return Given(twice, f"twice the dwell time; the problem's, {mean:g} s, is too short")
-    return Given(mean, "the problem's mean sojourn")
+        return SourcedTime(twice, f"twice the dwell time; the problem's, {mean:g} s, is too short")
+    return SourcedTime(mean, "the problem's mean sojourn")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class CertificatesSection:
     """What the section says (immutable).
 
     Attributes
@@ -58,7 +58,9 @@ def steps_of_section(problem: Problem) -> int:
     return len(problem.laws) + 3
 
 
-def certificates_section(result: Comparison, progress: Progress | None = None) -> Section:
+def certificates_section(
+    result: Comparison, progress: Progress | None = None
+) -> CertificatesSection:
     """Certify every law of a comparison for the dwell time of its signal.
 
     A signal that never switches is held to the horizon. The loop is the sampled one, at the
@@ -89,7 +91,9 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     ]
     statement, law = proofs[0] if proofs else ((), "")
     rows = certificate_rows(judged)
-    return Section(dwell, source, step, HEADINGS, rows, sentences, statement, law, figures)
+    return CertificatesSection(
+        dwell, source, step, HEADINGS, rows, sentences, statement, law, figures
+    )
 
 
 def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:

@@ -32,7 +32,7 @@ from deadtime.scenarios.law_rows import dot
 _ONE = (0.0,)
 
 
-class Believed(NamedTuple):
+class BeliefLanes(NamedTuple):
     """Memory of eight scenarios, side by side: flat, the lane last; of banks one by one.
 
     chain : π (modes, ages);  x, before : what is measured at this sample and at the one before, (n)
@@ -95,7 +95,7 @@ def believed_of(shape, belief, dense):
         np.empty(n),
     )
     pairs = modes * modes * LANES
-    return Believed(
+    return BeliefLanes(
         chain,
         np.empty(n * LANES),
         np.empty(n * LANES),

@@ -31,7 +31,7 @@ from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 
 if TYPE_CHECKING:
-    from deadtime.scenarios.engine import Engine, Table
+    from deadtime.scenarios.engine import Engine, EngineTable
     from deadtime.scenarios.helper import Helper
     from deadtime.scenarios.prepare import Runnable
 
@@ -140,7 +140,7 @@ class Block:
     def _at_once(
         self,
         row: int,
-        table: Table,
+        table: EngineTable,
         laid: Sequence[Laid],
         heard: Mapping[int, HeardBlock] | None,
         force: np.ndarray | None,
@@ -257,7 +257,7 @@ class Block:
                 target[row, scenario, :, kept:] = np.nan
 
 
-def _by_mode(table: Table) -> bool:
+def _by_mode(table: EngineTable) -> bool:
     """Whether a law goes by the mode."""
     by_rows = table.feedback is not None and table.feedback.context != "none"
     return by_rows or table.memory is not None

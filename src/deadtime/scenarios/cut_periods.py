@@ -32,7 +32,7 @@ class Maps(NamedTuple):
     energy: Float[np.ndarray, "mode z z"]
 
 
-class Tables(NamedTuple):
+class CellSeries(NamedTuple):
     """Series by cells of a period, in δ ∈ [−1, 1] across each, the lowest power first.
 
     switched : (mode·mode, part, cell, degree, size), M and E of a period with one switch from
@@ -67,7 +67,7 @@ def balanced_norm(A: Float[np.ndarray, "n n"]) -> float:
     return float(np.abs(A * unit / unit[:, None]).sum(axis=1).max())
 
 
-class Part(NamedTuple):
+class ModePart(NamedTuple):
     """A time in one mode under the inputs z[column]."""
 
     mode: int
@@ -75,20 +75,22 @@ class Part(NamedTuple):
     column: Int[np.ndarray, " m"]
 
 
-def parts_of(plant: SwitchedSystem, acting: Acting, i: int, low: float, high: float) -> list[Part]:
+def parts_of(
+    plant: SwitchedSystem, acting: Acting, i: int, low: float, high: float
+) -> list[ModePart]:
     """What mode i does between two instants of a period."""
     stretches, parts = acting.stretches, []
     for s in range(stretches.first[i], stretches.first[i + 1]):
         start, stop = max(low, stretches.start[s]), min(high, stretches.stop[s])
         if stop > start:
-            parts.append(Part(i, stop - start, acting.column[s]))
+            parts.append(ModePart(i, stop - start, acting.column[s]))
     return parts
 
 
 def compose(
     plant: SwitchedSystem,
     acting: Acting,
-    periods: Sequence[Sequence[Part]],
+    periods: Sequence[Sequence[ModePart]],
     wide: int,
     weight: Weight | None = None,
 ) -> Maps:
@@ -123,7 +125,7 @@ def whole_periods(sampled: SampledPlant, acting: Acting, weight: Weight | None =
 @lru_cache(8)
 def tables_of(
     sampled: SampledPlant, cells: int, weight: Weight | None = None, forced: bool = False
-) -> Tables:
+) -> CellSeries:
     """The series of a plant at a period."""
     plant, step, acting = sampled.plant, sampled.step, acting_of(sampled, forced)
     modes, n = plant.modes, plant.states
@@ -131,7 +133,7 @@ def tables_of(
 
     def piece(i: int) -> Callable[[np.ndarray], np.ndarray]:
         def at(times: np.ndarray) -> np.ndarray:
-            periods = [[Part(i, t, np.arange(n, n + m))] for t in times]
+            periods = [[ModePart(i, t, np.arange(n, n + m))] for t in times]
             move, energy = compose(plant, acting, periods, n + m, weight)
             Phi, Gamma = move[:, :, :n], move[:, :, n:]
             flat = Phi.reshape(times.size, -1), Gamma.reshape(times.size, -1), pack(energy)
@@ -153,13 +155,13 @@ def tables_of(
     width = -(-(n * wide + wide * (wide + 1) // 2) // WIDE) * WIDE
     pieces = stack([[_series(piece(i), 0.0, step, cells)] for i in range(modes)])[:, 0]
     if modes * modes * (edges.size - 1) * cells * NODES * width > MOST_NUMBERS:
-        return Tables(np.zeros((1, 1, 0, 1, width)), pieces, width)
+        return CellSeries(np.zeros((1, 1, 0, 1, width)), pieces, width)
     pairs = [
         [_series(with_switch(i, j), low, high, cells) for low, high in itertools.pairwise(edges)]
         for i in range(modes)
         for j in range(modes)
     ]
-    return Tables(stack(pairs), pieces, width)
+    return CellSeries(stack(pairs), pieces, width)
 
 
 def _series(

@@ -26,7 +26,7 @@ from deadtime.scenarios.source import scenario_seeds
 from deadtime.simulation.compiled import lags_of
 
 
-class Run(NamedTuple):
+class RunLength(NamedTuple):
     """How many periods are asked for, and for how many a single run moves its plant."""
 
     periods: int
@@ -76,7 +76,7 @@ class InManyRuns:
         return Heard(*map(np.stack, zip(*each, strict=True)))
 
     def draws(
-        self, first: int, runs: int, sizes: Sizes, lengths: tuple[float, ...], run: Run
+        self, first: int, runs: int, sizes: Sizes, lengths: tuple[float, ...], run: RunLength
     ) -> np.ndarray:
         """What a disturbance draws in the scenarios from `first` on, (stretch, one, period, r).
 

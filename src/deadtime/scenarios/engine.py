@@ -14,20 +14,20 @@ from deadtime.feedback import Feedback, memory as memories
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.numerics.lanes import LANES
-from deadtime.scenarios.figures import Figures, Path
-from deadtime.scenarios.foreseen import Model, stacks_of
+from deadtime.scenarios.figures import Path, ScenarioSums
+from deadtime.scenarios.foreseen import KnownSignalModel, stacks_of
 from deadtime.scenarios.kernel import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.layout import (
     KINDS,
-    Bank,
-    Clip,
+    BankLanes,
+    ClipLanes,
     Dense,
     Factored,
     Hearing,
-    Memory,
-    Plant,
-    Run,
-    Shape,
+    LoopSizes,
+    MemoryLanes,
+    PlantLanes,
+    RunLanes,
 )
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory_form import memory_form
@@ -41,20 +41,20 @@ _NOTHING = np.zeros(0)
 PERFECT = Hearing()
 
 
-class Table(NamedTuple):
+class EngineTable(NamedTuple):
     """A law as `scenarios.kernel` takes it: one of three, its memory or belief, its window.
 
     `taps` is how many inputs it reads, and `feedback` what its rows are, where it has some and goes
     by the modes that it is told.
     """
 
-    shape: Shape
+    shape: LoopSizes
     factored: Factored | None
     dense: Dense | None
-    model: Model | None
-    memory: Memory | None
+    model: KnownSignalModel | None
+    memory: MemoryLanes | None
     belief: Belief | None
-    bank: Bank | None
+    bank: BankLanes | None
     taps: int
     feedback: Feedback | None
 
@@ -70,30 +70,32 @@ class Engine:
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         x0, root = read_only(loop.x0), read_only(loop.root.ravel())  # one type
-        self._run = Run(loop.whole + 1, loop.rest / loop.step, loop.late, x0, root)
+        self._run = RunLanes(loop.whole + 1, loop.rest / loop.step, loop.late, x0, root)
         rate, low, high = loop.limits
-        self._clip = Clip(rate, low.ravel(), high.ravel()) if rate.size else None
+        self._clip = ClipLanes(rate, low.ravel(), high.ravel()) if rate.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
         inputs = loop.acting.lags.size * m
         sizes = n, m, n + m, inputs, wide - n, wide, 2 * m, wide - n - inputs, n, n
-        self._shape = Shape(*sizes)
+        self._shape = LoopSizes(*sizes)
 
-    def table(self, feedback: Feedback) -> Table:
+    def table(self, feedback: Feedback) -> EngineTable:
         """A law's rows as the compiled loop reads them."""
         form, taps = window_form(feedback), feedback.taps
         _, m, n = feedback.state_gain.shape
         if form is None:
             shape = replace(self._shape, head=m * (n + m))
-            return Table(shape, None, _dense(feedback), None, None, None, None, taps, feedback)
+            return EngineTable(
+                shape, None, _dense(feedback), None, None, None, None, taps, feedback
+            )
         rows, _, q = form.out.shape
         block = form.transition.shape[1]
         shape = replace(self._shape, b=q, block=block, rows=rows * m)
         own = _factored(feedback, form)
-        return Table(shape, own, None, None, None, None, None, taps, feedback)
+        return EngineTable(shape, own, None, None, None, None, None, taps, feedback)
 
     def remember(
         self, feedback: Feedback, memory: memories.Memory, outputs: Float[np.ndarray, "mode p n"]
-    ) -> Table:
+    ) -> EngineTable:
         """The rows of a law on what it remembers of y = C_σ x, `outputs` being the plant's C."""
         table, form = self.table(feedback), memory_form(memory, outputs)
         m, (_, p, n), r = self._loop.plant.inputs, memory.C.shape, memory.tracked.shape[0]
@@ -107,55 +109,55 @@ class Engine:
         taps = max(table.taps, int(form.lags.max()))
         return table._replace(shape=shape, memory=form, taps=taps)
 
-    def believe(self, feedback: Feedback, belief: Belief) -> Table:
+    def believe(self, feedback: Feedback, belief: Belief) -> EngineTable:
         """The rows of a law weighed by a belief."""
         return self.table(feedback)._replace(belief=belief, feedback=None)
 
     def estimate(
         self, feedback: Feedback, bank: BankForm, outputs: Float[np.ndarray, "mode p n"]
-    ) -> Table:
+    ) -> EngineTable:
         """The rows of a law weighed by a belief from y = C_σ x, `outputs` being the plant's C."""
         table, (modes, p, n) = self.believe(feedback, bank.chain), outputs.shape
         shape = replace(table.shape, seen=p, output=p, kept=n)
         C, gains = read_only(outputs.reshape(modes, -1)), read_only(feedback.state_gain)
-        return table._replace(shape=shape, bank=Bank(bank, C, gains))
+        return table._replace(shape=shape, bank=BankLanes(bank, C, gains))
 
-    def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
+    def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> EngineTable:
         """What a law that knows these signals does, of each of them."""
         return self._foreseeing(ahead, ahead.lay(signals))
 
-    def along(self, law: Table | ModelAhead, signals: SignalBatch) -> Table:
+    def along(self, law: EngineTable | ModelAhead, signals: SignalBatch) -> EngineTable:
         """What a law does, along signals."""
-        return law if isinstance(law, Table) else self.foresee(law, signals)
+        return law if isinstance(law, EngineTable) else self.foresee(law, signals)
 
-    def compile(self, law: Table | ModelAhead) -> None:
+    def compile(self, law: EngineTable | ModelAhead) -> None:
         """Compile the loop under a law that hears everything: run it along no signals."""
-        table = law if isinstance(law, Table) else self._foreseeing(law, law.lay_nothing())
+        table = law if isinstance(law, EngineTable) else self._foreseeing(law, law.lay_nothing())
         self.run(table, self._loop.lay_nothing())
 
-    def _foreseeing(self, ahead: ModelAhead, model: Model) -> Table:
+    def _foreseeing(self, ahead: ModelAhead, model: KnownSignalModel) -> EngineTable:
         n = self._loop.plant.states
         entering = model.lags.size * self._loop.plant.inputs
         shape = replace(self._shape, square=n * n, entering=entering, model=n + entering)
         taps = ahead.loop.sampled.longest_lag
-        return Table(shape, None, None, model, None, None, None, taps, None)
+        return EngineTable(shape, None, None, model, None, None, None, taps, None)
 
     def run(
         self,
-        table: Table,
+        table: EngineTable,
         laid: Laid,
         first: int = 0,
         count: int | None = None,
         hearing: Hearing = PERFECT,
         force: np.ndarray | None = None,
-    ) -> Figures:
+    ) -> ScenarioSums:
         """Run a table along the scenarios first, …, first + count − 1 which hear and feel this."""
         count = laid.scenarios - first if count is None else count
         return self._run_kernel(table, laid, first, count, hearing, force, _NOTHING, 0)
 
     def path(
         self,
-        table: Table,
+        table: EngineTable,
         laid: Laid,
         first: int,
         count: int,
@@ -163,7 +165,7 @@ class Engine:
         force: np.ndarray | None = None,
         keep: int = 0,
         room: np.ndarray = _NOTHING,
-    ) -> tuple[Figures, Path]:
+    ) -> tuple[ScenarioSums, Path]:
         """The same with states and inputs from sample `keep` on, laid in `room` where that does.
 
         New memory costs about as much as a run of a few scenarios.
@@ -177,7 +179,7 @@ class Engine:
 
     def _run_kernel(
         self,
-        table: Table,
+        table: EngineTable,
         laid: Laid,
         first: int,
         count: int,
@@ -185,9 +187,9 @@ class Engine:
         force: np.ndarray | None,
         path: np.ndarray,
         keep: int,
-    ) -> Figures:
+    ) -> ScenarioSums:
         records, lags = laid.records, self._loop.acting.lags
-        plant = Plant(lags, laid.maps, *records[:4], laid.age)
+        plant = PlantLanes(lags, laid.maps, *records[:4], laid.age)
         loop = plant, self._run, self._clip, *hearing, force
         law, shape, samples = table.factored, table.shape, self._run.samples
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
@@ -195,7 +197,7 @@ class Engine:
         ahead = None if table.model is None else stacks_of(shape, table.model)
         run_scenarios(*table[:8], *loop, first, count, path, keep, work, ahead)
         figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)
-        return Figures(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
+        return ScenarioSums(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
 
 
 def _factored(feedback: Feedback, form: WindowForm) -> Factored:

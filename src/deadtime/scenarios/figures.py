@@ -13,7 +13,7 @@ from deadtime.scenarios.loop import Loop
 _LIMIT, _TINY = 1e200, 1e-290  # of |x|²
 
 
-class Figures(NamedTuple):
+class ScenarioSums(NamedTuple):
     """Sums along each scenario.
 
     ise ∫|x|² and energy Σ|u|², the last one weighted by what is left of the horizon; peak and
@@ -64,8 +64,8 @@ class Path:
 @np.errstate(all="ignore")  # of a scenario that diverges, which is run again
 def metrics_of(
     loop: Loop,
-    figures: Figures,
-    weighed: Figures | None = None,
+    figures: ScenarioSums,
+    weighed: ScenarioSums | None = None,
     late: Float[np.ndarray, "scenario time"] | None = None,
 ) -> dict[str, Float[np.ndarray, " scenario"]]:
     """The metrics of `Trajectory.metrics`, in its order.
@@ -93,7 +93,7 @@ def metrics_of(
     }
 
 
-def _decay_rate(loop: Loop, figures: Figures) -> Float[np.ndarray, " scenario"]:
+def _decay_rate(loop: Loop, figures: ScenarioSums) -> Float[np.ndarray, " scenario"]:
     """Minus the least-squares slope of log|x| over the samples of the second half, and its end.
 
     With j = k − k₀ counting c samples from k₀ on, Σ j L_j = c Σ L_j − Σ_k Σ_{j ≤ k} L_j.
@@ -120,7 +120,7 @@ def _slope(loop: Loop, late: Float[np.ndarray, "scenario time"]) -> Float[np.nda
 
 
 def needs_own_run(
-    figures: Figures, late: Float[np.ndarray, "scenario time"] | None = None
+    figures: ScenarioSums, late: Float[np.ndarray, "scenario time"] | None = None
 ) -> Bool[np.ndarray, " scenario"]:
     """Scenarios that diverge or vanish, `late` as in `metrics_of`: `simulate` runs them."""
     peak = np.maximum(figures.peak, figures.final)

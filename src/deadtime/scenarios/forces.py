@@ -17,7 +17,7 @@ from jaxtyping import Float
 from deadtime.imperfections import Disturbance, Imperfection, Sizes
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.cut_periods import MOST_NUMBERS, NODES, WIDE, nodes, series_through, stack
-from deadtime.scenarios.drawn import Run, in_many_runs
+from deadtime.scenarios.drawn import RunLength, in_many_runs
 from deadtime.scenarios.laid import fill_series
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Records
@@ -164,7 +164,7 @@ def forces_of(
     samples, sampled = loop.whole + 1, loop.sampled
     sizes, lengths = Sizes.of(loop.plant, loop.step), lengths_of(sampled)
     kinds = in_many_runs(imperfections, Disturbance, seed, first, count, rooms)
-    along, run = maps.along(signals, records), Run(samples, samples + sampled.longest_lag)
+    along, run = maps.along(signals, records), RunLength(samples, samples + sampled.longest_lag)
     size = groups(count) * samples * (loop.acting.wide - loop.acting.plain) * LANES
     laid = rooms.of("forces", (size,))
     laid.fill(0.0)

@@ -31,12 +31,12 @@ from deadtime.numerics.lanes import (
     store,
     table_product,
 )
-from deadtime.scenarios.layout import Shape
+from deadtime.scenarios.layout import LoopSizes
 
 _NEVER = np.int64(2**62)
 
 
-class Model(NamedTuple):
+class KnownSignalModel(NamedTuple):
     """A law's model along signals that it knows, of each scenario its own or one for all.
 
     length : W;  lags, maps, first, step, map : as of `kernel.Plant`, over W periods more
@@ -72,7 +72,7 @@ class Stacks(NamedTuple):
     acting: np.ndarray
 
 
-def stacks_of(shape: Shape, model: Model) -> Stacks:
+def stacks_of(shape: LoopSizes, model: KnownSignalModel) -> Stacks:
     """Room for eight scenarios."""
     n, m, wide = shape.x, shape.u, shape.model
     slot = (n * n + n) * LANES

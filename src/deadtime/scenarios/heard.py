@@ -14,7 +14,7 @@ from deadtime.feedback import Feedback
 from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.drawn import in_many_runs
-from deadtime.scenarios.layout import KINDS, Hearing, Relayed, Sight
+from deadtime.scenarios.layout import KINDS, Hearing, Relayed, SightLanes
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.rooms import Rooms
@@ -35,7 +35,7 @@ class _Stack(NamedTuple):
     lag: np.ndarray
     reach: int
     noise: np.ndarray
-    sight: Sight | None
+    sight: SightLanes | None
     modes: np.ndarray | None
 
 
@@ -81,7 +81,9 @@ class HeardBlock:
         all_of, sight = self.laid.scenarios, heard.sight
         lag, noise = (from_scenario(part, begin, all_of) for part in (heard.lag, heard.noise))
         if sight is not None:
-            sight = Sight(*sight[:2], *(from_scenario(part, begin, all_of) for part in sight[2:]))
+            sight = SightLanes(
+                *sight[:2], *(from_scenario(part, begin, all_of) for part in sight[2:])
+            )
         return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
 
     def _rows(

@@ -23,7 +23,7 @@ from deadtime.imperfections import Limiting
 from deadtime.numerics.compiling import is_cached, is_kept, where_compiling_starts
 from deadtime.scenarios.kernel import run_scenarios
 from deadtime.scenarios.model_ahead import ModelAhead
-from deadtime.scenarios.prepare import Request, Runnable, prepare
+from deadtime.scenarios.prepare import BatchRequest, Runnable, prepare
 
 _CHECK = 0.02  # seconds between looks at it
 _LONGEST = 120.0  # seconds after which it is given up: several times what it takes
@@ -38,7 +38,7 @@ class Helper:
         Those laws; none where no helper would be of use.
     """
 
-    def __init__(self, request: Request, tables: Mapping[str, Runnable]) -> None:
+    def __init__(self, request: BatchRequest, tables: Mapping[str, Runnable]) -> None:
         self.laws = share_of(tables) if tables and _is_of_use(request) else frozenset[str]()
         self._request, self._asked, self._given_up = request, False, 0.0
         self._process: subprocess.Popen[bytes] | None = None
@@ -88,7 +88,7 @@ class Helper:
             self._process.stdin.flush()
 
 
-def _is_of_use(request: Request) -> bool:
+def _is_of_use(request: BatchRequest) -> bool:
     """Whether two can compile at once, for one another, and what `Engine.compile` compiles."""
     if processors() < 2 or not sys.executable or hasattr(sys, "frozen"):
         return False

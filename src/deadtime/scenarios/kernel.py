@@ -68,7 +68,7 @@ from deadtime.scenarios.hearing import (
     told_rows,
 )
 from deadtime.scenarios.law_rows import choose_rows, refill, sum_dense, window_of
-from deadtime.scenarios.layout import Plant, Run, Shape
+from deadtime.scenarios.layout import LoopSizes, PlantLanes, RunLanes
 from deadtime.scenarios.remembering import (
     correct,
     follow_modes,
@@ -87,7 +87,7 @@ _ONE = (0.0,)
 _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
 
 
-class Work(NamedTuple):
+class LaneScratch(NamedTuple):
     """Memory of eight scenarios, made before the loop: what makes arrays is dear to compile.
 
     figures : of all scenarios, by groups of eight, FIGURES + 2 vectors each
@@ -111,7 +111,9 @@ class Work(NamedTuple):
     acting: np.ndarray
 
 
-def work_of(shape: Shape, plant: Plant, run: Run, taps: int, carry: int, scenarios: int) -> Work:
+def work_of(
+    shape: LoopSizes, plant: PlantLanes, run: RunLanes, taps: int, carry: int, scenarios: int
+) -> LaneScratch:
     """Room for a loop whose law reads `taps` inputs and carries so many vectors."""
     n, m, wide = shape.x, shape.u, shape.z
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
@@ -120,7 +122,7 @@ def work_of(shape: Shape, plant: Plant, run: Run, taps: int, carry: int, scenari
     sizes = figures, period * m, n * wide + wide * (wide + 1) // 2, n, carry, 1
     vectors = [np.empty(size * LANES) for size in sizes]
     lanes = [np.empty(LANES, np.int64) for _ in range(5)]
-    return Work(*vectors, *lanes, np.empty(plant.lags.size, np.int64))
+    return LaneScratch(*vectors, *lanes, np.empty(plant.lags.size, np.int64))
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True, _nrt=False)

@@ -50,7 +50,7 @@ def refill(shape, factored, ring, period, now, carry):
         store(carry, r * asked * LANES, sums)
 
 
-class Window(NamedTuple):
+class RowWindow(NamedTuple):
     """Memory of dense rows.
 
     line : scenario by scenario, inputs twice over, so that N of them lie side by side wherever the
@@ -68,7 +68,7 @@ def window_of(shape, dense):
     """The memory of dense rows at time 0."""
     m, row = len(shape.u), np.zeros(LANES, np.int64)
     line = np.zeros((2 * dense.taps * m + LANES) * LANES)
-    return Window(line, np.empty(m * LANES), row, row.copy())
+    return RowWindow(line, np.empty(m * LANES), row, row.copy())
 
 
 @inner_kernel

@@ -14,7 +14,7 @@ KINDS = {"none": 0, "mode": 1, "mode_age": 2}  # what a table's rows go by
 
 
 @dataclass(frozen=True)
-class Shape:
+class LoopSizes:
     """The sizes of a loop, which compiled code knows as types: the lengths of tuples.
 
     x : states;  u : inputs;  both : states and the inputs of one sample;  pair : two inputs
@@ -61,9 +61,9 @@ class Shape:
 
     @cached_property
     def _numba_type_(self) -> Any:
-        from deadtime.numerics.lanes.code import Sizes
+        from deadtime.numerics.lanes.code import LaneSizes
 
-        return Sizes(asdict(self))
+        return LaneSizes(asdict(self))
 
 
 class Factored(NamedTuple):
@@ -99,7 +99,7 @@ class Dense(NamedTuple):
     ages: int
 
 
-class Memory(NamedTuple):
+class MemoryLanes(NamedTuple):
     """What moves the z of a law that remembers (`feedback.memory.Memory`).
 
     matrices : (modes, size), of each mode one after the other, flat: the map of its estimate over a
@@ -125,7 +125,7 @@ class Memory(NamedTuple):
     step: float
 
 
-class Bank(NamedTuple):
+class BankLanes(NamedTuple):
     """The filters of a law that weighs its rows by a belief from outputs (`feedback.bank`).
 
     form : BankForm
@@ -138,7 +138,7 @@ class Bank(NamedTuple):
     gains: np.ndarray
 
 
-class Plant(NamedTuple):
+class PlantLanes(NamedTuple):
     """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals laid on periods.
 
     See `records.Laid`.
@@ -153,7 +153,7 @@ class Plant(NamedTuple):
     age: np.ndarray
 
 
-class Run(NamedTuple):
+class RunLanes(NamedTuple):
     """samples, the weight of the last one's input, where the late half begins, x0, root.
 
     Energy is |root u|², root (m, m) flat, or |u|² where that is empty.
@@ -166,7 +166,7 @@ class Run(NamedTuple):
     root: np.ndarray
 
 
-class Clip(NamedTuple):
+class ClipLanes(NamedTuple):
     """Actuator a clips to [low[a], high[a]], relative to the input before where `rate[a]`."""
 
     rate: np.ndarray
@@ -193,7 +193,7 @@ class Relayed(NamedTuple):
     told: np.ndarray
 
 
-class Sight(NamedTuple):
+class SightLanes(NamedTuple):
     """Measurements within periods: from z, x and what acts in a period, to what is measured there.
 
     series : (row, degree·n·z), Σ_d M_d δ^d, M_d (n, z);  cuts : (row, n·z), one M each
@@ -213,4 +213,4 @@ class Hearing(NamedTuple):
     """What a law hears, None for all of it; `sight` is None where all is measured at samples."""
 
     relayed: Relayed | None = None
-    sight: Sight | None = None
+    sight: SightLanes | None = None

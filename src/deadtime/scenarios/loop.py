@@ -19,8 +19,8 @@ from deadtime.plant.steps import snap, snap_all
 from deadtime.scenarios.acting import Acting, acting_of
 from deadtime.scenarios.cut_periods import (
     WIDE,
+    CellSeries,
     Maps,
-    Tables,
     balanced_norm,
     pack,
     tables_of,
@@ -111,7 +111,7 @@ class Loop:
         return whole_periods(self.sampled, self.acting, self.weight)
 
     @cached_property
-    def tables(self) -> Tables | None:
+    def tables(self) -> CellSeries | None:
         """Cut periods as series; None for a plant so fast that they would be too long."""
         if self.cells > _CELLS:
             return None
@@ -161,7 +161,7 @@ class Loop:
         return Laid(records, maps, ages.astype(np.int64))
 
     def _fill_cuts(
-        self, maps: np.ndarray, records: Records, modes: np.ndarray, tables: Tables
+        self, maps: np.ndarray, records: Records, modes: np.ndarray, tables: CellSeries
     ) -> None:
         """Fill in the cut periods: with one switch from series, the others step by step."""
         from deadtime.scenarios.laid import compose_cuts, fill_switched

@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import memory as feedback
-from deadtime.scenarios.layout import Memory
+from deadtime.scenarios.layout import MemoryLanes
 
 
-def memory_form(memory: feedback.Memory, outputs: Float[np.ndarray, "mode p n"]) -> Memory:
+def memory_form(memory: feedback.Memory, outputs: Float[np.ndarray, "mode p n"]) -> MemoryLanes:
     """A memory with what moves it over whole periods; `outputs` is the C of the plant."""
     modes, p, n = memory.C.shape
     m, lags = memory.lag.shape[1], np.unique(memory.lag)[::-1]
@@ -25,7 +25,7 @@ def memory_form(memory: feedback.Memory, outputs: Float[np.ndarray, "mode p n"])
         rows.append(np.concatenate([np.ravel(part) for part in parts]))
     at_output = n * (n + lags.size * m)
     at_gain = at_output + p * n
-    return Memory(
+    return MemoryLanes(
         read_only(np.array(rows)),
         at_output,
         at_gain,

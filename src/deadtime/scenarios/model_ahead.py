@@ -12,7 +12,7 @@ from deadtime.feedback import Foresight
 from deadtime.feedback.law import TableLaw
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.cut_periods import compose, parts_of
-from deadtime.scenarios.foreseen import Model
+from deadtime.scenarios.foreseen import KnownSignalModel
 from deadtime.scenarios.laid import compose_cuts
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid, Records
@@ -37,29 +37,31 @@ class ModelAhead:
         self._rest = 0.0 if whole else window.phase
         self.loop = Loop(sampled, np.zeros(n), (samples - 1 + self._length) * window.step)
 
-    def lay(self, signals: SignalBatch) -> Model:
+    def lay(self, signals: SignalBatch) -> KnownSignalModel:
         """The model along signals; an error where one is not known as far as the law looks."""
         self._ask(signals[int(signals.end.argmin())])
         return self._own if self._law.foreseen is not None else self._lay(signals)
 
     @cached_property
-    def _own(self) -> Model:
+    def _own(self) -> KnownSignalModel:
         """The model along the signal that the law believes in, the same in all scenarios."""
         assert self._law.foreseen is not None
         return self._lay(SignalBatch.of([self._law.foreseen]))
 
-    def lay_nothing(self) -> Model:
+    def lay_nothing(self) -> KnownSignalModel:
         """The model along no signals, which compiles what `lay` needs but for the laying itself."""
         return self._model(self.loop.lay_nothing(), read_only(np.zeros(0, np.int64)))
 
-    def _lay(self, signals: SignalBatch) -> Model:
+    def _lay(self, signals: SignalBatch) -> KnownSignalModel:
         return self._model(self.loop.lay(signals), signals.modes)
 
-    def _model(self, laid: Laid, sampled: Int[np.ndarray, " sojourn"]) -> Model:
+    def _model(self, laid: Laid, sampled: Int[np.ndarray, " sojourn"]) -> KnownSignalModel:
         loop, records = self.loop, laid.records
         tails = np.concatenate((self._own_tails, self._tails_of_cuts(records, sampled)))
         first, step, which = records.first, records.step, records.map
-        return Model(self._length, loop.acting.lags, laid.maps, first, step, which, tails)
+        return KnownSignalModel(
+            self._length, loop.acting.lags, laid.maps, first, step, which, tails
+        )
 
     def _tails_of_cuts(
         self, records: Records, sampled: Int[np.ndarray, " sojourn"]

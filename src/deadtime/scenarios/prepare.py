@@ -13,17 +13,17 @@ from deadtime.feedback.memory import WithMemory, tables_of
 from deadtime.imperfections import Disturbance, Imperfection, Limiting, TimingImperfection
 from deadtime.imperfections.known import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.scenarios.engine import Engine, Table
+from deadtime.scenarios.engine import Engine, EngineTable
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.switching import SwitchingSignal
 
 _MOST_TERMS = 1500  # of straight-line code for a period of the plant
 
-Runnable = Table | ModelAhead  # the latter is a table along signals
+Runnable = EngineTable | ModelAhead  # the latter is a table along signals
 
 
-class Request(NamedTuple):
+class BatchRequest(NamedTuple):
     """What is to be run, apart from signals; each as in `run.compare`."""
 
     plant: SwitchedSystem
@@ -34,7 +34,7 @@ class Request(NamedTuple):
     imperfections: Sequence[Imperfection]
 
 
-def prepare(request: Request) -> tuple[Loop, Engine, dict[str, Runnable]]:
+def prepare(request: BatchRequest) -> tuple[Loop, Engine, dict[str, Runnable]]:
     """The loop, its engine, and the laws that this can run."""
     plant, laws, x0, horizon, step, imperfections = request
     forced = any(isinstance(one, Disturbance) for one in imperfections)
@@ -89,7 +89,7 @@ def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | None
     return engine.table(feedback)
 
 
-def _with_memory(engine: Engine, loop: Loop, law: Law, timed: bool) -> Table | None:
+def _with_memory(engine: Engine, loop: Loop, law: Law, timed: bool) -> EngineTable | None:
     """The same of a law that remembers; with measurements within periods, of one C for all modes.
 
     Its memory is filled for one run, but for what the modes of a run do to it.
@@ -109,7 +109,7 @@ def _with_memory(engine: Engine, loop: Loop, law: Law, timed: bool) -> Table | N
     return engine.remember(tables.feedback, tables.memory, C)
 
 
-def _with_belief(engine: Engine, loop: Loop, law: Law) -> Table | None:
+def _with_belief(engine: Engine, loop: Loop, law: Law) -> EngineTable | None:
     """The same of a law that weighs its rows by a belief."""
     tables = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1)
     if tables is None or tables.belief is None or tables.feedback is None:

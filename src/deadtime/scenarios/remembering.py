@@ -31,7 +31,7 @@ _ONE = (0.0,)
 _ROUND_OFF = 1e-9  # of an input: what differs by less was not refused
 
 
-class Kept(NamedTuple):
+class MemoryScratch(NamedTuple):
     """Memory of eight scenarios.
 
     own : the matrices of each one's mode, and `mode` which that is
@@ -69,7 +69,7 @@ def kept_of(shape, memory, samples, period):
             estimate[i * LANES + lane] = memory.start[i]
     sums, value = np.zeros(len(shape.sums) * LANES), np.zeros(len(shape.tracked) * LANES)
     nowhere = np.full(LANES, -1, np.int64)
-    return Kept(
+    return MemoryScratch(
         np.zeros(size * LANES),
         nowhere,
         np.zeros(memory.outputs.shape[1] * LANES),

@@ -193,7 +193,7 @@ def compare(
     """
     from deadtime.scenarios.engine import Engine
     from deadtime.scenarios.helper import Helper
-    from deadtime.scenarios.prepare import Request, prepare
+    from deadtime.scenarios.prepare import BatchRequest, prepare
 
     horizon, step = positive("horizon", horizon), positive("step", step)
     instance("plant", plant, SwitchedSystem)
@@ -209,7 +209,7 @@ def compare(
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
-    request = Request(plant, named, x0, horizon, step, imperfections)
+    request = BatchRequest(plant, named, x0, horizon, step, imperfections)
     loop, engine, tables = prepare(request)
     follow = [Followed.of(law) for law in named.values()]
     tracked = max((one.rows.shape[1] for one in follow if one is not None), default=0)

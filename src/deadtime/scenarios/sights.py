@@ -24,12 +24,12 @@ from deadtime.plant import SampledPlant
 from deadtime.scenarios.acting import acting_of
 from deadtime.scenarios.cut_periods import compose, nodes, parts_of, series_through, stack
 from deadtime.scenarios.drawn import InManyRuns, in_many_runs
-from deadtime.scenarios.layout import Sight
+from deadtime.scenarios.layout import SightLanes
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Records
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import groups
-from deadtime.simulation.compiled import Lags
+from deadtime.simulation.compiled import MeasurementLags
 from deadtime.switching import SignalBatch
 
 
@@ -119,7 +119,7 @@ class Sights:
             self.cuts.append(loop.moves(records, signals.modes, cut[:noted], when[:noted]))
         return reach
 
-    def sight(self) -> Sight | None:
+    def sight(self) -> SightLanes | None:
         """All that was laid."""
         if self.row is None or self.place is None or self.news is None:
             return None
@@ -127,7 +127,7 @@ class Sights:
         cuts = np.concatenate(self.cuts) if self.cuts else np.empty((0, *series.shape[2:]))
         # Where no switch comes before a measurement there are no cuts.
         flat = series.reshape(len(series), -1), cuts.reshape(len(cuts), math.prod(cuts.shape[1:]))
-        return Sight(*flat, self.row, self.place, self.news)
+        return SightLanes(*flat, self.row, self.place, self.news)
 
 
 @lru_cache(8)
@@ -152,11 +152,11 @@ def sight_series(
     return values[..., :size].reshape(-1, values.shape[2], plant.states, acting.wide).copy()
 
 
-def _sum(kinds: Sequence[InManyRuns], lags: Sequence[np.ndarray]) -> Lags:
+def _sum(kinds: Sequence[InManyRuns], lags: Sequence[np.ndarray]) -> MeasurementLags:
     """The lags of several, those that wait apart from the others."""
     sums = [np.zeros((1, 1)), np.zeros((1, 1))]
     for each, more in zip(kinds, lags, strict=True):
         assert isinstance(each.one, TimingImperfection)
         place = 0 if each.one.waits else 1
         sums[place] = sums[place] + more
-    return Lags(*sums)
+    return MeasurementLags(*sums)

@@ -51,7 +51,7 @@ class Source(ABC):
         """The signals of scenarios first, …, first + count − 1."""
 
 
-class Given(Source):
+class GivenSignals(Source):
     """A list of signals."""
 
     def __init__(self, signals: SignalBatch) -> None:
@@ -61,7 +61,7 @@ class Given(Source):
         return self._signals.slice(first, first + count)
 
 
-class Drawn(Source):
+class DrawnSignals(Source):
     """A model that draws whole batches: `Markov` and `SemiMarkov`."""
 
     def __init__(self, model: object, seed: int, reach: float, modes: int) -> None:
@@ -110,16 +110,16 @@ def source_of(
             "for one signal, write [signal]."
         )
     if isinstance(model, SignalBatch):
-        return Given(model.require_modes(modes)), len(model)
+        return GivenSignals(model.require_modes(modes)), len(model)
     if isinstance(model, Sequence):
         given = _check_list(model, modes)
-        return Given(SignalBatch.of(given)), len(given)
+        return GivenSignals(SignalBatch.of(given)), len(given)
     if isinstance(model, type) or not isinstance(model, SwitchingModel):
         raise ArgumentError(
             "model must have a method sample(horizon, seed) that returns a SwitchingSignal, or "
             f"be a list of signals, got {type(model).__name__}."
         )
-    kind = Drawn if callable(getattr(model, "draw", None)) else Sampled
+    kind = DrawnSignals if callable(getattr(model, "draw", None)) else Sampled
     return kind(model, seed, reach, modes), scenarios
 
 

@@ -55,7 +55,7 @@ def no_clip(inputs: int) -> Clip:
     return Clip(*map(read_only, (*np.empty((2, 0, inputs)), np.empty(0, np.bool_))))
 
 
-class Lags(NamedTuple):
+class MeasurementLags(NamedTuple):
     """How long before its sample each state is measured, seconds.
 
     missing : (samples,), of which what was before time 0 is missing
@@ -76,7 +76,7 @@ class Lags(NamedTuple):
         return step, (ratio - whole) * h
 
     @classmethod
-    def of(cls, pairs: Pairs, sizes: Sizes, samples: int) -> Lags | None:
+    def of(cls, pairs: Pairs, sizes: Sizes, samples: int) -> MeasurementLags | None:
         """The lags of a run, None where every state is measured at its sample."""
         timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
         if not timings:
@@ -114,7 +114,7 @@ class Arrays(NamedTuple):
     """
 
     heard: Heard
-    lags: Lags | None
+    lags: MeasurementLags | None
     clip: Clip
     commanded: bool
 
@@ -122,7 +122,7 @@ class Arrays(NamedTuple):
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> Arrays:
         """The arrays of a run; everything random is drawn from the streams."""
         commanded, heard = tells_commands(predict), heard_of(pairs, sizes, samples)
-        lags = Lags.of(pairs, sizes, samples)
+        lags = MeasurementLags.of(pairs, sizes, samples)
         return cls(heard, lags, Clip.of(pairs, sizes), commanded)
 
 

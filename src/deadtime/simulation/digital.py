@@ -20,7 +20,7 @@ from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.foreseen import Along, Foreseen
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.imperfect import Told
-from deadtime.simulation.loop_arrays import Grid, Line, Rows
+from deadtime.simulation.loop_arrays import DelayLine, Grid, Rows
 from deadtime.simulation.record import DigitalRecord
 from deadtime.simulation.sight import Sight
 from deadtime.switching import SwitchingSignal
@@ -31,7 +31,7 @@ Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and th
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class RunOutcome:
     """What a run leaves behind.
 
     Attributes
@@ -68,7 +68,7 @@ def run_table(
     grid: Grid,
     arrays: Arrays | None = None,
     disturbances: Drawn = (),
-) -> Outcome:
+) -> RunOutcome:
     """Run a law by its tables, or what imperfections make of it, along a signal."""
     from deadtime.simulation.kernel import closed_loop
 
@@ -89,7 +89,7 @@ def run_table(
     rows = _rows(tables, modes, initial_age(signal, step), arrays)
     sight = Sight.of(arrays, sampled, table, cuts, forces, through, law.outputs, modes)
     measured = x0.size if law.outputs is None else law.outputs.shape[1]
-    line = Line.of(grid, arrays, measured, 0 if memory is None else memory.start.size)
+    line = DelayLine.of(grid, arrays, measured, 0 if memory is None else memory.start.size)
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
     along = Along(sampled, signal, table)
     foreseen = Foreseen.of(tables.foresight, samples, along) if tables.foresight else None
@@ -116,7 +116,7 @@ def run_table(
         estimates = None if memory is None else line.estimates[:kept]
         told = Told(line.measured[:kept], line.asked[past : past + kept], estimates)
     trace = None if state is None else state.trace[:kept]
-    return Outcome(record, signal, mode_at, end, diverged, told=told, belief=trace)
+    return RunOutcome(record, signal, mode_at, end, diverged, told=told, belief=trace)
 
 
 def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) -> Rows:

@@ -23,7 +23,7 @@ REFERENCE: dict[str, Any] = {
 }  # fmt: skip
 
 
-class Run(Protocol):
+class PlottedRun(Protocol):
     """What the figure reads of a `Trajectory`."""
 
     @property
@@ -74,7 +74,7 @@ def signal_steps(signal: SwitchingSignal, end: float) -> tuple[np.ndarray, np.nd
 
 
 def plot_run(
-    run: Run,
+    run: PlottedRun,
     title: str | None = None,
     states: Sequence[str] | None = None,
     modes: Sequence[str] | None = None,
@@ -121,7 +121,7 @@ def plot_run(
 
 
 def references(
-    run: Run,
+    run: PlottedRun,
 ) -> tuple[dict[int, np.ndarray], list[tuple[int, np.ndarray, np.ndarray]]]:
     """References by the state that follows them; and of other outputs number, output, reference."""
     beside, others = {}, []

@@ -15,7 +15,7 @@ from deadtime.imperfections import (
     SensorImperfection,
     Sizes,
 )
-from deadtime.simulation.compiled import Lags, tells_commands
+from deadtime.simulation.compiled import MeasurementLags, tells_commands
 
 
 class Told(NamedTuple):
@@ -68,7 +68,7 @@ class ImperfectLaw:
         self._actuators = [
             each.actuator(sizes) for each, _ in pairs if isinstance(each, ActuatorImperfection)
         ]
-        self.lags = Lags.of(pairs, sizes, samples)
+        self.lags = MeasurementLags.of(pairs, sizes, samples)
         self.update = update
         self._line: np.ndarray | None = None
         self._mode, self._age = -1, 0

@@ -8,6 +8,7 @@ from deadtime.estimation.belief_kernel import believe
 from deadtime.estimation.kernel import remember
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
+from deadtime.plant.cut_pieces import up_to
 from deadtime.simulation.foreseen import foresee
 from deadtime.simulation.loop_arrays import LIMIT
 from deadtime.simulation.plain_loop import bare_loop, is_bare

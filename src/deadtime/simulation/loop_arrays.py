@@ -28,7 +28,7 @@ class Rows(NamedTuple):
     mode: np.ndarray
 
 
-class Line(NamedTuple):
+class DelayLine(NamedTuple):
     """What goes into the delay line, (past + samples, m), u_k in row past + k, and comes before.
 
     The law asks for `asked`, the plant is given `inputs`, and the law is `told` past inputs: all
@@ -44,7 +44,7 @@ class Line(NamedTuple):
     estimates: np.ndarray
 
     @classmethod
-    def of(cls, grid: Grid, arrays: Arrays | None, measured: int, remembered: int) -> Line:
+    def of(cls, grid: Grid, arrays: Arrays | None, measured: int, remembered: int) -> DelayLine:
         """A line before its run, for states or outputs and a memory of these sizes."""
         inputs, samples = grid.inputs, grid.samples
         limited = arrays is not None and arrays.clip.relative.size

@@ -19,8 +19,8 @@ from deadtime.feedback import Law
 from deadtime.feedback.belief import Believing
 from deadtime.feedback.law import Update, require_input
 from deadtime.plant.steps import snap
-from deadtime.simulation.compiled import Lags
-from deadtime.simulation.digital import Drawn, Outcome, initial_age
+from deadtime.simulation.compiled import MeasurementLags
+from deadtime.simulation.digital import Drawn, RunOutcome, initial_age
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.loop_arrays import Grid
 from deadtime.simulation.record import DigitalRecord
@@ -46,7 +46,7 @@ def run_online(
     grid: Grid,
     imperfect: ImperfectLaw | None = None,
     disturbances: Drawn = (),
-) -> Outcome:
+) -> RunOutcome:
     """Run a law, or what imperfections make of it, along a signal or under a rule, by periods."""
     sampled, step = grid.sampled, grid.sampled.step
     if isinstance(switching, SwitchingSignal):
@@ -85,7 +85,7 @@ def run_online(
         note = f"{note} {slid}".strip()
     if truth.chatter is not None:
         note = _join(note, truth, end)
-    return Outcome(
+    return RunOutcome(
         record,
         signal,
         lambda time: modes_at(signal, time, step),
@@ -105,7 +105,7 @@ def _belief(update: Update, kept: int) -> np.ndarray | None:
 def _run(
     truth: Truth,
     update: Update,
-    lags: Lags | None,
+    lags: MeasurementLags | None,
     age: int,
     x0: np.ndarray,
     horizon: float,
@@ -147,7 +147,7 @@ def _run(
 def _before(
     truth: Truth,
     k: int,
-    lags: Lags,
+    lags: MeasurementLags,
     path: list[np.ndarray],
     first: list[int],
     grid: Grid,

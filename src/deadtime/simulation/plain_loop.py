@@ -13,21 +13,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.plant.pieces import PieceTable
-from deadtime.simulation.loop_arrays import LIMIT, Line, Rows
+from deadtime.simulation.loop_arrays import LIMIT, DelayLine, Rows
 
 if TYPE_CHECKING:
     from deadtime.simulation.compiled import Clip
     from deadtime.simulation.sight import Sight
 
 
-def is_bare(table: PieceTable, line: Line, sight: Sight, clip: Clip, shift: np.ndarray) -> bool:
+def is_bare(
+    table: PieceTable, line: DelayLine, sight: Sight, clip: Clip, shift: np.ndarray
+) -> bool:
     """Whether every sample is told the state there, and the plant given what the law asks for."""
     seen = not (sight.noise.size or sight.C.shape[1]) and (sight.way < 0).all()
     given = line.told is line.inputs is line.asked and not (clip.relative.size or shift.size)
     return bool(given and seen and np.array_equal(sight.piece, table.first[: sight.piece.size]))
 
 
-def bare_loop(table: PieceTable, rows: Rows, line: Line, x0: np.ndarray) -> tuple[int, np.ndarray]:
+def bare_loop(
+    table: PieceTable, rows: Rows, line: DelayLine, x0: np.ndarray
+) -> tuple[int, np.ndarray]:
     """`closed_loop` of a run that `is_bare`, by rows: it fills `line` and returns the same."""
     past, m, samples = line.past, line.inputs.shape[1], rows.row.size
     first, entry, row = table.first.tolist(), table.entry.tolist(), rows.row.tolist()
@@ -54,7 +58,7 @@ def bare_loop(table: PieceTable, rows: Rows, line: Line, x0: np.ndarray) -> tupl
 
 
 def _filled(
-    line: Line, samples: int, flat: list[float], path: list[list[float]]
+    line: DelayLine, samples: int, flat: list[float], path: list[list[float]]
 ) -> tuple[int, np.ndarray]:
     """What `closed_loop` returns, its inputs in their line."""
     line.inputs[line.past : line.past + samples] = np.reshape(

@@ -11,7 +11,7 @@ from deadtime.base.checks import read_only
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import Cuts
-from deadtime.simulation.compiled import Arrays, Lags
+from deadtime.simulation.compiled import Arrays, MeasurementLags
 
 
 class Sight(NamedTuple):
@@ -69,7 +69,7 @@ class Sight(NamedTuple):
 
 
 def _within(
-    lags: Lags,
+    lags: MeasurementLags,
     heard: np.ndarray,
     sampled: SampledPlant,
     table: PieceTable,

@@ -25,7 +25,7 @@ from deadtime.imperfections import (
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.simulation.compiled import Arrays, Pairs, takes
-from deadtime.simulation.digital import Drawn, Outcome, run_table
+from deadtime.simulation.digital import Drawn, RunOutcome, run_table
 from deadtime.simulation.ideal.rule import run_ideal_rule
 from deadtime.simulation.ideal.run import run_ideal
 from deadtime.simulation.imperfect import ImperfectLaw
@@ -191,7 +191,7 @@ def _ideal(
     x0: np.ndarray,
     horizon: float,
     u0: InitialInput,
-) -> Outcome:
+) -> RunOutcome:
     """The ideal run."""
     delay = plant.longest_delay
     if horizon < TOLERANCE * delay:
@@ -205,7 +205,7 @@ def _ideal(
     history = input_function(u0, plant.inputs, max(delay, law.plant.longest_delay))
     record, end = run_ideal(plant, believed, switching, x0, horizon, history)
     # A time within round-off before a switch is at it, as in the record.
-    return Outcome(
+    return RunOutcome(
         record,
         switching,
         lambda time: switching(time + record.states.slack),
@@ -224,7 +224,7 @@ def _digital(
     others: Pairs,
     predict: str,
     disturbances: Drawn,
-) -> Outcome:
+) -> RunOutcome:
     """The digital run: at once for a law with tables on a known signal, else period by period."""
     step, imperfect = grid.sampled.step, None
     measured = plant.states if law.outputs is None else law.outputs.shape[1]
@@ -282,7 +282,7 @@ def _check_times(times: ArrayLike, horizon: float) -> np.ndarray:
     return asked
 
 
-def _message(outcome: Outcome, end: float, horizon: float) -> str:
+def _message(outcome: RunOutcome, end: float, horizon: float) -> str:
     notes, signal = [], outcome.signal
     if outcome.diverged:
         notes.append(f"diverged: |x| left 1e100 after t = {end:g} s, where the run ends.")

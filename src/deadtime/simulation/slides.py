@@ -20,7 +20,7 @@ _NODES = 10
 _JOINED = 1e-6  # of a step: slides that close are one
 
 
-class Part(NamedTuple):
+class SlidePart(NamedTuple):
     """A part of a step in one motion: seconds from the step's start, the motion, what acts."""
 
     begin: float
@@ -42,7 +42,7 @@ class Slides:
     """The steps that slide, by number; filled by the run."""
 
     motion: Motion
-    steps: dict[int, list[Part]]
+    steps: dict[int, list[SlidePart]]
 
     def state_at(self, k: int, offset: float) -> Float[np.ndarray, " n"]:
         """x at t_k + offset."""

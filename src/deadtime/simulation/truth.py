@@ -16,7 +16,7 @@ from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import TOLERANCE, Cuts, snap
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.forcing import Forcing
-from deadtime.simulation.slides import Part, Slides
+from deadtime.simulation.slides import SlidePart, Slides
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 from deadtime.switching.rules.motion import Beside, Chatter, Leg
@@ -163,7 +163,7 @@ class RuleTruth(Truth):
         self._modes = [self._motion.mode_of(self._place)]
         self._beside: Beside | None = None
         self._crossings: dict[tuple[int, float], np.ndarray] = {}
-        self._parts: list[Part] = []
+        self._parts: list[SlidePart] = []
         self.slides = Slides(self._motion, {})
 
     def lags(self, k: int) -> list[np.ndarray]:
@@ -206,7 +206,8 @@ class RuleTruth(Truth):
         begin, stop, _ = self._stretches[piece]
         ends = [leg.time for leg in legs[1:]] + [stop - begin]
         self._parts += [
-            Part(begin + leg.time, begin + end, leg, u) for leg, end in zip(legs, ends, strict=True)
+            SlidePart(begin + leg.time, begin + end, leg, u)
+            for leg, end in zip(legs, ends, strict=True)
         ]
         if self.slides is not None and any(leg.beside for leg in legs):
             self.slides.steps[k] = self._parts

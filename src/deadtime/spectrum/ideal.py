@@ -21,7 +21,7 @@ from jaxtyping import Complex, Float
 from deadtime.feedback import Law
 from deadtime.feedback.table import require_finite_gains
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.memory import Window, weights, windows_of
+from deadtime.spectrum.memory import LawWindow, weights, windows_of
 from deadtime.switching import SwitchingSignal
 
 _TERMS = 60
@@ -50,7 +50,7 @@ class IdealLoop:
     B: Float[np.ndarray, "n m"]
     delays: Float[np.ndarray, " m"]
     F: Float[np.ndarray, "m n"]
-    windows: tuple[Window, ...]
+    windows: tuple[LawWindow, ...]
     tau: Float[np.ndarray, " node"]
     taps: Float[np.ndarray, "node m m"]
     near: float

@@ -31,7 +31,7 @@ _NODES, _RATE = 16, 8.0
 _MOST_PANELS = 100_000
 
 
-class Window(NamedTuple):
+class LawWindow(NamedTuple):
     """One window of a law on its past inputs.
 
     C : (m, q), S : (q, q), R : (q, m);  near, far : α ≤ β, seconds;
@@ -48,7 +48,7 @@ class Window(NamedTuple):
     @classmethod
     def balanced(
         cls, C: np.ndarray, S: np.ndarray, R: np.ndarray, near: float, far: float
-    ) -> Window:
+    ) -> LawWindow:
         """A window in balanced states."""
         from deadtime.numerics.exponential import balance, discretise
 
@@ -72,17 +72,17 @@ class Window(NamedTuple):
 
 def windows_of(
     law: Forecast | Functional | Outlook, units: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "m n"], tuple[Window, ...]]:
+) -> tuple[Float[np.ndarray, "m n"], tuple[LawWindow, ...]]:
     """F, of a state x in units of its own, and the windows of a law with its mode held."""
     law = law.settled if isinstance(law, Outlook) else law
     if isinstance(law, Functional):
         row = int(law.row(np.zeros(1))[0])
         pieces = zip(law.C[row], law.S, law.R, law.near.tolist(), law.far.tolist(), strict=True)
-        return law.F[row] * units, tuple(Window.balanced(*piece) for piece in pieces)
+        return law.F[row] * units, tuple(LawWindow.balanced(*piece) for piece in pieces)
     from deadtime.numerics.exponential import balance
 
     K, S, R, L = _terms_in_aged_mode(law)
-    window = Window.balanced(K, S, R, 0.0, law.lead)
+    window = LawWindow.balanced(K, S, R, 0.0, law.lead)
     return window.ending @ (L * units / balance(S)[:, None]), (window,)
 
 
@@ -105,7 +105,7 @@ def _terms_in_aged_mode(
 
 
 def weights(
-    windows: Sequence[Window], rate: float
+    windows: Sequence[LawWindow], rate: float
 ) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node m m"]]:
     """τ_j and the taps that integrate all windows against functions of a rate in 1/s.
 
@@ -118,7 +118,7 @@ def weights(
     return np.concatenate(tau), np.concatenate(taps)
 
 
-def _weights(window: Window, rate: float) -> tuple[np.ndarray, np.ndarray]:
+def _weights(window: LawWindow, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """The nodes of one window, and their taps."""
     from deadtime.numerics.exponential import discretise
 

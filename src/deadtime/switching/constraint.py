@@ -30,13 +30,20 @@ ROUND_OFF = 1e-9  # of a dwell time, which a sum of times may miss
 
 
 @runtime_checkable
-class Sojourns(Protocol):
+class TimedModes(Protocol):
     """A signal as a constraint reads it: times and modes of its sojourns, see `SwitchingSignal`."""
 
-    times: Float[np.ndarray, " sojourn"]
-    modes: Int[np.ndarray, " sojourn"]
-    end: float
-    initial_age: float
+    @property
+    def times(self) -> Float[np.ndarray, " sojourn"]: ...
+
+    @property
+    def modes(self) -> Int[np.ndarray, " sojourn"]: ...
+
+    @property
+    def end(self) -> float: ...
+
+    @property
+    def initial_age(self) -> float: ...
 
     def require_modes(self, modes: int) -> Any:
         """Refuse modes beyond so many."""
@@ -189,7 +196,7 @@ class SwitchingConstraint:
         ]
         return stays, f"switches at any time, but only so: {', '.join(ways)}"
 
-    def require(self, signal: Sojourns, tolerance: float = ROUND_OFF) -> None:
+    def require(self, signal: TimedModes, tolerance: float = ROUND_OFF) -> None:
         """Refuse a signal that is not admissible, by the first switch or sojourn that is not.
 
         Sojourns may be shorter and longer by the part `tolerance`, as a clock counts them.

@@ -20,7 +20,7 @@ from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
 from deadtime.synthesis.assess import WIDEST, assess
 from deadtime.synthesis.exact import Exact
-from deadtime.synthesis.families import Choice, Family
+from deadtime.synthesis.families import Choice, ChoiceFamily
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.initial_states import InitialStates
 from deadtime.synthesis.input_peak import Source, check_initial, largest_inputs, limits_asked
@@ -33,7 +33,7 @@ from deadtime.synthesis.request import (
     require_table,
 )
 from deadtime.synthesis.result import Design, TradeOff
-from deadtime.synthesis.search import MakeLaw, Search, Tried
+from deadtime.synthesis.search import DesignSearch, MakeLaw, Tried
 from deadtime.synthesis.stationary_noise import StationaryNoise
 from deadtime.synthesis.strategy import pairs_of, spend
 from deadtime.synthesis.units import unit_hints
@@ -154,7 +154,7 @@ def design(
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     plain = _plain(plant, first, step, cost == "worst", weight, initial)
-    search = Search(
+    search = DesignSearch(
         plant, make, cost == "worst", budget, dearest, floors, weight, progress=progress
     )
     pairs = pairs_of(search, filtered, step, longest_step)
@@ -197,7 +197,7 @@ def _point(
 
 
 def _plain_candidate(
-    plain: TradeOff, family: Family, step: float, gains: np.ndarray, floors: Floors
+    plain: TradeOff, family: ChoiceFamily, step: float, gains: np.ndarray, floors: Floors
 ) -> Tried:
     """The plain design as the first of the candidates, with parameters of gains close to it."""
     return Tried(

@@ -8,7 +8,7 @@ from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.synthesis.input_peak import largest_inputs
 from deadtime.synthesis.result import TradeOff
-from deadtime.synthesis.search import Search, Tried
+from deadtime.synthesis.search import DesignSearch, Tried
 
 _CHECKED = 10  # designs looked at exactly for the one that comes nearest
 _ERRS = 3e-3  # of a shortfall: what its estimate may err by
@@ -20,7 +20,7 @@ _WIDE = 2.0  # relative: margins beyond are not told apart in the trade-off
 class Exact:
     """Exact margins of what a search tried, each computed once."""
 
-    def __init__(self, plant: SwitchedSystem, search: Search) -> None:
+    def __init__(self, plant: SwitchedSystem, search: DesignSearch) -> None:
         self.plant = plant
         self.search = search
         self.known: dict[int, DelayMargin] = {}

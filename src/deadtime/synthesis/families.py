@@ -36,7 +36,7 @@ class Choice(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class Family(ABC):
+class ChoiceFamily(ABC):
     """Parameters (modes, size) to a `Choice`."""
 
     plant: SwitchedSystem
@@ -85,7 +85,7 @@ class Family(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Poles(Family):
+class Poles(ChoiceFamily):
     """Poles for one input, as factors s² + 2ζω s + ω² and, of an odd count, s + ω; log ω, log ζ."""
 
     @property
@@ -165,7 +165,7 @@ class Poles(Family):
 
 
 @dataclass(frozen=True, eq=False)
-class Weights(Family):
+class Weights(ChoiceFamily):
     """LQR weights Q = diag, R = diag (1, …), and with a filter that of (D du/dt)²."""
 
     @property

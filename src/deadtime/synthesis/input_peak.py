@@ -35,7 +35,7 @@ from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import LiftedLoop, aged_row, growth_rate, least_growth
 from deadtime.synthesis.initial_states import InitialStates
-from deadtime.synthesis.price import Periods, periods_of
+from deadtime.synthesis.price import HeldLoop, periods_of
 from deadtime.synthesis.stationary_noise import StationaryNoise, level_of
 
 Source = InitialStates | StationaryNoise  # what moves the inputs
@@ -259,7 +259,7 @@ def error_rows(
 
 
 def _responses(
-    one: Periods,
+    one: HeldLoop,
     states: Float[np.ndarray, "n n"],
     sent: Float[np.ndarray, "n m"] | None = None,
 ) -> Float[np.ndarray, "k m n"] | None:

@@ -86,7 +86,7 @@ def cost_and_growth(
     return total / plant.states, growth
 
 
-class Periods(NamedTuple):
+class HeldLoop(NamedTuple):
     """A loop with one mode held, as its compiled runs take it.
 
     Phi, Gamma, lags, lengths : of the pieces of a period
@@ -103,7 +103,7 @@ class Periods(NamedTuple):
     block: int
 
 
-def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> Periods:
+def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> HeldLoop:
     """One mode of a plant under the row of a mode that has been held throughout."""
     pieces = SampledPlant(plant, feedback.step).pieces(mode)
     Phi, Gamma = np.stack([one.Phi for one in pieces]), np.stack([one.Gamma for one in pieces])
@@ -114,4 +114,4 @@ def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> Periods:
     taps, m, _ = G.shape
     G = np.array(G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
     block = max(taps, int(lags.max()), _SHORTEST)
-    return Periods(Phi, Gamma, lags, lengths, F, G, block)
+    return HeldLoop(Phi, Gamma, lags, lengths, F, G, block)

@@ -16,7 +16,7 @@ from deadtime.feedback import Law
 from deadtime.laws import LowPassPredictor
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.synthesis.assess import assess
-from deadtime.synthesis.families import Choice, Family
+from deadtime.synthesis.families import Choice, ChoiceFamily
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.input_peak import largest_inputs
 
@@ -40,7 +40,7 @@ class Tried:
     load : the largest input beside its limit; 0 where none is asked for
     """
 
-    family: Family
+    family: ChoiceFamily
     step: float
     parameters: np.ndarray
     choice: Choice
@@ -52,7 +52,7 @@ class Tried:
 
 
 @dataclass
-class Search:
+class DesignSearch:
     """The state of a search: what is asked, what it may spend, and what it has tried."""
 
     plant: SwitchedSystem
@@ -79,7 +79,7 @@ class Search:
         """The cheapest design's cost, ∞ without one."""
         return min((one.cost for one in self.tried), default=math.inf)
 
-    def evaluate(self, family: Family, step: float, parameters: np.ndarray) -> Tried | None:
+    def evaluate(self, family: ChoiceFamily, step: float, parameters: np.ndarray) -> Tried | None:
         """Try parameters (modes, size); None where they make no law. `Spent` when that is over."""
         if self.spent >= self.budget:
             raise Spent
@@ -105,7 +105,9 @@ class Search:
             return 0.0
         return self.floors.load(largest_inputs(self.plant, law, step, self.floors.initial))
 
-    def samples(self, family: Family, step: float, count: int, rng: np.random.Generator) -> None:
+    def samples(
+        self, family: ChoiceFamily, step: float, count: int, rng: np.random.Generator
+    ) -> None:
         """A Latin hypercube over the family's box, the same parameters for all modes."""
         low, high = family.box
         cells = np.stack([rng.permutation(count) for _ in low], axis=1)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadtime.synthesis.families import Family, Poles, Weights
-from deadtime.synthesis.search import Merit, Search, Spent, Tried
+from deadtime.synthesis.families import ChoiceFamily, Poles, Weights
+from deadtime.synthesis.search import DesignSearch, Merit, Spent, Tried
 
 _ROUND = 50  # trials in the first round
 _SAMPLED = 0.2  # of a round
@@ -18,8 +18,8 @@ _LONGER = (1, 2, 5, 10, 20, 50, 100)  # times the step: what is tried where long
 
 
 def pairs_of(
-    search: Search, filtered: bool | None, step: float, longest_step: float | None
-) -> list[tuple[Family, float]]:
+    search: DesignSearch, filtered: bool | None, step: float, longest_step: float | None
+) -> list[tuple[ChoiceFamily, float]]:
     """What is varied: families of parameters and periods."""
     kinds = [False, True] if filtered is None else [filtered]
     family = Poles if search.plant.inputs == 1 else Weights
@@ -30,8 +30,8 @@ def pairs_of(
 
 
 def spend(
-    search: Search,
-    pairs: Sequence[tuple[Family, float]],
+    search: DesignSearch,
+    pairs: Sequence[tuple[ChoiceFamily, float]],
     gains: np.ndarray,
     rng: np.random.Generator,
 ) -> None:
@@ -52,8 +52,8 @@ def spend(
 
 
 def _round(
-    search: Search,
-    pairs: Sequence[tuple[Family, float]],
+    search: DesignSearch,
+    pairs: Sequence[tuple[ChoiceFamily, float]],
     end: int,
     size: int,
     rng: np.random.Generator,
@@ -78,7 +78,7 @@ def _round(
                 search.polish(start, merit, per_mode, int(part * left / 3.0) + 10, simplex)
 
 
-def _distinct(search: Search, merit: Merit, most: int) -> list[Tried]:
+def _distinct(search: DesignSearch, merit: Merit, most: int) -> list[Tried]:
     """The best of each family and step, the best of all first."""
     best: list[Tried] = []
     for one in search.ranking(merit):

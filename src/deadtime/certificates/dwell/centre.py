@@ -25,7 +25,7 @@ DENSE = 1500  # order up to which all eigenvectors are computed
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class CentreFloats:
     """A centre with its matrices in floats, for the search.
 
     Attributes
@@ -47,7 +47,7 @@ class Model:
     rest: np.ndarray
 
     @classmethod
-    def of(cls, setting: Setting, eigenvectors: tuple[int, ...], rank: int) -> Model:
+    def of(cls, setting: Setting, eigenvectors: tuple[int, ...], rank: int) -> CentreFloats:
         """The model with so many left eigenvectors per mode and directions of the rows."""
         family: Any = setting.family
         full = [family.sample(family.orders(i, i)[0], 0.0, 0.5) for i in range(setting.A.shape[1])]
@@ -71,7 +71,7 @@ class Model:
     @classmethod
     def _lay_out(
         cls, setting: Setting, centre: Centre, eigenvectors: tuple[int, ...], rest: np.ndarray
-    ) -> Model:
+    ) -> CentreFloats:
         channels = Channels.of(setting, centre)
         whole = channels.shift(setting.inputs)
         d = setting.order
@@ -181,7 +181,7 @@ def _dominant(M: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _filter(
     setting: Setting,
-    model: Model,
+    model: CentreFloats,
     channels: Channels,
     blocks: list[tuple[np.ndarray, np.ndarray]],
     full: list[np.ndarray],

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.dwell.centre import CentreFloats
 from deadtime.certificates.proof.evidence import Evidence
 
 ALL = 10**6
@@ -23,12 +23,12 @@ NONE, HARDLY = 1e-13, 1e-6
 WEIGHT_NONE, WEIGHT_HARDLY = 1e6, 1.0
 
 
-def extend(evidence: Evidence, model: Model, slack: np.ndarray) -> Evidence | None:
+def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:
     """The same P and S with all directions of the rows, and Π from P; None where that fails."""
     from scipy.linalg import cho_factor, cho_solve, null_space
 
     setting = evidence.setting
-    full = Model.of(setting, model.eigenvectors, ALL)
+    full = CentreFloats.of(setting, model.eigenvectors, ALL)
     P, rho, d = evidence.P, evidence.rho, setting.order
     moved = np.concatenate((full.M, full.B), axis=1) / rho
     form = -moved.T @ P @ moved

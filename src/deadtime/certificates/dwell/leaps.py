@@ -13,7 +13,7 @@ import numpy as np
 
 from deadtime.certificates.dwell.centre import loop_matrix
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.transitions import Stretch, Transition
+from deadtime.certificates.proof.transitions import NodeStretch, Transition
 
 Node = tuple[int, int]  # (place: mode and lost samples, which knot)
 
@@ -22,7 +22,7 @@ Node = tuple[int, int]  # (place: mode and lost samples, which knot)
 class Leap:
     """A stretch at one instant of its switch: ξ after it is M ξ."""
 
-    stretch: Stretch
+    stretch: NodeStretch
     M: np.ndarray
     setting: Setting
 
@@ -56,7 +56,7 @@ class Leaps:
         self.known: dict[tuple[int, int, int], np.ndarray] = {}
         self.followed: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
 
-    def of(self, stretch: Stretch, instants: tuple[float, ...] | None = None) -> list[Leap]:
+    def of(self, stretch: NodeStretch, instants: tuple[float, ...] | None = None) -> list[Leap]:
         """Leaps at fractions of the period at which it switches; by default at both ends."""
         step = stretch.step
         before = self.full(step.mode, step.age - stretch.waits, step.age)

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.dwell.centre import CentreFloats
 from deadtime.certificates.dwell.cones import STOPPED, maximise, squares
-from deadtime.certificates.dwell.response import Response
+from deadtime.certificates.dwell.response import ResponseForms
 from deadtime.certificates.proof.ellipsoid import Sway
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.numerics.lmi import pack, packing, unpack
@@ -63,7 +63,7 @@ class Units:
     q: float
 
     @classmethod
-    def of(cls, model: Model, found: Response, samples: list[Sample]) -> Units:
+    def of(cls, model: CentreFloats, found: ResponseForms, samples: list[Sample]) -> Units:
         """Units in which the numbers of the program are about 1."""
         n = model.setting.states
         deltas = np.stack([sample.delta for sample in samples])
@@ -77,7 +77,7 @@ class Units:
         q = np.linalg.norm(found.Q * w * w[:, None], axis=(1, 2)).max()
         return cls(v, w, max(float(q), 1e-300))
 
-    def of_signals(self, found: Response) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def of_signals(self, found: ResponseForms) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(Y, weight, rest) of the frequencies, in these units; δ in the last one of w."""
         count, _, w = found.V.shape
         eye = np.broadcast_to(np.eye(w), (count, w, w))
@@ -103,8 +103,8 @@ class Solution:
 
 
 def solve(
-    model: Model,
-    found: Response,
+    model: CentreFloats,
+    found: ResponseForms,
     samples: list[Sample],
     units: Units,
     knots: tuple[int, ...],
@@ -168,7 +168,7 @@ def _at_frequencies(
 
 
 def _at_step(
-    model: Model,
+    model: CentreFloats,
     sample: Sample,
     units: Units,
     knots: tuple[int, ...],

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.dwell.centre import CentreFloats
 
 
-class Response(NamedTuple):
+class ResponseForms(NamedTuple):
     """V (f, v, w) = v(z); Q (f, w, w) = Ξ* Q₀ Ξ with Q₀ = diag(I, h I), Ξ = ξ(z); and rest
     (f, w, w) = |rest Ξ|², what is left of the rows."""
 
@@ -38,17 +38,17 @@ def fine_frequencies(held: int, step: float, delay: float) -> np.ndarray:
     )
 
 
-def response(model: Model, angles: np.ndarray, rho: float) -> Response:
+def response(model: CentreFloats, angles: np.ndarray, rho: float) -> ResponseForms:
     """V and Q at z = ρ e^{iω}, ω the angles."""
     chunk = max(1, int(4e7 / (16 * model.setting.past)))
     parts = [
         _response(model, rho * np.exp(1j * angles[at : at + chunk]))
         for at in range(0, len(angles), chunk)
     ]
-    return Response(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return ResponseForms(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
-def _response(model: Model, z: np.ndarray) -> Response:
+def _response(model: CentreFloats, z: np.ndarray) -> ResponseForms:
     setting, centre, channels = model.setting, model.centre, model.channels
     n, m, W, q = setting.states, setting.inputs, setting.past, setting.memory
     w, s = channels.D.shape[1], n + q
@@ -72,7 +72,7 @@ def _response(model: Model, z: np.ndarray) -> Response:
     seen = C[:, :s] @ X + from_inputs @ U
     V, left = seen[:, : len(channels.C)] + channels.D, seen[:, len(channels.C) :]
     Q = _square(X) + setting.step * (np.abs(powers) ** 2).sum(axis=1)[:, None, None] * _square(U)
-    return Response(V, Q, _square(left))
+    return ResponseForms(V, Q, _square(left))
 
 
 def _square(X: np.ndarray) -> np.ndarray:

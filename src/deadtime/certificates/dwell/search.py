@@ -7,10 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.dwell.centre import CentreFloats
 from deadtime.certificates.dwell.extension import extend
 from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
-from deadtime.certificates.dwell.response import Response, fine_frequencies, frequencies, response
+from deadtime.certificates.dwell.response import (
+    ResponseForms,
+    fine_frequencies,
+    frequencies,
+    response,
+)
 from deadtime.certificates.dwell.riccati import solve_riccati
 from deadtime.certificates.dwell.sways import Sways
 from deadtime.certificates.proof import Check, Evidence, check
@@ -35,7 +40,7 @@ class Proposal:
     A rough one tells that there is a better one.
     """
 
-    model: Model
+    model: CentreFloats
     units: Units
     solution: Solution
     margin: float
@@ -45,7 +50,7 @@ class Proposal:
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class Freedom:
     """How much freedom the search has.
 
     Left eigenvectors per mode, pieces of S in age, and directions of the rows told apart.
@@ -56,13 +61,13 @@ class Level:
     rank: int = 4
 
 
-class Search:
+class EvidenceSearch:
     """Looks for evidence in one setting; models and samples are kept between decays."""
 
-    def __init__(self, setting: Setting, level: Level) -> None:
+    def __init__(self, setting: Setting, level: Freedom) -> None:
         self.setting, self.level = setting, level
         modes = setting.A.shape[1]
-        self.model = Model.of(setting, (level.eigenvectors,) * modes, level.rank)
+        self.model = CentreFloats.of(setting, (level.eigenvectors,) * modes, level.rank)
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
         late = max(setting.mode_lag, setting.lost_samples)
@@ -118,7 +123,7 @@ class Search:
         return None
 
     def _solved(
-        self, chosen: Response, fine: Response, units: Units, rho: float, roughly: bool
+        self, chosen: ResponseForms, fine: ResponseForms, units: Units, rho: float, roughly: bool
     ) -> tuple[Solution, np.ndarray] | None:
         """A solution with a margin at the chosen frequencies, and its margins at the fine ones."""
         solution = solve(self.model, chosen, self.samples, units, self.knots, rho, roughly=roughly)
@@ -133,7 +138,7 @@ class Search:
         """Evidence from a proposal, and what the check says; steps that fail are added."""
         outcome = Check(False, "no Lyapunov function was found from the multiplier")
         if proposal.rough:  # the better one is what it was before anything else was looked at
-            better = Search(self.setting, self.level).propose(proposal.rho)
+            better = EvidenceSearch(self.setting, self.level).propose(proposal.rho)
             if better is None:
                 return None, outcome
             proposal = better
@@ -206,7 +211,7 @@ def _ages_to_visit(setting: Setting) -> set[int] | None:
     }
 
 
-def _margins(response: Response, units: Units, solution: Solution) -> np.ndarray:
+def _margins(response: ResponseForms, units: Units, solution: Solution) -> np.ndarray:
     """The least t of each frequency: eigenvalues of −Y* Π Y against the weight."""
     Y, weight, rest = units.of_signals(response)
     form = -(Y.conj().transpose(0, 2, 1) @ (solution.Pi @ Y)) - solution.kappa * rest

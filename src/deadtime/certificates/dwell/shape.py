@@ -42,7 +42,7 @@ def future_sums(M: np.ndarray, X: np.ndarray) -> np.ndarray | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class LyapunovShape:
     """V at the nodes; matrices are in the program's units, divided by powers of ρ.
 
     Attributes
@@ -71,7 +71,7 @@ class Shape:
         loops: dict[Node, np.ndarray],
         links: dict[Node, np.ndarray],
         nodes: tuple[Node, ...],
-    ) -> Shape | None:
+    ) -> LyapunovShape | None:
         """The shape for the loops M_i of nodes where a mode may last; None if one grows."""
         basis = np.concatenate((squares(H), np.eye(H.shape[1])[None]))
         sums: dict[Node, np.ndarray] = {}

@@ -17,7 +17,7 @@ import numpy as np
 
 from deadtime.certificates.dwell.cones import maximise, squares
 from deadtime.certificates.dwell.leaps import Node
-from deadtime.certificates.dwell.shape import FLOOR, Shape
+from deadtime.certificates.dwell.shape import FLOOR, LyapunovShape
 from deadtime.numerics.lmi import pack, packing
 
 SEEN = 1e-2  # of the strongest functional: weaker ones open no direction
@@ -35,7 +35,7 @@ class Looked:
     D: np.ndarray
 
     @classmethod
-    def at(cls, here: Node, there: Node, M: np.ndarray, shape: Shape) -> Looked:
+    def at(cls, here: Node, there: Node, M: np.ndarray, shape: LyapunovShape) -> Looked:
         """In the directions that H sees before it and after it, at the next node too."""
         rows = [shape.H, shape.H @ M]
         if there in shape.links:
@@ -54,7 +54,7 @@ def decrease(V: dict[Node, np.ndarray], here: Node, there: Node, M: np.ndarray) 
     return 0.5 * (X + X.T)
 
 
-def solve(shape: Shape, leaps: list[Looked]) -> tuple[float, np.ndarray] | None:
+def solve(shape: LyapunovShape, leaps: list[Looked]) -> tuple[float, np.ndarray] | None:
     """(t, the nodes' unknowns); None if the solver has no answer."""
     from scipy.sparse import csc_matrix, vstack
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from deadtime.certificates.dwell.frame import balancing_units, functionals, metric, whole
 from deadtime.certificates.dwell.leaps import Leap, Leaps, Node
-from deadtime.certificates.dwell.shape import Shape
+from deadtime.certificates.dwell.shape import LyapunovShape
 from deadtime.certificates.dwell.stretch_program import ADDED, Looked, decrease, solve
 from deadtime.certificates.proof import Check, StretchEvidence, check
 from deadtime.certificates.proof.evidence import Setting
@@ -40,7 +40,7 @@ RISES = (0.75, 0.93, 0.55, 0.97, 0.86, 0.35, 0.99, 0.998, 0.15)  # of ln μ that
 class Loops:
     """The leaps of a setting at one ρ that the program has to look at, in units ζ = frame ξ."""
 
-    shape: Shape
+    shape: LyapunovShape
     leaps: list[tuple[Node, Node, np.ndarray]]
     frame: np.ndarray
 
@@ -166,11 +166,11 @@ class StretchSearch:
             for k in range(len(graph.knots_of(place % graph.modes, self.knots)))
         )
         if _unknown(self.setting) or self._several_rows():
-            shape, moving = Shape.of(H, {}, {}, nodes), leaps
+            shape, moving = LyapunovShape.of(H, {}, {}, nodes), leaps
         else:
             loops = {here: M for here, there, M in staying if here == there}
             links = {here: M for here, there, M in staying if here != there}
-            shape = Shape.of(H, loops, links, nodes)
+            shape = LyapunovShape.of(H, loops, links, nodes)
         return None if shape is None else Loops(shape, moving, T * units)
 
     def _several_rows(self) -> bool:

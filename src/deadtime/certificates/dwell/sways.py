@@ -9,7 +9,7 @@ import numpy as np
 from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.covering import enclosures_of
 from deadtime.certificates.proof.ellipsoid import Sway
-from deadtime.certificates.proof.enclosure import Cell
+from deadtime.certificates.proof.enclosure import ParameterCell
 from deadtime.certificates.proof.family import Family
 from deadtime.numerics.precision import precision
 
@@ -33,6 +33,6 @@ class Sways:
     def _at(self, order: Any, u: float, f: float | tuple[float, ...]) -> Sway | None:
         assert self.enclosures is not None
         places = f if isinstance(f, tuple) else (f,) * len(self.family.moving(order))
-        cell = Cell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
+        cell = ParameterCell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
         columns = self.enclosures.of(cell).sway
         return None if columns is None else Sway.of(columns, self.family.A.shape[2])

@@ -17,7 +17,7 @@ switch falls at s = a + u (b − a). Over one part every τ has one of three for
 
 and the last two reach every min(s, φ) and max(s, φ) that there is, for s on any side of φ. Which of
 the three is taken is a matter of floats; by how much the first two may then be wrong is a ball,
-`Clock.room`.
+`TimeNumbers.room`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ U, POLYTOPE, FIRST = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Interval:
+class DelayInterval:
     """A delay's: N, φ_low and φ_high in seconds, and both ends of the delay as they were given."""
 
     count: int
@@ -49,7 +49,7 @@ class Interval:
     delays: tuple[float, float]
 
     @classmethod
-    def of(cls, low: float, high: float, step: float) -> Interval:
+    def of(cls, low: float, high: float, step: float) -> DelayInterval:
         """The interval between two delays of one N; low may be the φ = 0 of it."""
         first, last = Window.of(low, step), Window.of(high, step)
         phase = first.phase
@@ -77,7 +77,7 @@ class Order(NamedTuple):
     stop: float
 
 
-class Piece(NamedTuple):
+class InputPiece(NamedTuple):
     """A stretch of an input: the mode, its lag, when it ends (None: with the period), and how that
     moves with u and the delays, by direction."""
 
@@ -88,7 +88,7 @@ class Piece(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
+class TimeNumbers:
     """The numbers that times are made of: floats for a search, balls for a proof.
 
     Attributes
@@ -104,7 +104,7 @@ class Clock:
     """
 
     number: Callable[[float], Any]
-    phases: Callable[[Interval], tuple[Any, Any]]
+    phases: Callable[[DelayInterval], tuple[Any, Any]]
     step: Any
     room: Callable[[Any, int], Any]
 
@@ -118,7 +118,7 @@ class Box(Steps):
     intervals : tuple by mode and input of Interval
     """
 
-    intervals: tuple[tuple[Interval, ...], ...]
+    intervals: tuple[tuple[DelayInterval, ...], ...]
 
     @classmethod
     def of(
@@ -131,7 +131,9 @@ class Box(Steps):
     ) -> Box:
         """The box between the lower and the upper delays, (2, modes, m)."""
         pairs = delays.transpose(1, 2, 0).tolist()
-        intervals = tuple(tuple(Interval.of(low, high, step) for low, high in row) for row in pairs)
+        intervals = tuple(
+            tuple(DelayInterval.of(low, high, step) for low, high in row) for row in pairs
+        )
         return cls(A, B, step, intervals, axes=axes)
 
     @property
@@ -202,7 +204,9 @@ class Box(Steps):
         order = next((one for one in orders if s <= one.stop), orders[-1])
         return order, (s - order.start) / (order.stop - order.start)
 
-    def pieces(self, order: Order, c: int, clock: Clock, u: Any, f: list[Any]) -> list[Piece]:
+    def pieces(
+        self, order: Order, c: int, clock: TimeNumbers, u: Any, f: list[Any]
+    ) -> list[InputPiece]:
         """What input c goes through over a step, at u and at f of the `moving` delays."""
         directions = {at: k for k, at in enumerate(self.moving(order), FIRST)}
         i, j, a, b = order
@@ -233,13 +237,15 @@ class Box(Steps):
             part = f[k - FIRST]
             later = s + part * (high - s), {U: (1 - part) * width, k: high - s}
         head = self._own(first, i, *before)
-        return [*head[:-1], Piece(i, head[-1].lag, s, by_u), *self._own(last, j, *later)]
+        return [*head[:-1], InputPiece(i, head[-1].lag, s, by_u), *self._own(last, j, *later)]
 
-    def _own(self, one: Interval, mode: int, end: Any, moves: dict[int, Any]) -> list[Piece]:
+    def _own(
+        self, one: DelayInterval, mode: int, end: Any, moves: dict[int, Any]
+    ) -> list[InputPiece]:
         """Lag N until an instant, then N − 1; N alone where the delay fills the period."""
         if one.low == self.step:
-            return [Piece(mode, one.count, None, {})]
-        return [Piece(mode, one.count, end, moves), Piece(mode, one.count - 1, None, {})]
+            return [InputPiece(mode, one.count, None, {})]
+        return [InputPiece(mode, one.count, end, moves), InputPiece(mode, one.count - 1, None, {})]
 
     def generator(self, mode: int, c: int, lag: int) -> Float[np.ndarray, "vertex k k"]:
         """[[A, b_c where input c is read], [0, 0]] of every corner, over x and its two reads."""
@@ -287,8 +293,8 @@ class Box(Steps):
         return result
 
     @property
-    def _floats(self) -> Clock:
-        return Clock(float, lambda one: (one.low, one.high), self.step, lambda a, sign: 0.0)
+    def _floats(self) -> TimeNumbers:
+        return TimeNumbers(float, lambda one: (one.low, one.high), self.step, lambda a, sign: 0.0)
 
     def switches(self, order: Order) -> bool:
         """Whether a step has a switch; a full step has none."""
@@ -300,7 +306,7 @@ class Box(Steps):
 
 
 def _phase(
-    one: Interval, clock: Clock, direction: int | None, f: list[Any]
+    one: DelayInterval, clock: TimeNumbers, direction: int | None, f: list[Any]
 ) -> tuple[Any, dict[int, Any]]:
     """φ of a delay, and how it moves."""
     low, high = clock.phases(one)

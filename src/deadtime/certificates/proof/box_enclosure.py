@@ -15,7 +15,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadtime.certificates.proof import balls
-from deadtime.certificates.proof.box import FIRST, POLYTOPE, Box, Clock, Interval, Piece, U
+from deadtime.certificates.proof.box import (
+    FIRST,
+    POLYTOPE,
+    Box,
+    DelayInterval,
+    InputPiece,
+    TimeNumbers,
+    U,
+)
 from deadtime.certificates.proof.ellipsoid import (
     along_axes,
     entries_of,
@@ -24,8 +32,8 @@ from deadtime.certificates.proof.ellipsoid import (
     unit_matrices,
 )
 from deadtime.certificates.proof.enclosure import (
-    Cell,
     Enclosure,
+    ParameterCell,
     by_entries,
     combine,
     frechet,
@@ -38,7 +46,7 @@ class _Chain(NamedTuple):
     """Over a cell: the pieces of an input, their exponentials, and their generators at every
     corner of the polytope."""
 
-    pieces: list[Piece]
+    pieces: list[InputPiece]
     factors: list[Any]
     corners: list[list[Any]]
 
@@ -52,17 +60,17 @@ class BoxEnclosures:
         self.family = family
         step = balls.decimal_number(family.step)
 
-        def phases(one: Interval) -> tuple[Any, Any]:
+        def phases(one: DelayInterval) -> tuple[Any, Any]:
             late = step * (one.count - 1)
             low, high = (balls.decimal_number(delay) - late for delay in one.delays)
             low = arb(0) if one.low == 0.0 else step if one.low == family.step else low
             return low, step if one.high == family.step else high
 
-        self.clock = Clock(arb, phases, step, _room)
+        self.clock = TimeNumbers(arb, phases, step, _room)
         self.generators: dict[tuple[int, int, int], list[Any]] = {}
 
-    def of(self, cell: Cell) -> Enclosure:
-        """Enclose one cell; E may be split by `Cell.halves` until the slopes are small."""
+    def of(self, cell: ParameterCell) -> Enclosure:
+        """Enclose one cell; E may be split by `ParameterCell.halves` until the slopes are small."""
         family, n = self.family, self.family.A.shape[2]
         parts = [self._of_input(cell, c) for c in range(family.B.shape[3])]
         together: list[tuple[int, Any]] = []
@@ -71,7 +79,7 @@ class BoxEnclosures:
         sway = None if family.axes is None else self._sway(cell, family.axes)
         return Enclosure(self._joined([part.centre for part in parts], n), together, sway)
 
-    def _sway(self, cell: Cell, axes: np.ndarray) -> Any:
+    def _sway(self, cell: ParameterCell, axes: np.ndarray) -> Any:
         """L_i on the cell, everywhere in the ellipsoid; each input's columns by its own pieces."""
         family = self.family
         n, radius = family.A.shape[2], radius_of(axes)
@@ -105,7 +113,7 @@ class BoxEnclosures:
                     result[i, place] = x
         return result
 
-    def _of_input(self, cell: Cell, c: int) -> Enclosure:
+    def _of_input(self, cell: ParameterCell, c: int) -> Enclosure:
         """The columns of x and of one input."""
         from flint import arb
 
@@ -130,25 +138,25 @@ class BoxEnclosures:
                 slopes.append((POLYTOPE, balls.top(slope, n)))
         return Enclosure(balls.top(centre, n), slopes)
 
-    def _moving(self, cell: Cell) -> list[tuple[int, float]]:
+    def _moving(self, cell: ParameterCell) -> list[tuple[int, float]]:
         """The directions in which the cell is not a point, and half of its width."""
         full = cell.order.mode == cell.order.after
         ends = [(U, cell.u)] * (not full) + list(enumerate(cell.f, FIRST))
         return [(k, math.nextafter(0.5 * (b - a), math.inf)) for k, (a, b) in ends if b > a]
 
-    def _corners(self, piece: Piece, c: int) -> list[Any]:
+    def _corners(self, piece: InputPiece, c: int) -> list[Any]:
         """The generator of a piece at every corner of the polytope."""
         key = piece.mode, c, piece.lag
         if key not in self.generators:
             self.generators[key] = [balls.decimal(X) for X in self.family.generator(*key)]
         return self.generators[key]
 
-    def _durations(self, pieces: list[Piece]) -> list[Any]:
+    def _durations(self, pieces: list[InputPiece]) -> list[Any]:
         ends = [*(piece.end for piece in pieces[:-1]), self.clock.step]
         return [ends[0], *(b - a for a, b in pairwise(ends))]
 
     def _exponents(
-        self, pieces: list[Piece], c: int, weights: np.ndarray, hull: np.ndarray | None
+        self, pieces: list[InputPiece], c: int, weights: np.ndarray, hull: np.ndarray | None
     ) -> list[Any]:
         """𝒜 τ of every piece."""
         return [

@@ -28,7 +28,7 @@ from deadtime.certificates.proof.box import POLYTOPE, Box
 from deadtime.certificates.proof.box_enclosure import BoxEnclosures
 from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.ellipsoid import Sway, weight_of
-from deadtime.certificates.proof.enclosure import Cell, Enclosure, Enclosures, cells_of
+from deadtime.certificates.proof.enclosure import Enclosure, Enclosures, ParameterCell, cells_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.work import ELLIPSOID, Work, cost
@@ -43,7 +43,7 @@ def enclosures_of(family: Family | Box) -> Enclosures | BoxEnclosures:
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class QuadraticForm:
     """A quadratic form in Δ, and how Δ comes from the plant's rows; all in balls.
 
     Attributes
@@ -66,7 +66,7 @@ class Form:
     concave: bool
 
     @classmethod
-    def of(cls, vv: Any, wv: Any, ww: Any, E: Any, L: Any) -> Form:
+    def of(cls, vv: Any, wv: Any, ww: Any, E: Any, L: Any) -> QuadraticForm:
         """The form of its blocks."""
         from flint import arb_mat
 
@@ -85,7 +85,9 @@ class Covering:
         self.known: dict[Any, Enclosure] = {}
         self.swayed: dict[int, Sway | None] = {}
 
-    def holds(self, form: Form, step: Transition, lower: list[Any]) -> tuple[int, float | None]:
+    def holds(
+        self, form: QuadraticForm, step: Transition, lower: list[Any]
+    ) -> tuple[int, float | None]:
         """Check all cells of a step; `lower` are further rows of Δ.
 
         Returns how many cells there were, and where it fails, if it does: the instant of the switch
@@ -105,7 +107,7 @@ class Covering:
                 pending += [(half, depth + 1) for half in cell.halves(direction)]
         return count, None
 
-    def enclosure(self, cell: Cell) -> Enclosure:
+    def enclosure(self, cell: ParameterCell) -> Enclosure:
         """E over a cell; cells of one pair of modes come again in other forms: enclosed once."""
         key = (cell.order, cell.u, cell.f, cell.corners.tobytes())
         if key not in self.known:
@@ -115,7 +117,7 @@ class Covering:
             self.known[key] = self.enclosures.of(cell)
         return self.known[key]
 
-    def _direction(self, form: Form, lower: list[Any], cell: Cell) -> int | None:
+    def _direction(self, form: QuadraticForm, lower: list[Any], cell: ParameterCell) -> int | None:
         """None if the inequality holds on a cell; else the direction to bisect, or −1."""
         from flint import arb_mat
 
@@ -151,7 +153,7 @@ class Covering:
         return self.swayed[id(enclosure)]
 
 
-def swaying(form: Form, Delta: Any, sway: Sway) -> tuple[Form, Any] | None:
+def swaying(form: QuadraticForm, Delta: Any, sway: Sway) -> tuple[QuadraticForm, Any] | None:
     """The form in (v, q), w_x = Δ v + q, less what is known of q; and Δ of (v, q).
 
     Where vᵀ(form) v > 0 for all q with yᵀ X y − qᵀ W⁻¹ q ≥ 0, it is for every plant.
@@ -165,7 +167,7 @@ def swaying(form: Form, Delta: Any, sway: Sway) -> tuple[Form, Any] | None:
     L = balls.blocks([[form.L, balls.zeros(form.L.nrows(), n)]])
     empty = balls.zeros(v, n), balls.zeros(n, v)
     bare = balls.blocks([[form.vv, empty[0]], [empty[1], balls.zeros(n, n)]])
-    wide = Form(bare, wv, form.ww, form.E, L, form.concave)
+    wide = QuadraticForm(bare, wv, form.ww, form.E, L, form.concave)
     value = balls.middle(_value(wide, Delta))
     weight = weight_of(0.5 * (value + value.T), balls.middle(form.L), sway.W, sway.X)
     if weight is None:
@@ -177,16 +179,16 @@ def swaying(form: Form, Delta: Any, sway: Sway) -> tuple[Form, Any] | None:
             [empty[1], balls.exact(sway.W).inv() * arb(weight)],
         ]
     )
-    return Form(vv, wv, form.ww, form.E, L, form.concave), Delta
+    return QuadraticForm(vv, wv, form.ww, form.E, L, form.concave), Delta
 
 
-def _value(form: Form, Delta: Any) -> Any:
+def _value(form: QuadraticForm, Delta: Any) -> Any:
     """The form at Δ."""
     cross = Delta.transpose() * form.wv
     return form.vv + cross + cross.transpose() + Delta.transpose() * form.ww * Delta
 
 
-def _changes(form: Form, Delta: Any, Wt: Any, rest: dict[int, Any]) -> dict[int, float]:
+def _changes(form: QuadraticForm, Delta: Any, Wt: Any, rest: dict[int, Any]) -> dict[int, float]:
     """How far R of each direction may change the form at a corner, in the units W.
 
     2 (R L)ᵀ (wv + ww Δ)_x + (R L)ᵀ ww_xx (R L), the last with all of R on one side.

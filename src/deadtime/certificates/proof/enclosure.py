@@ -33,7 +33,7 @@ SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + 
 
 
 @dataclass(frozen=True, eq=False)
-class Cell:
+class ParameterCell:
     """A part of the parameters: `f` of every delay, `corners` (k, vertices) the simplex in λ."""
 
     order: Any
@@ -41,7 +41,7 @@ class Cell:
     f: tuple[tuple[float, float], ...]
     corners: np.ndarray
 
-    def halves(self, direction: int) -> tuple[Cell, Cell]:
+    def halves(self, direction: int) -> tuple[ParameterCell, ParameterCell]:
         """Bisect along u, an f, or the longest edge of the simplex (`POLYTOPE`)."""
         if direction == U:
             (low, high), middle = self.u, 0.5 * sum(self.u)
@@ -77,7 +77,7 @@ class Enclosure:
 
 def cells_of(
     family: Family | Box, mode: int, after: int, instants: tuple[float, float] = (0.0, 1.0)
-) -> list[Cell]:
+) -> list[ParameterCell]:
     """The cells that cover every step from `mode` to `after` with a switch at these instants."""
     corners, cells = np.eye(len(family.A)), []
     orders: list[Any] = list(family.orders(mode, after))
@@ -85,7 +85,7 @@ def cells_of(
         shares = family.shares(order, instants)
         if shares is not None:
             whole = ((0.0, 1.0),) * len(family.moving(order))
-            cells.append(Cell(order, shares, whole, corners))
+            cells.append(ParameterCell(order, shares, whole, corners))
     return cells
 
 
@@ -105,8 +105,8 @@ class Enclosures:
         self.marks += [(ball(low), ball(high)) for low, high in family.marks[1:]]
         self.generators: dict[tuple[int, Lags], list[Any]] = {}
 
-    def of(self, cell: Cell) -> Enclosure:
-        """Enclose one cell; E may be split by `Cell.halves` until the slopes are small."""
+    def of(self, cell: ParameterCell) -> Enclosure:
+        """Enclose one cell; E may be split by `ParameterCell.halves` until the slopes are small."""
         from flint import arb
 
         family = self.family
@@ -191,7 +191,7 @@ class Enclosures:
         return self.generators[key]
 
     def _factors(
-        self, cell: Cell, u: Any, f: Any, weights: np.ndarray, hull: np.ndarray | None
+        self, cell: ParameterCell, u: Any, f: Any, weights: np.ndarray, hull: np.ndarray | None
     ) -> list[Any]:
         """The exponentials of a cell, in order of time."""
         return [

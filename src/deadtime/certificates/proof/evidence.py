@@ -40,7 +40,7 @@ from deadtime.certificates.proof.sojourns import least_periods
 from deadtime.certificates.proof.transitions import (
     Following,
     PerMode,
-    Transitions,
+    SwitchGraph,
     interpolation,
     per_mode,
 )
@@ -113,9 +113,9 @@ class Setting(Frozen):
         return family_of(self.A, self.B[..., : self.inputs], delays, self.step, axes)
 
     @cached_property
-    def transitions(self) -> Transitions:
+    def transitions(self) -> SwitchGraph:
         """The graph of the admissible signals."""
-        return Transitions.of(
+        return SwitchGraph.of(
             self.A.shape[1],
             (self.dwell_time, self.maximum_dwell),
             self.chatter,

@@ -13,7 +13,7 @@ import numpy as np
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.channels import Channels
-from deadtime.certificates.proof.covering import Covering, Form
+from deadtime.certificates.proof.covering import Covering, QuadraticForm
 from deadtime.certificates.proof.evidence import Evidence
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.certificates.proof.work import Work, cost
@@ -23,7 +23,7 @@ from deadtime.certificates.proof.work import Work, cost
 class Theta:
     """Θ of a transition, and S F of its end."""
 
-    form: Form
+    form: QuadraticForm
     SF: Any
 
 
@@ -110,5 +110,5 @@ class SmallInequalities:
         vv = arb_mat([line[:v] for line in lines[:v]])
         wv = arb_mat([line[:v] for line in lines[v:]])
         ww = arb_mat([line[v:] for line in lines[v:]])
-        self.forms[key] = Theta(Form.of(vv, wv, ww, self.E, self.y), SF)
+        self.forms[key] = Theta(QuadraticForm.of(vv, wv, ww, self.E, self.y), SF)
         return self.forms[key]

@@ -47,7 +47,7 @@ def longest(maximum_dwell: float, step: float, tolerance: float) -> tuple[int, f
 
 
 @dataclass(frozen=True)
-class Clock:
+class LeavingAges:
     """When a mode may be left, by its age in samples.
 
     Attributes
@@ -77,7 +77,7 @@ class Clock:
         step: float,
         tolerance: float,
         told: int,
-    ) -> Clock:
+    ) -> LeavingAges:
         """Of a dwell time and a maximum; `told` is the last age at which rows may change."""
         first, earliest = shortest(dwell_time, step, tolerance)
         if maximum_dwell is not None:

@@ -40,11 +40,11 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof import balls
-from deadtime.certificates.proof.covering import Covering, Form
+from deadtime.certificates.proof.covering import Covering, QuadraticForm
 from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.transitions import Stretch, Transition
+from deadtime.certificates.proof.transitions import NodeStretch, Transition
 from deadtime.certificates.proof.work import Work, cost
 from deadtime.numerics.precision import precision
 
@@ -103,7 +103,7 @@ class StretchEvidence(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class Period:
+class PeriodMap:
     """A period under one row of the table, ξ⁺ = (E seen + rest) ξ (immutable), in balls.
 
     Attributes
@@ -118,7 +118,7 @@ class Period:
     rest: Any
 
     @classmethod
-    def of(cls, setting: Setting, row: np.ndarray) -> Period:
+    def of(cls, setting: Setting, row: np.ndarray) -> PeriodMap:
         """Under one row (o, d) of the table."""
         n, d, unit = setting.states, setting.order, np.eye(setting.order)
         places = [(lag, setting.input_at(lag, j)) for lag, j in setting.family.reads]
@@ -146,7 +146,7 @@ class StretchInequalities:
         self.rho = arb(evidence.rho)
         self.work = Work() if work is None else work
         self.covering = Covering(self.setting.family, self.work)
-        self.rows = [Period.of(self.setting, row) for row in self.setting.rows]
+        self.rows = [PeriodMap.of(self.setting, row) for row in self.setting.rows]
         self.known: dict[tuple[int, int, int], Any] = {}
         self.followed: dict[tuple[int, tuple[int, ...]], Any] = {}
 
@@ -161,7 +161,7 @@ class StretchInequalities:
         )
         return all(congruent(balls.exact(P)) is not None for P in nodes)
 
-    def holds(self, stretch: Stretch) -> tuple[int, float | None]:
+    def holds(self, stretch: NodeStretch) -> tuple[int, float | None]:
         """Check one stretch, for every instant of its switch; as `Covering.holds`.
 
         ξ⁺ = (E seen + rest) ξ in the one period that may hold a switch: a form in E.
@@ -179,7 +179,7 @@ class StretchInequalities:
         top = balls.top(Q, n)
         vv = here - rest.transpose() * Q * rest
         ww = balls.top(top.transpose(), n) * -1
-        form = Form.of(vv, top * rest * -1, ww, balls.zeros(n, seen.nrows()), seen)
+        form = QuadraticForm.of(vv, top * rest * -1, ww, balls.zeros(n, seen.nrows()), seen)
         return self.covering.holds(form, step, [])
 
     def _rise(self, step: Transition) -> Any:

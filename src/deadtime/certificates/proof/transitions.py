@@ -19,8 +19,8 @@ which is τ_d/h − 2 where τ_d/h is whole. At that q the sojourn has to end la
 A longest sojourn of (1 + δ) τ_max = R h allows q ≤ ⌈R⌉ − 1, at that q with s' ≤ (R − q) h, for
 h − s ≥ 0; without one a mode may last for any time. All else that s and s' have to do with each
 other is left out, and their range is closed: [0, h]. So the graph has every admissible signal and
-a few more. Where modes have dwell times of their own these numbers are the mode's, its `Clock`; and
-a mixed step leads to the modes that may follow, all others unless the class of signals says less.
+a few more. Where modes have dwell times of their own these numbers are the mode's `LeavingAges`; a
+mixed step leads to the modes that may follow, all others unless the class of signals says less.
 
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
 the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
@@ -52,7 +52,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from deadtime.certificates.proof.sojourns import Clock, decimal
+from deadtime.certificates.proof.sojourns import LeavingAges, decimal
 from deadtime.feedback.table import Context, row_of
 
 T = TypeVar("T")
@@ -84,7 +84,7 @@ class Transition:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class NodeStretch:
     """Periods from one node to the next that the loop meets: full steps, one step, full steps.
 
     Attributes
@@ -110,7 +110,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Transitions:
+class SwitchGraph:
     """The graph (immutable).
 
     Attributes
@@ -132,7 +132,7 @@ class Transitions:
         again, after those of measured ones. One of `lag` and `losses` is 0.
     """
 
-    clocks: tuple[Clock, ...]
+    clocks: tuple[LeavingAges, ...]
     following: tuple[tuple[int, ...], ...]
     bucket: int | None
     context: Context
@@ -153,7 +153,7 @@ class Transitions:
         lag: int = 0,
         following: Following | None = None,
         losses: int = 0,
-    ) -> Transitions:
+    ) -> SwitchGraph:
         """The graph of a (dwell time, maximum dwell time) at a period, in seconds.
 
         Either is one for all modes or a tuple of one per mode; every other mode may follow one
@@ -161,15 +161,15 @@ class Transitions:
         """
         following = everywhere(modes) if following is None else following
         if modes == 1:
-            own = Clock(0, ages - 1 + losses)
+            own = LeavingAges(0, ages - 1 + losses)
             return cls((own,), following, None, context, ages, 0, losses)
         each = zip(*(per_mode(time, modes) for time in times), strict=True)
         told = ages - 1 + lag + losses
-        clocks = tuple(Clock.of(low, high, step, tolerance, told) for low, high in each)
+        clocks = tuple(LeavingAges.of(low, high, step, tolerance, told) for low, high in each)
         if chatter > 1:
             first, (dwell_time, *_) = clocks[0].first, per_mode(times[0], modes)
             last = max(first, math.ceil(chatter * decimal(dwell_time) / decimal(step)))
-            clocks = (Clock(first, last),) * modes
+            clocks = (LeavingAges(first, last),) * modes
             return cls(clocks, following, first, context, ages, lag, losses)
         return cls(clocks, following, None, context, ages, lag, losses)
 
@@ -328,32 +328,32 @@ class Transitions:
         told = [[self.rows(i, a) for i in range(self.modes)] for a in range(self.lag + 1)]
         return {a for a in range(1, self.lag + 1) if told[a] != told[a - 1]}
 
-    def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
+    def stretches(self, knots: tuple[int, ...]) -> list[NodeStretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
         stretches = []
         if self.bucket is not None:  # a node for each mode, whatever the level
             full = ((i, clock.last) for i, clock in enumerate(self.clocks))
             told = ((*at, *one) for at in full for one in self._told(*at))
             steps = (step for at in told for step in self._steps(*at))
-            return [Stretch(0, 0, replace(step, age=0, next_age=0), 0, 0) for step in steps]
+            return [NodeStretch(0, 0, replace(step, age=0, next_age=0), 0, 0) for step in steps]
         if self.losses:  # every age is a knot, and every stretch a period
             each = self.all(tuple(range(self.last + 1)))
-            return [Stretch(step.age, 0, step, 0, step.next_age) for step in each]
+            return [NodeStretch(step.age, 0, step, 0, step.next_age) for step in each]
         for i, clock in enumerate(self.clocks):
             own = self.knots_of(i, knots)
             for k, age in enumerate(own):
                 if k + 1 < len(own):
                     end = own[k + 1]
                     full = Transition(i, end - 1, self.row(i, end - 1), i, end)
-                    stretches.append(Stretch(k, end - 1 - age, full, 0, k + 1))
+                    stretches.append(NodeStretch(k, end - 1 - age, full, 0, k + 1))
                 else:
                     end = clock.last + 1
                     if not clock.ends:
                         full = Transition(i, clock.last, self.row(i, clock.last), i, clock.last)
-                        stretches.append(Stretch(k, 0, full, 0, k))
+                        stretches.append(NodeStretch(k, 0, full, 0, k))
                 for at in range(max(clock.first, age), end):
                     mixed = self.switches(i, at, self.row(i, at))
-                    stretches += [Stretch(k, at - age, step, knots[0], 0) for step in mixed]
+                    stretches += [NodeStretch(k, at - age, step, knots[0], 0) for step in mixed]
         return stretches
 
     def switches(self, mode: int, age: int, row: int) -> list[Transition]:

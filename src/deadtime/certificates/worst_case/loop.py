@@ -30,7 +30,7 @@ MOST_VECTORS = 90
 DENSE = 600  # up to this order all eigenvalues are computed where Arnoldi's method fails
 
 
-class Table(NamedTuple):
+class CycleTable(NamedTuple):
     """What happens in each period of a cycle, for the compiled loop.
 
     first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
@@ -58,7 +58,7 @@ class Table(NamedTuple):
         """The length of the cycle."""
         return self.rows.size
 
-    def until(self, periods: int) -> Table:
+    def until(self, periods: int) -> CycleTable:
         """The first periods."""
         return self._replace(first=self.first[: periods + 1], rows=self.rows[:periods])
 
@@ -134,7 +134,7 @@ class SampledLoop:
         """The size of ζ."""
         return self.plant.states + self.past * self.plant.inputs
 
-    def table(self, cycle: Cycle) -> Table:
+    def table(self, cycle: Cycle) -> CycleTable:
         """The periods of a cycle that has been going on without a beginning."""
         step, feedback = self.step, self.feedback
         signal, periods = cycle.signal(step), cycle.periods
@@ -149,7 +149,7 @@ class SampledLoop:
         first = pieces.lag[:, :1]
         power, others = self.weight ** first[:, 0], self.weight ** (pieces.lag - first)
         law = rows, feedback.state_gain, self.G
-        return Table(*pieces[:5], *law, self.weight, power, others)
+        return CycleTable(*pieces[:5], *law, self.weight, power, others)
 
     def _rows_with_losses(self, cycle: Cycle, signal: SwitchingSignal) -> np.ndarray:
         """The rows where samples of the cycle are lost: of the mode told last, and of a loss."""
@@ -162,7 +162,7 @@ class SampledLoop:
         rows = feedback.rows_at(modes[periods:], ages[periods:])
         return rows + lost * (len(feedback.state_gain) // 2)
 
-    def run(self, table: Table, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, table: CycleTable, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs
         (W + samples, m), the W past ones first."""
         from deadtime.certificates.worst_case.kernels import forward
@@ -174,12 +174,12 @@ class SampledLoop:
         forward(table, z[:n].copy(), line, states)
         return states, line.reshape(-1, m)
 
-    def after(self, table: Table, repeats: int, z: np.ndarray) -> np.ndarray:
+    def after(self, table: CycleTable, repeats: int, z: np.ndarray) -> np.ndarray:
         """ζ (order,) after some cycles, weighted."""
         states, inputs = self.run(table, repeats, z)
         return np.concatenate((states[-1], inputs[-self.past :].ravel()))
 
-    def before(self, table: Table, y: np.ndarray) -> np.ndarray:
+    def before(self, table: CycleTable, y: np.ndarray) -> np.ndarray:
         """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
         from deadtime.certificates.worst_case.kernels import carry_back
 
@@ -217,7 +217,7 @@ class SampledLoop:
         vector = np.append(vector[:n], vector[n:] * np.repeat(back, m))
         return Growth(self.shift + rate, vector)
 
-    def _dense(self, table: Table) -> tuple[complex, np.ndarray] | None:
+    def _dense(self, table: CycleTable) -> tuple[complex, np.ndarray] | None:
         """The largest eigenvalue over one cycle and its vector, by computing all of them."""
         if self.order > DENSE:
             return None

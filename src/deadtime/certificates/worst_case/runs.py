@@ -28,7 +28,7 @@ from deadtime.certificates.worst_case.instants import COARSE, polish
 from deadtime.certificates.worst_case.loop import Growth
 from deadtime.certificates.worst_case.proof import GrowthProof
 from deadtime.certificates.worst_case.selection import Rated, worst_of
-from deadtime.certificates.worst_case.witness import Kept, WorstCase, of_cycle, repeat
+from deadtime.certificates.worst_case.witness import KeptLoop, WorstCase, of_cycle, repeat
 from deadtime.feedback import Law
 from deadtime.imperfections import ModeDelay
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -128,7 +128,7 @@ def worst_in_runs(loop: RunLoop, signals: Admissible, budget: int) -> WorstCase:
     plants = loop.plant, loop.law.plant
     past = max(SampledPlant.of(plant, loop.step).longest_lag for plant in plants)
     u0 = np.zeros((loop.plant.inputs, past))
-    kept = Kept(loop.plant, loop.law, loop.dwell_time, loop.step, loop.lag)
+    kept = KeptLoop(loop.plant, loop.law, loop.dwell_time, loop.step, loop.lag)
     return of_cycle(kept, cycle, growth.rate, proof, (loop.start, u0), 0.0, evaluated, None)
 
 

@@ -68,7 +68,7 @@ class _Level:
 
 
 @dataclass(eq=False)
-class _Search:
+class _CycleSearch:
     sojourns: Sojourns
     letters: list[Int[np.ndarray, " letter"]]
     tolerance: float
@@ -139,7 +139,7 @@ def branch_and_bound(
     `floor` is a rate per sample that is known to be reached; `budget` is how many words may be
     looked at.
     """
-    search = _Search(_adapt(sojourns, letters, floor), letters, tolerance, floor)
+    search = _CycleSearch(_adapt(sojourns, letters, floor), letters, tolerance, floor)
     level, evaluated, complete = search.first(), 0, True
     while level.kinds.shape[1] < LONGEST:
         level = search.extend(level)

@@ -156,11 +156,11 @@ def worst_case(
     if isinstance(law, WithMemory):
         law = law.beginning_at(outputs[:q, -1])
     proof = prove(loop, cycle, growth.rate)
-    kept = Kept(plant, law, dwell_time, loop.step, loop.lag)
+    kept = KeptLoop(plant, law, dwell_time, loop.step, loop.lag)
     return of_cycle(kept, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
 
 
-class Kept(NamedTuple):
+class KeptLoop(NamedTuple):
     """The loop that a result is about."""
 
     plant: SwitchedSystem
@@ -171,7 +171,7 @@ class Kept(NamedTuple):
 
 
 def of_cycle(
-    loop: Kept,
+    loop: KeptLoop,
     cycle: Cycle,
     rate: float,
     proof: GrowthProof,

@@ -24,7 +24,7 @@ _MOST_STAY = 400
 _Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None]
 
 
-class _Motion:
+class _FilterMotion:
     """A state that follows the filter's model, mode by mode."""
 
     def __init__(self, run: RunningLaw, rng: np.random.Generator, amplitude: float) -> None:
@@ -70,7 +70,7 @@ def _root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     """(skip, time, mode, x, applied): modes that last, missing and jumping states, clocks."""
     rng = np.random.default_rng(0)
-    motion = _Motion(run, rng, amplitude)
+    motion = _FilterMotion(run, rng, amplitude)
     hidden = not isinstance(run.believing, OutputBelief)  # a jump, by a state that is missing
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):

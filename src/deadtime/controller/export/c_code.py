@@ -15,12 +15,12 @@ from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export import belief_code, observer_code, prediction_code
 from deadtime.controller.export.bounds import bounds, largest
-from deadtime.controller.export.compiler import Check, self_check
+from deadtime.controller.export.compiler import SelfCheck, self_check
 from deadtime.controller.export.files import require_own
 from deadtime.controller.export.forms import (
-    Beside,
     Form,
     Precision,
+    TableExtra,
     form_of,
     ram_bytes,
     require_budget,
@@ -72,7 +72,7 @@ class Exported:
     rom: int
     ram: int
     error: float
-    check: Check
+    check: SelfCheck
 
     def __str__(self) -> str:
         return (
@@ -305,7 +305,7 @@ def _room(
     return rom, ram_bytes(controller.table, form, precision) + beside.ram
 
 
-def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> Beside:
+def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
     """What the law's table is not alone with."""
     if prediction:
         ahead = PredictionForm.of(controller)
@@ -313,13 +313,13 @@ def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> B
     if controller.believing is not None:
         belief = controller.believing
         rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)
-        return Beside("the mode filter", rom, ram)
+        return TableExtra("the mode filter", rom, ram)
     if controller.observing is not None:
         form = ObserverForm.of(controller.observing)
         rom = observer_code.rom_bytes(form, precision)
         ram = observer_code.ram_bytes(form, precision)
-        return Beside("the observer", rom, ram, observer_code.rom_bytes(form, "float"))
-    return Beside("nothing", 0, 0, 0)
+        return TableExtra("the observer", rom, ram, observer_code.rom_bytes(form, "float"))
+    return TableExtra("nothing", 0, 0, 0)
 
 
 def _magic(told: str) -> str:

@@ -14,7 +14,7 @@ WARNINGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversio
 _PATIENCE = 300.0  # seconds
 
 
-class Check(NamedTuple):
+class SelfCheck(NamedTuple):
     """What came of a self-check: `passed` is None where there was none."""
 
     passed: bool | None
@@ -61,17 +61,17 @@ def compile_and_link(sources: list[Path], target: Path, *options: str) -> str | 
     return result.stderr.strip() or f"exit code {result.returncode}" if result.returncode else None
 
 
-def self_check(folder: Path, name: str) -> Check:
+def self_check(folder: Path, name: str) -> SelfCheck:
     """Compile the controller with its check, outside the folder, and run the vectors."""
     command = compiler()
     if command is None:
-        return Check(None, f"not checked: {no_compiler()}")
+        return SelfCheck(None, f"not checked: {no_compiler()}")
     with tempfile.TemporaryDirectory() as place:
         program = Path(place) / "check"
         sources = [folder / f"{name}.c", folder / f"{name}_check.c"]
         complaint = compile_and_link(sources, program)
         if complaint is not None:
-            return Check(False, f"{command[0]} does not compile it: {complaint}")
+            return SelfCheck(False, f"{command[0]} does not compile it: {complaint}")
         vectors = str(folder / f"{name}_vectors.csv")
         try:
             run = subprocess.run(
@@ -82,8 +82,8 @@ def self_check(folder: Path, name: str) -> Check:
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            return Check(
+            return SelfCheck(
                 None, f"not checked: what {command[0]} compiled does not run here: {error}"
             )
     last = (run.stdout.splitlines() or ["no answer"])[-1]
-    return Check(run.returncode == 0, f"compiled with {command[0]}: {last}")
+    return SelfCheck(run.returncode == 0, f"compiled with {command[0]}: {last}")

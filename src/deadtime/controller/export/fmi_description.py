@@ -24,7 +24,7 @@ class Variable(NamedTuple):
     follows: str | None = None  # the parameter that gives an output's initial value
 
 
-class Model(NamedTuple):
+class FmuDescription(NamedTuple):
     """What a description says of an FMU as a whole."""
 
     identifier: str
@@ -37,7 +37,7 @@ class Model(NamedTuple):
 _KINDS = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}
 
 
-def description(model: Model, variables: Sequence[Variable], version: Version) -> str:
+def description(model: FmuDescription, variables: Sequence[Variable], version: Version) -> str:
     """The text of modelDescription.xml."""
     token = {"2.0": "guid", "3.0": "instantiationToken"}[version]
     attributes = {
@@ -75,7 +75,7 @@ def description(model: Model, variables: Sequence[Variable], version: Version) -
     return _text(root)
 
 
-def build_description(model: Model) -> str:
+def build_description(model: FmuDescription) -> str:
     """The text of sources/buildDescription.xml, of FMI 3.0."""
     root = xml.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     build = xml.SubElement(root, "BuildConfiguration", {"modelIdentifier": model.identifier})

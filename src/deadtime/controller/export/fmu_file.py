@@ -20,7 +20,7 @@ from deadtime.controller.export.c_code import environment
 from deadtime.controller.export.compiler import compile_and_link
 from deadtime.controller.export.files import require_suffix
 from deadtime.controller.export.fmi_description import (
-    Model,
+    FmuDescription,
     Variable,
     Version,
     build_description,
@@ -81,7 +81,7 @@ def write_fmu(
     token = "{" + hashlib.sha256(told).hexdigest()[:32] + "}"
     sources["model.h"] = render("model.h.j2", {**values, **counts, "token": token})
     units = sorted(file for file in sources if file.endswith(".c"))
-    model = Model(name, title, token, step, units)
+    model = FmuDescription(name, title, token, step, units)
     entries: dict[str, bytes] = {
         "modelDescription.xml": description(model, variables, version).encode()
     }

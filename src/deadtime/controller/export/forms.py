@@ -30,7 +30,7 @@ _MOST_ERROR = 1e-2  # that is offered
 _COUNTERS = 80  # bytes of integers and clock in a controller's state
 
 
-class Beside(NamedTuple):
+class TableExtra(NamedTuple):
     """What is exported with a law's table, in any form of that: its name and bytes.
 
     `single` is ROM in single precision, None where there is none.
@@ -166,7 +166,7 @@ def ram_bytes(table: Feedback, form: Form, precision: Precision) -> int:
 
 
 def require_budget(
-    table: Feedback, form: Form, precision: Precision, budget: int | None, beside: Beside
+    table: Feedback, form: Form, precision: Precision, budget: int | None, beside: TableExtra
 ) -> None:
     """Refuse tables beyond the budget, and say what would fit it."""
     needed = rom_bytes(table, form, precision) + beside.rom

@@ -21,7 +21,7 @@ _NOISE = 1e-3  # amplitudes
 Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None, np.ndarray | None]
 
 
-class _Motion:
+class _ObserverMotion:
     """A state of the observer's model, and what is measured of it."""
 
     def __init__(self, observing: Observing, rng: np.random.Generator, amplitude: float) -> None:
@@ -54,7 +54,7 @@ def observer_calls(run: RunningLaw, amplitude: float) -> Iterator[Call]:
     """Modes that last; missing outputs, unknown modes, references good and bad, clocks."""
     assert run.observing is not None
     rng = np.random.default_rng(0)
-    motion = _Motion(run.observing, rng, amplitude)
+    motion = _ObserverMotion(run.observing, rng, amplitude)
     modes, r = lasting_modes(run, rng, run.table.ages + 2), len(motion.memory.tracked)
     reference = None
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):

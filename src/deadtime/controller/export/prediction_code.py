@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.controller.export.forms import BYTES, Beside, Precision
+from deadtime.controller.export.forms import BYTES, Precision, TableExtra
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw
@@ -58,11 +58,11 @@ def rom_bytes(form: PredictionForm, precision: Precision) -> int:
     return BYTES[precision] * numbers + 4 * form.of_input.size
 
 
-def added(beside: Beside, form: PredictionForm, precision: Precision) -> Beside:
+def added(beside: TableExtra, form: PredictionForm, precision: Precision) -> TableExtra:
     """What else the law's table is with, and the prediction."""
     name = "the prediction" if beside.rom == 0 else f"{beside.name} and the prediction"
     single = None if beside.single is None else beside.single + rom_bytes(form, "float")
-    return Beside(name, beside.rom + rom_bytes(form, precision), beside.ram, single)
+    return TableExtra(name, beside.rom + rom_bytes(form, precision), beside.ram, single)
 
 
 def gain(form: PredictionForm, rows: int) -> float:

@@ -25,7 +25,7 @@ from deadtime.identification.regression import period_weights
 from deadtime.plant import SwitchedSystem
 
 
-class Rows(NamedTuple):
+class GainRows(NamedTuple):
     """U_k of every sample: `kind` (T,) says which of `gains` (kinds, m, n + L m) it is."""
 
     gains: Float[np.ndarray, "kind m xi"]
@@ -35,7 +35,7 @@ class Rows(NamedTuple):
 class Chain(NamedTuple):
     """The matrices of distinct periods, and of every sample which they are.
 
-    M, E, Z, Y as in the module, U that of `Rows`; S : (modes, n, n), V : variances of the sensors,
+    M, E, Z, Y as in the module, U that of `GainRows`; S : (modes, n, n), V : variances of sensors,
     P : what a period makes of z, by_P : of each mode its derivatives by its unknowns,
     (own, n, n + 2 m), place : whose they are
     """
@@ -109,10 +109,10 @@ class Chain(NamedTuple):
 
 def rows_along(
     table: Feedback | None, mode: Int[np.ndarray, " sample"], n: int, m: int, past: int
-) -> Rows:
+) -> GainRows:
     """What a law adds to r at every sample, from the modes at samples."""
     if table is None:
-        return Rows(np.zeros((1, m, n + past * m)), np.zeros(mode.size, np.int64))
+        return GainRows(np.zeros((1, m, n + past * m)), np.zeros(mode.size, np.int64))
     ages = ages_along(mode, 0)
     row = [
         table.row(int(i), int(age), k) for k, (i, age) in enumerate(zip(mode, ages, strict=True))
@@ -121,7 +121,7 @@ def rows_along(
     gains = np.zeros((chosen.size, m, n + past * m))
     gains[:, :, :n] = table.state_gain[chosen]
     gains[:, :, n : n + table.taps * m] = table.latest_first[chosen]
-    return Rows(gains, kind)
+    return GainRows(gains, kind)
 
 
 def chain_of(

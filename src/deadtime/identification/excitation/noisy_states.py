@@ -32,7 +32,7 @@ from deadtime.identification.excitation.noise_tables import NoiseTables
 _UNSEEN = 1e-12  # of an eigenvalue of the noise's information, scaled to a diagonal of ones
 
 
-class Filtered(NamedTuple):
+class FilterSample(NamedTuple):
     """A sample of the filter: its gain, the innovation's variance and derivatives of both.
 
     At a beginning the gain is I, and there is no innovation: S = 0, S⁻¹ = 0.
@@ -117,7 +117,7 @@ class NoisyStates(Frozen):
 
 def _filter(
     chain: Chain, begins: Bool[np.ndarray, " sample"], tables: NoiseTables
-) -> Iterator[Filtered]:
+) -> Iterator[FilterSample]:
     """Kalman's filter along a chain, with derivatives by the unknowns `tables.wide`."""
     n, q = chain.n, tables.wide.size
     V, by_V = np.diag(chain.V), np.zeros((q, n, n))
@@ -127,12 +127,12 @@ def _filter(
     place[tables.wide] = np.arange(q)
     for k, i in enumerate(chain.mode.tolist()):
         if begins[k]:
-            one = Filtered(np.eye(n), none, none, np.zeros((q, n, n)), np.zeros((q, n, n)))
+            one = FilterSample(np.eye(n), none, none, np.zeros((q, n, n)), np.zeros((q, n, n)))
         else:
             S, by_S = P + V, by_P + by_V
             inverse = np.linalg.inv(S)
             K = P @ inverse
-            one = Filtered(K, S, inverse, (by_P - K @ by_S) @ inverse, by_S)
+            one = FilterSample(K, S, inverse, (by_P - K @ by_S) @ inverse, by_S)
         yield one
         keep, Phi = np.eye(n) - one.K, chain.P[i, :, :n]
         P = keep @ P @ keep.T + one.K @ V @ one.K.T
@@ -180,7 +180,7 @@ class _Joint(NamedTuple):
         covariance[at, at] += V
         return self._replace(covariance=covariance)
 
-    def after(self, k: int, one: Filtered, carried: Float[np.ndarray, "n n"]) -> _Joint:
+    def after(self, k: int, one: FilterSample, carried: Float[np.ndarray, "n n"]) -> _Joint:
         """That of the next sample."""
         n, use, i, kind = self.chain.n, self.use, self.chain.mode[k], self.chain.kind[k]
         Z, M = self.chain.Z[kind][:, :use], self.chain.M[kind][:use, :use]

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.periods import EvenPeriods, Posterior, UnevenPeriods
 from deadtime.identification.hidden.regressions import rooted
-from deadtime.identification.regression import Lags, Term, concentrated, even_terms, stacked
+from deadtime.identification.regression import LagRoots, Term, concentrated, even_terms, stacked
 from deadtime.identification.scoring import Evaluate, Evaluation, climb, climb_cells
 
 _GAIN = 1e-6  # of log likelihood that is still worth a step
@@ -103,7 +103,7 @@ def _climbed_evenly(
     each = zip(periods.parts, periods.usable, strict=True)
     z = np.vstack([stacked(part, k, low, high, layout.constant) for part, k in each])
     count = found.weight.sum(axis=0)
-    lags = Lags([rooted(z, weight) for weight in found.weight.T], count, low, high)
+    lags = LagRoots([rooted(z, weight) for weight in found.weight.T], count, low, high)
 
     def in_cells(cells: np.ndarray) -> Evaluate:
         own = layout.spread(cells)

@@ -45,7 +45,7 @@ _KEPT = 3
 _ALIKE = 5.0  # of log likelihood: starts so close after a few steps lead to the same
 
 
-class Search(NamedTuple):
+class HiddenSearch(NamedTuple):
     """A recording and its periods; and the same on a grid, where searches begin.
 
     plain : of plants with constant terms, the same without; None where 0 is far from the log
@@ -56,7 +56,7 @@ class Search(NamedTuple):
     grid: Recording
     even: EvenPeriods
     bounds: tuple[float, float]
-    plain: Search | None
+    plain: HiddenSearch | None
 
 
 class Begun(NamedTuple):
@@ -90,7 +90,7 @@ class Fitted(NamedTuple):
 
 def search_of(
     recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
-) -> Search:
+) -> HiddenSearch:
     """The usable periods of a recording, with the density of one model for all modes."""
     one = replace(layout, modes=1, per_mode=False)
     plain, grid = None, gridded(recording)
@@ -98,11 +98,11 @@ def search_of(
         plain = search_of(recording.absolute(), replace(layout, constant=False), bounds, within)
     even = _even_periods(grid, one, bounds, within)
     if recording.even:
-        return Search(recording, even, grid, even, bounds, plain)
+        return HiddenSearch(recording, even, grid, even, bounds, plain)
     pooled = _one_plant(recording, grid, one, bounds) if even.within else None
     given = pooled, recording.step, layout.constant
     periods = UnevenPeriods.between(recording.parts, *bounds, *given)
-    return Search(recording, periods, grid, even, bounds, plain)
+    return HiddenSearch(recording, periods, grid, even, bounds, plain)
 
 
 def _even_periods(
@@ -156,7 +156,7 @@ def require_periods(periods: EvenPeriods, layout: Layout) -> None:
         )
 
 
-def begun(search: Search, layout: Layout, common: bool = False, seed: int = 0) -> list[Begun]:
+def begun(search: HiddenSearch, layout: Layout, common: bool = False, seed: int = 0) -> list[Begun]:
     """Where the best starts lead, the likeliest first; `common`: with one covariance of all modes.
 
     Raises
@@ -179,7 +179,7 @@ def begun(search: Search, layout: Layout, common: bool = False, seed: int = 0) -
     return each
 
 
-def fitted(search: Search, layout: Layout) -> Fitted:
+def fitted(search: HiddenSearch, layout: Layout) -> Fitted:
     """The likeliest plant of as many modes as the layout has.
 
     Raises
@@ -195,7 +195,7 @@ def fitted(search: Search, layout: Layout) -> Fitted:
     raise _too_many(layout, each[0].starts)
 
 
-def _led(search: Search, begin: Begun, found: Posterior | None) -> Fitted | None:
+def _led(search: HiddenSearch, begin: Begun, found: Posterior | None) -> Fitted | None:
     """The maximum that a beginning leads to; None where a mode is left with next to no period."""
     layout = begin.layout
     ascent = ascended(begin.log, begin.theta, layout.least_periods, found)
@@ -210,7 +210,7 @@ def _led(search: Search, begin: Begun, found: Posterior | None) -> Fitted | None
     return Fitted(layout, ascent, grid, bic, begin.agreed, begin.starts)
 
 
-def _at_zero(search: Search, fit: Fitted) -> Fitted | None:
+def _at_zero(search: HiddenSearch, fit: Fitted) -> Fitted | None:
     """The maximum near a fit without its constant terms; None if it has none, or there is none."""
     plain = search.plain
     if plain is None:
@@ -230,7 +230,7 @@ def _too_many(layout: Layout, starts: int) -> ArgumentError:
     )
 
 
-def _off_the_grid(search: Search, ascent: Ascent) -> Ascent | None:
+def _off_the_grid(search: HiddenSearch, ascent: Ascent) -> Ascent | None:
     """The maximum of uneven rows, from that of the recording on a grid."""
     grid, theta, periods = ascent.log, ascent.theta, search.periods
     nodes, weight = nodes_for(search.recording.parts, grid.layout.split(theta)[0]), []

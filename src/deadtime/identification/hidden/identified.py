@@ -25,7 +25,7 @@ from deadtime.identification.hidden.noisy_estimated import (
     decoded_with_noise,
     estimated_with_noise,
 )
-from deadtime.identification.hidden.words import Tried, of_numbers, of_sureness
+from deadtime.identification.hidden.words import TriedNumbers, of_numbers, of_sureness
 from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import estimate_with_noise
@@ -119,7 +119,7 @@ def _holds(
 
 def _tried(
     numbers: tuple[int, ...], fit: Callable[[int], _Fit], progress: Callable[[str], None]
-) -> Tried[_Fit]:
+) -> TriedNumbers[_Fit]:
     """Fits of numbers of modes, as far as they go; of a single number of the next smaller, too.
 
     Raises
@@ -141,10 +141,10 @@ def _tried(
         progress(f"looking whether {number_of(numbers[0] - 1, 'mode')} would do")
         with suppress(ArgumentError):
             fits.insert(0, fit(numbers[0] - 1))
-    return Tried(fits, numbers, refused)
+    return TriedNumbers(fits, numbers, refused)
 
 
-def _without_noise(tried: Tried[Fitted], recording: Recording, within: bool) -> Hidden:
+def _without_noise(tried: TriedNumbers[Fitted], recording: Recording, within: bool) -> Hidden:
     """The best of fits of exact states."""
     best, found, left_out = _chosen(tried, lambda fit: decoded(refined(fit)))
     said = of_numbers(best.layout.modes, tried, left_out)
@@ -155,7 +155,7 @@ def _without_noise(tried: Tried[Fitted], recording: Recording, within: bool) -> 
     return _whole(estimate, modes, found.log.recording, said, within)
 
 
-def _with_noise(tried: Tried[NoisyFit], recording: Recording, within: bool) -> Hidden:
+def _with_noise(tried: TriedNumbers[NoisyFit], recording: Recording, within: bool) -> Hidden:
     """The best of fits of noisy sensors."""
     best, found, left_out = _chosen(tried, decoded_with_noise)
     said = of_numbers(best.layout.modes, tried, left_out)
@@ -167,7 +167,7 @@ def _with_noise(tried: Tried[NoisyFit], recording: Recording, within: bool) -> H
 
 
 def _chosen(
-    tried: Tried[_Fit], decode: Callable[[_Fit], _Found]
+    tried: TriedNumbers[_Fit], decode: Callable[[_Fit], _Found]
 ) -> tuple[_Fit, _Found | None, list[int]]:
     """The fit of least BIC whose likeliest path visits all modes, and what that path makes of it.
 

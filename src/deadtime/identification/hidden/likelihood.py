@@ -23,7 +23,7 @@ from deadtime.identification.hidden.pooled import PooledRegression
 from deadtime.identification.hidden.regressions import rooted, rows_of_modes
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import Lags, Term, even_terms, log_density
+from deadtime.identification.regression import LagRoots, Term, even_terms, log_density
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import node_columns, node_term
 
@@ -89,7 +89,7 @@ class HiddenLog(Frozen):
             return [node_term(none, 0, layout, i, A[i], B[i], self.nodes) for i in each]
         low, high = int(cells.min()) - 1, int(cells.max())
         none = np.zeros((0, 2 * layout.n + (high - low + 1) * layout.m + layout.constant))
-        lags = Lags([none] * layout.modes, np.zeros(layout.modes, np.int64), low, high)
+        lags = LagRoots([none] * layout.modes, np.zeros(layout.modes, np.int64), low, high)
         return even_terms(lags, layout, step, layout.spread(cells), theta)
 
     def densities(

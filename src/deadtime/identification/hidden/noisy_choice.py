@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.hidden.choice import Begun, Search, begun, fitted
+from deadtime.identification.hidden.choice import Begun, HiddenSearch, begun, fitted
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
 from deadtime.identification.levels import from_zero
@@ -54,7 +54,7 @@ class NoisyFit(NamedTuple):
 
 
 def fitted_with_noise(
-    search: Search,
+    search: HiddenSearch,
     layout: Layout,
     recording: Recording,
     C: Float[np.ndarray, "p n"],
@@ -75,7 +75,7 @@ def fitted_with_noise(
     return min(found, _at_zero(search.plain, found) or found, key=lambda fit: fit.bic)
 
 
-def _seems_to_need_level(search: Search, layout: Layout) -> bool:
+def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
     """Whether constant terms lower BIC of exact states; where these cannot tell, they might."""
     try:
         return fitted(search, layout).layout.constant
@@ -83,7 +83,7 @@ def _seems_to_need_level(search: Search, layout: Layout) -> bool:
         return True
 
 
-def _at_zero(search: Search, fit: NoisyFit) -> NoisyFit | None:
+def _at_zero(search: HiddenSearch, fit: NoisyFit) -> NoisyFit | None:
     """The maximum near a fit without its constant terms; None where these are far from chance."""
     theta, information, C = fit.best.theta, fit.best.found.information, fit.log.noisy.C
     recording = fit.log.recording
@@ -100,7 +100,7 @@ def _at_zero(search: Search, fit: NoisyFit) -> NoisyFit | None:
 
 
 def _led(
-    search: Search,
+    search: HiddenSearch,
     begin: Begun,
     log: HiddenNoisyLog,
     theta: Float[np.ndarray, " size"],
@@ -131,7 +131,7 @@ def _led(
 
 
 def _best_start(
-    search: Search, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
+    search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
 ) -> tuple[Begun, HiddenNoisyLog, Float[np.ndarray, " size"], tuple[float, float]]:
     """What leads highest in coarse steps, of those that leave all modes some rows, if any do.
 
@@ -152,7 +152,7 @@ def _best_start(
     return max(found, key=lambda one: one[0])[1]
 
 
-def _starts(search: Search, layout: Layout) -> list[Begun]:
+def _starts(search: HiddenSearch, layout: Layout) -> list[Begun]:
     """Those that regressions lead to with one covariance of all modes, and with one of each.
 
     Noise of sensors is that of all modes; where one hides another, though, the others may not.
@@ -169,7 +169,7 @@ def _starts(search: Search, layout: Layout) -> list[Begun]:
 
 
 def _of_start(
-    start: Begun, search: Search, recording: Recording, C: Float[np.ndarray, "p n"]
+    start: Begun, search: HiddenSearch, recording: Recording, C: Float[np.ndarray, "p n"]
 ) -> tuple[HiddenNoisyLog, Float[np.ndarray, "n n"]]:
     """The likelihood, with modes that last; and what a period adds, as noise of the plant."""
     exact, theta, layout = start.log, start.theta, start.layout

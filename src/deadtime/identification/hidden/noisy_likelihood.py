@@ -24,9 +24,9 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.hidden.filters_kernel import filter_modes
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.periods import Posterior, path_of, posterior_of
-from deadtime.identification.hidden.stretch import Stretch, stretch_of
+from deadtime.identification.hidden.stretch import PartPeriods, stretch_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluate, Evaluation
 
@@ -48,7 +48,7 @@ class HiddenNoisyLog(Frozen):
     unit: Float[np.ndarray, " size"]
     jumps: Jumps
     within: bool
-    _kept: dict[tuple[int, bytes], Stretch] = field(default_factory=dict, repr=False)
+    _kept: dict[tuple[int, bytes], PartPeriods] = field(default_factory=dict, repr=False)
 
     @property
     def recording(self) -> Recording:
@@ -82,7 +82,7 @@ class HiddenNoisyLog(Frozen):
         """What bounds unknowns, delays aside."""
         return self.whole.limits
 
-    def noise(self, vector: Float[np.ndarray, " size"]) -> Noise:
+    def noise(self, vector: Float[np.ndarray, " size"]) -> NoiseLevels:
         """W and the sensors' deviations of a vector."""
         return self.whole.noise(vector)
 
@@ -120,7 +120,7 @@ class HiddenNoisyLog(Frozen):
             gained.append(adds)
         return laid, np.concatenate(gained)
 
-    def _once(self, number: int, start: np.ndarray, *given: np.ndarray | None) -> Stretch:
+    def _once(self, number: int, start: np.ndarray, *given: np.ndarray | None) -> PartPeriods:
         """`stretch_of` one mode; the last are kept: differences ask for few anew."""
         key = number, b"".join(one.tobytes() for one in (start, *given) if one is not None)
         if key not in self._kept:

@@ -25,13 +25,13 @@ _WIDE = 4.0  # times the covariance of a stretch: its regression rests on few pe
 _LEAST = 1e-6  # of the covariance of one regression for all: of no noise, too, starts differ
 
 
-class Stretches(NamedTuple):
+class PeriodRuns(NamedTuple):
     """Runs of usable periods that follow each other: (stretches, length), places of rows."""
 
     rows: Int[np.ndarray, "stretch period"]
 
 
-def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> Stretches | None:
+def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> PeriodRuns | None:
     """Half overlapping, some at most, spread over the log; None if there are less than modes.
 
     Short ones have periods for little more than a regression, and more often one mode.
@@ -48,11 +48,11 @@ def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> S
     if len(places) < layout.modes:
         return None
     chosen = np.linspace(0, len(places) - 1, min(len(places), _MOST)).round().astype(int)
-    return Stretches(np.array(places)[chosen, None] + np.arange(length))
+    return PeriodRuns(np.array(places)[chosen, None] + np.arange(length))
 
 
 def first_cells(
-    periods: EvenPeriods, stretches: Stretches, layout: Layout
+    periods: EvenPeriods, stretches: PeriodRuns, layout: Layout
 ) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
     options = np.arange(periods.first, periods.last + 1)
@@ -68,7 +68,7 @@ def first_cells(
 
 
 def _together(
-    periods: EvenPeriods, stretches: Stretches, cells: list[int | None], layout: Layout
+    periods: EvenPeriods, stretches: PeriodRuns, cells: list[int | None], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
     z = periods.rows(np.array([periods.first if c is None else c for c in cells]))
@@ -92,7 +92,7 @@ def _own(z: Float[np.ndarray, "stretch period z"], n: int) -> tuple[np.ndarray, 
 
 def drawn_start(
     periods: EvenPeriods,
-    stretches: Stretches,
+    stretches: PeriodRuns,
     cells: Int[np.ndarray, " m"],
     layout: Layout,
     rng: np.random.Generator,

@@ -14,7 +14,7 @@ from deadtime.identification.noisy.periods import even_periods, uneven_periods
 _BLOCK = 4096  # samples whose derivatives, which nothing here needs, are there at a time
 
 
-class Stretch(NamedTuple):
+class PartPeriods(NamedTuple):
     """The periods that lead to samples.
 
     kind : (T,), the row of Phi and Q, how a state moves, and the noise; added : (T, n), by inputs
@@ -33,7 +33,7 @@ def stretch_of(
     theta: Float[np.ndarray, " size"],
     L: Float[np.ndarray, "n n"],
     cells: Int[np.ndarray, "one m"] | None = None,
-) -> Stretch:
+) -> PartPeriods:
     """Those of a part of a log of one mode, W = L Lᵀ; of even rows with delays in given cells."""
     part, layout, record = noisy.recording.parts[number], noisy.layout, noisy.recording
     part = part._replace(mode=np.zeros(part.time.size, np.int64))
@@ -50,5 +50,5 @@ def stretch_of(
         each.append((periods.Phi, periods.added, periods.Q))
     Phi, added, Q = zip(*each, strict=True)
     if record.even:  # one table for all
-        return Stretch(0 * rows, Phi[0], np.vstack(added), Q[0])
-    return Stretch(rows, np.vstack(Phi), np.vstack(added), np.vstack(Q))
+        return PartPeriods(0 * rows, Phi[0], np.vstack(added), Q[0])
+    return PartPeriods(rows, np.vstack(Phi), np.vstack(added), np.vstack(Q))

@@ -18,7 +18,7 @@ _Fit = TypeVar("_Fit", Fitted, NoisyFit)
 
 
 @dataclass(frozen=True)
-class Tried(Generic[_Fit]):
+class TriedNumbers(Generic[_Fit]):
     """Fits of several numbers of modes, those that were asked for, and why others were refused."""
 
     fits: Sequence[_Fit]
@@ -27,7 +27,7 @@ class Tried(Generic[_Fit]):
 
 
 def of_numbers(
-    number: int, tried: Tried[Fitted] | Tried[NoisyFit], left_out: Sequence[int]
+    number: int, tried: TriedNumbers[Fitted] | TriedNumbers[NoisyFit], left_out: Sequence[int]
 ) -> tuple[str, ...]:
     """What there is to say of the number of modes; of those left out the path leaves out a mode."""
     numbers, refused = tried.numbers, tried.refused

@@ -8,10 +8,10 @@ import numpy as np
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.log.tables import Table
+from deadtime.identification.log.tables import LogTable
 
 
-def mode_column(tables: list[Table], modes: str | None) -> str | None:
+def mode_column(tables: list[LogTable], modes: str | None) -> str | None:
     """The column of the mode, which all tables have."""
     if modes is None:
         return None
@@ -26,7 +26,7 @@ def mode_column(tables: list[Table], modes: str | None) -> str | None:
     return modes
 
 
-def labels_of(tables: list[Table], column: str | None) -> dict[str, int]:
+def labels_of(tables: list[LogTable], column: str | None) -> dict[str, int]:
     """The number of every mode, by what the logs call it."""
     if column is None:
         return {"mode 0": 0}
@@ -52,7 +52,7 @@ def labels_of(tables: list[Table], column: str | None) -> dict[str, int]:
 
 
 def absent_modes(
-    tables: list[Table], column: str | None, labels: dict[str, int]
+    tables: list[LogTable], column: str | None, labels: dict[str, int]
 ) -> tuple[str, ...]:
     """Modes that are categories of a column and not visited."""
     import pandas as pd

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.mode_columns import absent_modes, label, labels_of, mode_column
-from deadtime.identification.log.tables import Table, chosen_columns, numeric_column, table_of
+from deadtime.identification.log.tables import LogTable, chosen_columns, numeric_column, table_of
 from deadtime.switching.log import TIMES
 
 _STRETCHES = 10  # of a long log, that stand for all of it
@@ -181,7 +181,7 @@ def _names_of(columns: Sequence[str]) -> tuple[str, ...]:
 
 
 def _part(
-    table: Table,
+    table: LogTable,
     names: tuple[str, ...],
     inputs: tuple[str, ...],
     column: str | None,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Table(NamedTuple):
+class LogTable(NamedTuple):
     """A table, what messages call it, and how they name its rows: the first one's number."""
 
     frame: pd.DataFrame
@@ -32,13 +32,13 @@ class Table(NamedTuple):
         return f"{self.name}, {self.row} {index + self.first}"
 
 
-def table_of(log: Any, number: int) -> Table:
+def table_of(log: Any, number: int) -> LogTable:
     """A log as a pandas table."""
     import pandas as pd
 
     if isinstance(log, pd.DataFrame):
         name = "log" if number == 0 else f"log[{number}]"
-        return Table(log.rename(columns=lambda c: str(c).strip()), name, "row", 0)
+        return LogTable(log.rename(columns=lambda c: str(c).strip()), name, "row", 0)
     try:
         source = Path(log)
     except TypeError:
@@ -46,7 +46,7 @@ def table_of(log: Any, number: int) -> Table:
             f"log must be the path of a CSV file or a pandas DataFrame, got {type(log).__name__}."
         ) from None
     frame = read_table(source)
-    return Table(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
+    return LogTable(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
 
 
 def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
@@ -90,7 +90,7 @@ def _require_commas(source: Path) -> None:
 
 
 def chosen_columns(
-    table: Table, letter: str, given: Sequence[str] | None, argument: str
+    table: LogTable, letter: str, given: Sequence[str] | None, argument: str
 ) -> tuple[str, ...]:
     """The columns of states or inputs."""
     found = list(table.frame.columns)
@@ -124,7 +124,7 @@ def columns_of(columns: Sequence[str], letter: str) -> list[str]:
     return sorted(places, key=lambda name: int(places[name] or 0))
 
 
-def numeric_column(table: Table, column: str) -> Float[np.ndarray, " sample"]:
+def numeric_column(table: LogTable, column: str) -> Float[np.ndarray, " sample"]:
     """A column as numbers, NaN where it has none."""
     import pandas as pd
 

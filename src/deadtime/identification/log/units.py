@@ -18,8 +18,8 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.results.foretold import (
     LEAST,
+    RowStretch,
     Scaled,
-    Stretch,
     foretells,
     lags_between,
     only_scaled,
@@ -65,7 +65,7 @@ def require_same_units(
     """
     best = max(range(len(parts)), key=lambda i: parts[i].time.size)
     steps = [float(np.median(np.diff(part.time))) for part in parts]
-    whole = [Stretch(part, 0, part.time.size) for part in parts]
+    whole = [RowStretch(part, 0, part.time.size) for part in parts]
     for i, one in enumerate(whole):
         if i == best:
             continue
@@ -86,7 +86,7 @@ def require_same_units(
                 raise ArgumentError(_message(name, there, elsewhere, scaled))
     for i, part in enumerate(parts):
         for name, at, scaled in _changes(part, columns):
-            two = Stretch(part, 0, at), Stretch(part, at, part.time.size)
+            two = RowStretch(part, 0, at), RowStretch(part, at, part.time.size)
             known, other = two if at > part.time.size // 2 else two[::-1]
             own = scaled if other is two[1] else scaled._replace(factor=1.0 / scaled.factor)
             if only_scaled(known, other, own, lags_between(*two, longest / steps[i])):
@@ -135,7 +135,7 @@ def _conversion(output: bool, place: int, difference: float) -> Scaled | None:
 
 
 def _scaled(
-    known: Stretch, other: Stretch, columns: tuple[Sequence[str], Sequence[str]]
+    known: RowStretch, other: RowStretch, columns: tuple[Sequence[str], Sequence[str]]
 ) -> list[tuple[str, Scaled]]:
     """Columns of another log that are about 1,000 times as large or as small."""
     found = []

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.smoother import Model, filtered, responses
+from deadtime.identification.noisy.smoother import FilterModel, filtered, responses
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import inputs_at
 from deadtime.identification.start import cell_range
@@ -43,7 +43,7 @@ def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
     first, last = cell_range(h, log.bounds, layout.m)
     lags = np.arange(first - 1, last + 1)
     gram, share = _gram(log, vector, rows, lags), _shares(log, vector, rows.size)
-    scan = _Scan(gram, share, layout, lags.size)
+    scan = _DelayScan(gram, share, layout, lags.size)
     own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
     places, curves = scan.best(np.clip(own, 0, scan.options - 1))
     B = np.zeros((layout.modes, layout.n, layout.acting))
@@ -69,7 +69,7 @@ def _gram(
     push = np.array([transitions_of(one, np.array([h])).W[0][:, rows] for one in A])
     for part, start, known in zip(log.recording.parts, starts, left_out, strict=True):
         periods = log.periods(vector, part, start)
-        model = Model.of(log, vector, periods)
+        model = FilterModel.of(log, vector, periods)
         free = filtered(part.output, start, periods.kind, np.zeros(periods.added.shape), model)
         row = np.arange(-1, start.size - 1)[:, None] - lags
         u = np.nan_to_num(inputs_at(part, row)).reshape(start.size, -1)
@@ -96,7 +96,7 @@ def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "
     return np.array([[np.linalg.lstsq(W[0], part, rcond=None)[0] for part in W] for W in acting])
 
 
-class _Scan:
+class _DelayScan:
     """Regressions of errors on what every input adds, at so many delays of each."""
 
     def __init__(self, gram: np.ndarray, share: np.ndarray, layout: Layout, lags: int) -> None:

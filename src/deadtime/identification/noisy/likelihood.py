@@ -27,7 +27,12 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cells_of
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.noisy.filtering import Filtered, Places, Sensors, evaluated, filtered
-from deadtime.identification.noisy.periods import Periods, PeriodsOf, even_periods, uneven_periods
+from deadtime.identification.noisy.periods import (
+    FilterPeriods,
+    PeriodsOf,
+    even_periods,
+    uneven_periods,
+)
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluate, Evaluation
@@ -38,7 +43,7 @@ _UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none 
 _STRIDE = 1.5  # of a noise's logarithm
 
 
-class Noise(NamedTuple):
+class NoiseLevels(NamedTuple):
     """W (n, n), x² per second, and the standard deviations of the sensors (p,)."""
 
     W: Float[np.ndarray, "n n"]
@@ -157,17 +162,17 @@ class NoisyLog(Frozen):
         """How many unknowns there are."""
         return self.layout.size + self.places[0].size + len(self.C)
 
-    def join(self, theta: np.ndarray, noise: Noise) -> Float[np.ndarray, " size"]:
+    def join(self, theta: np.ndarray, noise: NoiseLevels) -> Float[np.ndarray, " size"]:
         """The vector of a plant's unknowns and its noise."""
         L = np.linalg.cholesky(noise.W)
         i, j = self.places
         lower = np.where(i == j, np.log(np.abs(np.where(i == j, L[i, j], 1.0))), L[i, j])
         return np.concatenate((theta, lower, np.log(noise.deviation)))
 
-    def noise(self, vector: Float[np.ndarray, " size"]) -> Noise:
+    def noise(self, vector: Float[np.ndarray, " size"]) -> NoiseLevels:
         """W and the deviations of a vector."""
         L = self.root(vector)
-        return Noise(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
+        return NoiseLevels(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
 
     def unit(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
         """What unknowns of the noise are of: 1, but of L the deviation of their row."""
@@ -232,7 +237,7 @@ class NoisyLog(Frozen):
 
     def periods(
         self, vector: Float[np.ndarray, " size"], part: Part, start: Bool[np.ndarray, " sample"]
-    ) -> Periods:
+    ) -> FilterPeriods:
         """What leads to each sample of a part but those that begin anew."""
         return self._periods_of(vector, None)(part, np.arange(start.size), start)
 

@@ -21,7 +21,7 @@ from deadtime.identification.levels import (
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.largest import largest_maximum
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.noisy.restricted import restricted
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.residuals import judge_residuals
@@ -221,9 +221,9 @@ def noisy_residuals(
 
 def first_noises(
     W: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"], step: float
-) -> list[Noise]:
+) -> list[NoiseLevels]:
     """Two guesses: what a period adds, of W, is mostly the plant's, or mostly the sensors'."""
     floor = max(_FLOOR * float(np.trace(W)), np.finfo(float).tiny)
     W = W + floor * np.eye(len(W))
     added = np.sqrt(np.diagonal(C @ W @ C.T) * step)
-    return [Noise(0.7 * W, 0.4 * added), Noise(0.1 * W, 0.7 * added)]
+    return [NoiseLevels(0.7 * W, 0.4 * added), NoiseLevels(0.1 * W, 0.7 * added)]

@@ -26,7 +26,7 @@ from deadtime.identification.uneven import acting_in
 from deadtime.numerics.covariance import noise_covariances
 
 
-class Periods(NamedTuple):
+class FilterPeriods(NamedTuple):
     """The periods that lead to samples.
 
     mode : (T,), and kind : (T,), the row of the next four
@@ -46,7 +46,7 @@ class Periods(NamedTuple):
 
 
 # Of a part's samples, and which of them nothing leads to
-PeriodsOf = Callable[[Part, Int[np.ndarray, " T"], Bool[np.ndarray, " T"]], Periods]
+PeriodsOf = Callable[[Part, Int[np.ndarray, " T"], Bool[np.ndarray, " T"]], FilterPeriods]
 
 
 def even_periods(
@@ -65,7 +65,7 @@ def even_periods(
     Q, by_Q = (np.concatenate(one) for one in zip(*noise, strict=True))
     tables = P[:, :, :n].copy(), by_P[:, : n * n, :, :n].copy(), Q, by_Q
 
-    def periods(part: Part, rows: np.ndarray, _: np.ndarray) -> Periods:
+    def periods(part: Part, rows: np.ndarray, _: np.ndarray) -> FilterPeriods:
         before = np.maximum(rows - 1, 0)
         mode, z = part.mode[before], acting_evenly(part, before, cells, layout.constant)
         added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, by_P.shape[1], n))
@@ -73,7 +73,7 @@ def even_periods(
             own = np.flatnonzero(mode == i)
             added[own] = z[own] @ P[i, :, n:].T
             by_added[own] = np.tensordot(z[own], by_P[i, :, :, n:], (1, 2))
-        return Periods(mode, mode, *tables, added, by_added)
+        return FilterPeriods(mode, mode, *tables, added, by_added)
 
     return periods
 
@@ -105,7 +105,7 @@ def uneven_periods(
     tables = [(one.Phi, one.Phi_by_A, *own) for one, own in zip(over, noise, strict=True)]
     forced = [(over[i].W @ B[i], over[i].W_by_A @ B[i], over[i].Phi @ B[i]) for i in modes]
 
-    def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> Periods:
+    def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
         mode = part.mode[np.maximum(rows - 1, 0)]
         found = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
         added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, n * (n + acting) + m, n))
@@ -128,7 +128,7 @@ def uneven_periods(
                 by_D = -np.tensordot(moved[:, :, j], pushed[:, :, j], (1, 0))
                 by_added[own, n * (n + acting) + j] = by_D
         Phi, by_Phi, Q, by_Q = found
-        return Periods(mode, np.arange(rows.size), Phi, by_Phi, Q, by_Q, added, by_added)
+        return FilterPeriods(mode, np.arange(rows.size), Phi, by_Phi, Q, by_Q, added, by_added)
 
     return periods
 

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.periods import Periods
+from deadtime.identification.noisy.periods import FilterPeriods
 
 
-class Model(NamedTuple):
+class FilterModel(NamedTuple):
     """What a filter is of.
 
     Phi, Q : of every kind of period; C, R : sensors, and their variances
@@ -31,13 +31,15 @@ class Model(NamedTuple):
     P0: Float[np.ndarray, "n n"]
 
     @classmethod
-    def of(cls, log: NoisyLog, vector: Float[np.ndarray, " size"], periods: Periods) -> Model:
+    def of(
+        cls, log: NoisyLog, vector: Float[np.ndarray, " size"], periods: FilterPeriods
+    ) -> FilterModel:
         """That of a log's likelihood at its vector."""
         R = log.noise(vector).deviation ** 2
         return cls(periods.Phi, periods.Q, log.C, R, log.P0)
 
 
-class Filtered(NamedTuple):
+class PredictedStates(NamedTuple):
     """States and covariances before each sample, then of each sensor e, s and g/s."""
 
     state: Float[np.ndarray, "sample n"]
@@ -52,8 +54,8 @@ def filtered(
     start: Bool[np.ndarray, " sample"],
     kind: Int[np.ndarray, " sample"],
     moved: Float[np.ndarray, "sample n"],
-    model: Model,
-) -> Filtered:
+    model: FilterModel,
+) -> PredictedStates:
     """The filter over a log; `kind` and `moved` are of the period that leads to a sample.
 
     e = 0, s = 1 and g = 0 where nothing was measured.
@@ -78,14 +80,14 @@ def filtered(
                 rest = unit - np.outer(own, c)  # Joseph's form: a vague P stays positive
                 x, P = x + own * e, rest @ P @ rest.T + model.R[j] * np.outer(own, own)
                 error[k, j], variance[k, j], gain[k, j] = e, s, g / s
-    return Filtered(state, covariance, error, variance, gain)
+    return PredictedStates(state, covariance, error, variance, gain)
 
 
 def smoothed(
-    found: Filtered,
+    found: PredictedStates,
     start: Bool[np.ndarray, " sample"],
     kind: Int[np.ndarray, " sample"],
-    model: Model,
+    model: FilterModel,
 ) -> Float[np.ndarray, "sample n"]:
     """The states given all of the log."""
     count, n = found.state.shape
@@ -100,12 +102,12 @@ def smoothed(
 
 
 def responses(
-    found: Filtered,
+    found: PredictedStates,
     start: Bool[np.ndarray, " sample"],
     kind: Int[np.ndarray, " sample"],
     push: Float[np.ndarray, "kind n row"],
     inputs: Float[np.ndarray, "sample column"],
-    model: Model,
+    model: FilterModel,
 ) -> Float[np.ndarray, "sample p kind*row*column"]:
     """What errors would be less by, in standard deviations, for one more input at a time.
 

@@ -9,7 +9,7 @@ import numpy as np
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.delay_scan import scanned
 from deadtime.identification.noisy.largest import of_sensors
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.outputs.past import chains_by_past
 from deadtime.identification.outputs.start import Guess
 from deadtime.identification.uneven import gridded
@@ -35,7 +35,7 @@ def begins_of(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     A, B, delays = layout.split(guess.theta)
     theta = layout.join(np.broadcast_to(shape.shift(), A.shape), B, delays)
     W, deviation = guess.noise[-1]
-    return [log.join(theta, Noise(share * W, deviation)) for share in _SHARES]
+    return [log.join(theta, NoiseLevels(share * W, deviation)) for share in _SHARES]
 
 
 def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
@@ -58,7 +58,7 @@ def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
         given = shape, deviation, grid.step, lag, layout.modes, apart
         if (A := chains_by_past(grid.parts, *given)) is None:
             continue
-        begin = log.join(layout.join(A, B, delays), Noise(_NOTHING * W, deviation))
+        begin = log.join(layout.join(A, B, delays), NoiseLevels(_NOTHING * W, deviation))
         begin = of_sensors(few, scanned(even, begin).moved(begin))
         best, _ = maximise(few, begin, held, log.bounds, _GAIN)
         begins.append(of_sensors(log, best.theta))

@@ -30,7 +30,7 @@ _FEW = 4_000  # samples that tell where to begin
 CHANCE = 1e-3  # that inputs seem to act on all states, or chains to jump, though they do not
 
 
-class Request(NamedTuple):
+class OutputsRequest(NamedTuple):
     """What is asked of a log; zeros None: where the log asks for them.
 
     progress : told what is begun
@@ -90,7 +90,7 @@ class Chosen(NamedTuple):
         return self.log.free.size * float(np.log(count)) - 2.0 * self.best.found.value
 
 
-def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
+def chosen_of(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> Chosen:
     """The likeliest plant; `lead`: see `Embedding`."""
     expect_many_calls()
     recording, layout, order, zeros, bounds, within, progress = request

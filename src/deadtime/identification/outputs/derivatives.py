@@ -20,8 +20,8 @@ from deadtime.identification.noisy.filtering import (
     Sensors,
     filtered as innovations,
 )
-from deadtime.identification.noisy.periods import Periods
-from deadtime.identification.noisy.smoother import Model, filtered, smoothed
+from deadtime.identification.noisy.periods import FilterPeriods
+from deadtime.identification.noisy.smoother import FilterModel, filtered, smoothed
 
 _VAGUE = 1e8  # variances of a sensor that a state is not known by
 _DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends
@@ -76,7 +76,7 @@ def _chain(series: list[np.ndarray], count: int) -> tuple[list[np.ndarray], floa
     return states, size * float(np.sqrt(variance)), size**2 * variance * q
 
 
-def _model(count: int, q: float) -> Model:
+def _model(count: int, q: float) -> FilterModel:
     """A chain of integrators; variances in units of the sensor's."""
     Phi, Q = np.zeros((count, count)), np.zeros((count, count))
     for a in range(count):
@@ -86,7 +86,7 @@ def _model(count: int, q: float) -> Model:
             i, j = count - 1 - a, count - 1 - b
             Q[a, b] = q / (factorial(i) * factorial(j) * (i + j + 1))
     C = np.eye(1, count)
-    return Model(Phi[None], Q[None], C, np.ones(1), (_VAGUE * (1.0 + q)) * np.eye(count))
+    return FilterModel(Phi[None], Q[None], C, np.ones(1), (_VAGUE * (1.0 + q)) * np.eye(count))
 
 
 def _one_start(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +107,7 @@ def _likelihood(series: list[np.ndarray], count: int, q: float, size: float) -> 
     return -0.5 * (total * np.log(variance) + logs), variance
 
 
-def _innovations(y: Float[np.ndarray, "sample 1"], model: Model) -> Iterator[Filtered]:
+def _innovations(y: Float[np.ndarray, "sample 1"], model: FilterModel) -> Iterator[Filtered]:
     """Errors and variances of an output; the first ones, by which states begin, left out."""
     start, mode = _one_start(len(y))
     part = Part(np.arange(len(y), dtype=float), y, np.zeros((len(y), 0)), mode)
@@ -115,10 +115,10 @@ def _innovations(y: Float[np.ndarray, "sample 1"], model: Model) -> Iterator[Fil
     n = model.C.size
     nothing = np.zeros((1, 0, n, n))
 
-    def periods(_: Part, rows: np.ndarray, __: np.ndarray) -> Periods:
+    def periods(_: Part, rows: np.ndarray, __: np.ndarray) -> FilterPeriods:
         tables = model.Phi, nothing, model.Q, nothing
         unmoved = np.zeros((rows.size, n)), np.zeros((rows.size, 0, n))
-        return Periods(mode[rows], mode[rows], *tables, *unmoved)
+        return FilterPeriods(mode[rows], mode[rows], *tables, *unmoved)
 
     sensors = Sensors(model.C, model.R, model.P0)
     return innovations((part,), [start], [initial], periods, sensors, Places.none(1))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.outputs.chosen import CHANCE, Chosen, Request, chosen_of
+from deadtime.identification.outputs.chosen import CHANCE, Chosen, OutputsRequest, chosen_of
 from deadtime.identification.outputs.embedding import Embedding
 
 _DOUBT = 0.05  # of a rise by chance: from there on zeros are plausible
@@ -54,7 +54,7 @@ def hardly_tells(found: Estimate, shape: Embedding) -> bool:
     return False
 
 
-def order_too_high(request: Request, chosen: Chosen) -> list[str]:
+def order_too_high(request: OutputsRequest, chosen: Chosen) -> list[str]:
     """Which smaller order explains the log better, by BIC of the same measurements."""
     order, fewer = request.order, []
     for j, count in enumerate(order):

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from deadtime.identification.log.recording import Part
 from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.smoother import Model, filtered, smoothed
+from deadtime.identification.noisy.smoother import FilterModel, filtered, smoothed
 
 _MOST = 10_000  # samples of a long log whose states are looked at
 
@@ -36,7 +36,7 @@ def following(
     own = replace(log, recording=log.recording._replace(parts=(part,)))
     starts = own.starts(*window)
     (start,), periods = starts, own.periods(vector, part, starts[0])
-    model = Model.of(own, vector, periods)
+    model = FilterModel.of(own, vector, periods)
     found = filtered(part.output, start, periods.kind, periods.added, model)
     states = smoothed(found, start, periods.kind, model)
     known = ~start & (np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n)

@@ -16,7 +16,7 @@ from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.noise import estimated_of, start_beside
-from deadtime.identification.outputs.chosen import Chosen, Request, chosen_of, worthier
+from deadtime.identification.outputs.chosen import Chosen, OutputsRequest, chosen_of, worthier
 from deadtime.identification.outputs.doubts import hardly_tells, order_too_high, zeros_in_doubt
 from deadtime.identification.outputs.other_delays import with_others
 from deadtime.identification.outputs.request import order_of, state_names
@@ -51,7 +51,7 @@ def identify_outputs(
     _require_moving(recording)
     constant = recording.level is not None
     layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode, constant)
-    request = Request(recording, layout, given, zeros, bounds, within, progress)
+    request = OutputsRequest(recording, layout, given, zeros, bounds, within, progress)
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
     names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
@@ -76,7 +76,7 @@ def _require_moving(recording: Recording) -> None:
             )
 
 
-def _about_its_rest(request: Request) -> tuple[Chosen, Request]:
+def _about_its_rest(request: OutputsRequest) -> tuple[Chosen, OutputsRequest]:
     """The likeliest plant that rests at 0, or elsewhere if that is likelier than chance makes it.
 
     Each is sought by itself: a maximum of the one may lead to a lower one of the other.
@@ -94,7 +94,7 @@ def _about_its_rest(request: Request) -> tuple[Chosen, Request]:
     return (other, request) if worthier(chosen, other) is other else (chosen, plain)
 
 
-def estimate_from_outputs(request: Request) -> tuple[Estimate, Chosen]:
+def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, Chosen]:
     """The likeliest plant with the states that were asked for, and how it was chosen."""
     chosen, request = _about_its_rest(request)
     recording = request.recording

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.likelihood import Noise
+from deadtime.identification.noisy.likelihood import NoiseLevels
 from deadtime.identification.outputs.derivatives import Derivatives, derivatives_of
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
@@ -19,7 +19,7 @@ class Guess(NamedTuple):
     """A first plant, and its noise; `size` of the states."""
 
     theta: Float[np.ndarray, " size"]
-    noise: tuple[Noise, ...]
+    noise: tuple[NoiseLevels, ...]
     size: Float[np.ndarray, " n"]
 
 
@@ -42,7 +42,7 @@ def guess_of(
     return Guess(layout.join(A, B, delays), _noises(found, shape, grid.step), shape.size)
 
 
-def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[Noise, ...]:
+def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[NoiseLevels, ...]:
     """What moves outputs is mostly noise of the plant, or mostly of the sensors."""
     moves = [np.diff(states, axis=0) for states in found.states]
     moves = np.mean(np.vstack(moves) ** 2, axis=0) / step
@@ -52,5 +52,5 @@ def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[Noise, .
         W = 0.1 * much * moves
         W[shape.last] = much * np.minimum(found.drive, moves[shape.last])
         W = np.maximum(W, 1e-8 * shape.size**2)
-        noises.append(Noise(np.diag(W), sensor * deviation))
+        noises.append(NoiseLevels(np.diag(W), sensor * deviation))
     return tuple(noises)

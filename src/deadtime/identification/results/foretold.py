@@ -16,7 +16,7 @@ _MOST_LAGS = 60  # of inputs, in a regression
 LEAST = 20  # rows of a stretch
 
 
-class Stretch(NamedTuple):
+class RowStretch(NamedTuple):
     """Rows of a log, from `first` to before `last`, of which columns have the same units."""
 
     part: Part
@@ -32,18 +32,18 @@ class Scaled(NamedTuple):
     factor: float
 
 
-def lags_between(known: Stretch, other: Stretch, most: float) -> int:
+def lags_between(known: RowStretch, other: RowStretch, most: float) -> int:
     """How far back inputs are looked at, in samples, so that half of the rows have it."""
     rows = min(one.last - one.first for one in (known, other))
     return int(max(0, min(np.ceil(most) + 1, rows // 2, _MOST_LAGS)))
 
 
-def foretells(known: Stretch, other: Stretch, lags: int) -> bool:
+def foretells(known: RowStretch, other: RowStretch, lags: int) -> bool:
     """Whether a stretch does what another one foretells, of one output at least."""
     return bool(_left(known, other, lags).min() < _TOLD)
 
 
-def only_scaled(known: Stretch, other: Stretch, scaled: Scaled, lags: int) -> bool:
+def only_scaled(known: RowStretch, other: RowStretch, scaled: Scaled, lags: int) -> bool:
     """Whether a stretch does what another one foretells if a column is converted, and else not.
 
     It must be clear of one output, and better on the whole. Without the column it must be worse,
@@ -75,7 +75,7 @@ class _Rows(NamedTuple):
 
 
 def _left(
-    known: Stretch, other: Stretch, lags: int, scaled: Scaled | None = None
+    known: RowStretch, other: RowStretch, lags: int, scaled: Scaled | None = None
 ) -> Float[np.ndarray, " p"]:
     """What regressions of one stretch leave of how far another moves: shares of squares."""
     told, asked = _rows(known, lags, None), _rows(other, lags, scaled)
@@ -105,7 +105,7 @@ def _delays(rows: _Rows) -> list[int]:
     return chosen
 
 
-def _rows(one: Stretch, lags: int, scaled: Scaled | None) -> _Rows:
+def _rows(one: RowStretch, lags: int, scaled: Scaled | None) -> _Rows:
     """The periods of a stretch of which all is known."""
     output, entered = one.part.output.copy(), one.part.input.copy()
     if scaled is not None:

@@ -44,7 +44,7 @@ def semi_markov_spread(
     found = []
     for row, x, P in zip(known.row.tolist(), known.x, known.P, strict=True):
         mode, age = divmod(row, ages)
-        march = _March(hazard, transition, mode, age, x, P)
+        march = _SpreadMarch(hazard, transition, mode, age, x, P)
         for length, lag, sample in _pieces(sampled):
             Phi, Gamma, Q = moved[length]
             march.over(Phi, Gamma, Q, known.past[-lag])
@@ -63,7 +63,7 @@ def _pieces(sampled: SampledPlant) -> Iterator[tuple[float, int, bool]]:
             yield h - phase, count - p - 1, True
 
 
-class _March:
+class _SpreadMarch:
     """Probability, mean and covariance by mode and age, from one that is known."""
 
     def __init__(self, hazard, transition, mode: int, age: int, x, P):

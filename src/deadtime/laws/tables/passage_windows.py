@@ -34,7 +34,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
-class _Stage(NamedTuple):
+class _WindowStage(NamedTuple):
     """What is left between two delays.
 
     end, length : d_r and d_r − d_{r−1}, seconds
@@ -82,7 +82,7 @@ def passage_functional(
     return functional_of(F, windows, signal)
 
 
-def _stages(delays: np.ndarray, j: int, generator: np.ndarray) -> list[_Stage]:
+def _stages(delays: np.ndarray, j: int, generator: np.ndarray) -> list[_WindowStage]:
     """The stages until what is sent to input j has been read in all modes."""
     ends = np.unique(delays[delays <= delays[:, j].max()]).tolist()
     stages, p, begin = [], np.eye(len(delays)), 0.0
@@ -90,13 +90,13 @@ def _stages(delays: np.ndarray, j: int, generator: np.ndarray) -> list[_Stage]:
         left = delays[:, j] >= end
         flow = np.where(left[:, None] & left, generator.T, 0.0)
         after = transition(flow, end - begin) @ p
-        stages.append(_Stage(end, end - begin, left, flow, p, after))
+        stages.append(_WindowStage(end, end - begin, left, flow, p, after))
         p, begin = np.where((delays[:, j] == end)[:, None], 0.0, after), end
     return stages
 
 
 def _system(
-    plant: SwitchedSystem, K: np.ndarray, generator: np.ndarray, stage: _Stage, j: int
+    plant: SwitchedSystem, K: np.ndarray, generator: np.ndarray, stage: _WindowStage, j: int
 ) -> Float[np.ndarray, "q q"]:
     """The matrix that (X, a) obeys in a stage."""
     modes, _, n = K.shape
@@ -116,7 +116,7 @@ def _places(left: np.ndarray, n: int) -> Int[np.ndarray, " place"]:
 
 
 def _windows(
-    plant: SwitchedSystem, stage: _Stage, C: np.ndarray, whole: np.ndarray
+    plant: SwitchedSystem, stage: _WindowStage, C: np.ndarray, whole: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, float, float]]:
     """C, S', R, α and β of what is in flight in a stage, for every delay with which it is read."""
     modes, n, m = plant.B.shape

@@ -36,7 +36,7 @@ def semi_markov_passage(
     longest = sampled.longest_lag
     F, G = np.empty((modes, ages, m, n)), np.zeros((modes, ages, longest, m, m))
     for target in range(m):
-        march = _March(K, hazard, transition, ages + longest, sampled, target)
+        march = _PassageMarch(K, hazard, transition, ages + longest, sampled, target)
         for p in range(longest, -1, -1):
             march.back(p)
         F[:, :, target] = march.R[:, :ages]
@@ -45,7 +45,7 @@ def semi_markov_passage(
     return Feedback(F, G, "mode_age", sampled.step, ages)
 
 
-class _March:
+class _PassageMarch:
     """The functionals of one input's feedback at a sample ahead, by mode and age."""
 
     def __init__(self, K, hazard, transition, total, sampled: SampledPlant, target):

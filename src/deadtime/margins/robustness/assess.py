@@ -17,7 +17,7 @@ from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay, streams
 from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
 from deadtime.margins.gain import GainMargin, gain_margin
-from deadtime.margins.robustness.setting import Setting
+from deadtime.margins.robustness.setting import RobustnessRuns
 from deadtime.margins.robustness.tolerance import (
     NoisePrice,
     Tolerance,
@@ -163,7 +163,7 @@ def robustness(
             "then no input arrives."
         )
     weight = weight_of(weight, plant)
-    setting = Setting(
+    setting = RobustnessRuns(
         plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0, weight
     )
     expect_many_calls()
@@ -223,7 +223,7 @@ def _future(signal: SwitchingSignal | Rule) -> tuple:
     return (signal, 1) if isinstance(signal, SwitchingSignal) else ()
 
 
-def _drops(setting: Setting) -> Tolerance:
+def _drops(setting: RobustnessRuns) -> Tolerance:
     """Lost samples, to a tenth of the probability."""
 
     def between(good: float, bad: float) -> float | None:
@@ -244,7 +244,7 @@ def _drops(setting: Setting) -> Tolerance:
 
 
 def _whole(
-    setting: Setting, kind: Callable[[int], Imperfection], most: int, what: str, how: str
+    setting: RobustnessRuns, kind: Callable[[int], Imperfection], most: int, what: str, how: str
 ) -> Tolerance:
     """Whole periods: doubled until runs are lost, then bisected."""
     values = [0.0]

@@ -30,7 +30,7 @@ KEPT, BOUNDED, LOST = range(3)  # how a run ends
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class RobustnessRuns:
     """What is run, and how often."""
 
     plant: SwitchedSystem

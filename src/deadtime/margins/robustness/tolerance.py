@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import amount
 from deadtime.imperfections import Imperfection, Noise
-from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, Cost, Setting
+from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, Cost, RobustnessRuns
 
 _TRIALS = 10
 _CROOKED = 0.3  # of what the largest noise adds: further off, the cost is not quadratic in it
@@ -85,7 +85,7 @@ class NoisePrice(Frozen):
 
 
 def sweep(
-    setting: Setting,
+    setting: RobustnessRuns,
     make: Callable[[float], Imperfection],
     values: Sequence[float],
     refine: Callable[[float, float], float | None],
@@ -120,7 +120,7 @@ def sweep(
 
 def tolerance_of(
     swept: tuple[np.ndarray, np.ndarray, np.ndarray],
-    setting: Setting,
+    setting: RobustnessRuns,
     say: Callable[[float, float | None, bool], str],
 ) -> Tolerance:
     """What a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
@@ -142,7 +142,7 @@ def tolerance_of(
     return Tolerance(values, cost, lost, bounded, tolerated, failed, text)
 
 
-def noise_price(setting: Setting, unit: float) -> NoisePrice:
+def noise_price(setting: RobustnessRuns, unit: float) -> NoisePrice:
     """The price of measurement noise, `unit` being the size of a state."""
     base_cost = setting.costs([])
     base = float(base_cost.mean())

@@ -41,7 +41,7 @@ class _LanesModel(models.PrimitiveModel):
 _LANES = _Lanes()
 
 
-class Sizes(types.Type):
+class LaneSizes(types.Type):
     """The type of an object whose fields compiled code reads as tuples of so many numbers.
 
     Only the lengths are there, so it takes no room: tuples of numbers would be unpacked from
@@ -53,19 +53,19 @@ class Sizes(types.Type):
         super().__init__(name=f"Sizes({', '.join(f'{n}={k}' for n, k in fields.items() if k)})")
 
 
-@register_model(Sizes)
+@register_model(LaneSizes)
 class _SizesModel(models.OpaqueModel):
     pass
 
 
-@unbox(Sizes)
+@unbox(LaneSizes)
 def _unbox(kind: Any, given: Any, c: Any) -> NativeValue:
     return NativeValue(c.context.get_dummy_value())
 
 
 @infer_getattr
 class _Fields(AttributeTemplate):
-    key = Sizes
+    key = LaneSizes
 
     def generic_resolve(self, kind: Any, name: str) -> Any:
         if name in kind.fields:
@@ -73,7 +73,7 @@ class _Fields(AttributeTemplate):
         return None
 
 
-@lower_getattr_generic(Sizes)
+@lower_getattr_generic(LaneSizes)
 def _zeros(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
     return context.get_constant_null(types.UniTuple(types.float64, kind.fields[name]))
 

@@ -20,9 +20,9 @@ from deadtime.problems.file.gains import as_numbers, mean_gain, servo_mean_gain
 from deadtime.problems.file.mode_filter import build_mode_filter
 from deadtime.problems.file.observer import observer_of
 from deadtime.problems.file.servo import FileServo
-from deadtime.problems.law_registry import LAWS, Model, Setting, build_law
+from deadtime.problems.law_registry import LAWS, LawSetting, Model, build_law
 from deadtime.problems.law_registry.entry import LawSection, ModelSection
-from deadtime.problems.law_registry.registry import Known
+from deadtime.problems.law_registry.registry import NamedLaw
 from deadtime.problems.toml import section as _section
 from deadtime.problems.toml.entries import kinds_of
 from deadtime.switching import Rule
@@ -39,7 +39,7 @@ class Laws:
         That of [plant].
     gains : (modes, m, n), or (modes, m, z) with a servo
     model, rule, weight
-        As in `Setting`.
+        As in `LawSetting`.
     step : float or None
         The sampling period; None for an ideal loop.
     following : FileServo or None
@@ -74,12 +74,12 @@ class Laws:
                 servos |= {name: servo} if servo is not None else {}
         return (laws, servos) if laws else self._usual(setting)
 
-    def _setting(self) -> Setting:
+    def _setting(self) -> LawSetting:
         """What a law of the file's own plant is made from."""
         file, design, weight = self.file, self.file.gains.lqr, self.weight
         if weight is None and file.cost is None and design is not None and not self.following:
             weight = Weight(design.Q, design.R)
-        return Setting(
+        return LawSetting(
             plant=self.plant,
             gains=self.gains,
             mean_gain=partial(mean_gain, file.gains, self.gains),
@@ -103,13 +103,13 @@ class Laws:
                 observed = observer, file.observer
             return build_mode_filter(file.mode_filter, self.plant, self.model, step, observed)
 
-    def _believing(self, setting: Setting, own: ModelSection) -> Setting:
+    def _believing(self, setting: LawSetting, own: ModelSection) -> LawSetting:
         """The setting with the plant that a law believes in."""
         plant = change_plant(setting.plant, own)
         allow = setting.allow_unstable or own.A is not None or own.B is not None
         return replace(setting, plant=plant, period=_period(self.file, plant), allow_unstable=allow)
 
-    def _extended(self, setting: Setting) -> tuple[Setting, Servo | None]:
+    def _extended(self, setting: LawSetting) -> tuple[LawSetting, Servo | None]:
         """The setting of the servo's plant, which a law that follows is made for."""
         following = self.following
         if following is None or self.step is None:
@@ -134,7 +134,7 @@ class Laws:
                 f"one of {kinds}.{unmeasured if 'mode_filter' in section.needs else ''}"
             )
 
-    def _usual(self, setting: Setting) -> tuple[dict[str, Law], dict[str, Servo]]:
+    def _usual(self, setting: LawSetting) -> tuple[dict[str, Law], dict[str, Servo]]:
         """The paper's laws, and those that use what the file says about the switching.
 
         Where a rule switches the loop the law that knows it comes first, and an ideal loop can
@@ -153,7 +153,7 @@ class Laws:
             laws |= {_name_of(law): law for law in built}
         return laws, {} if servo is None else dict.fromkeys(laws, servo)
 
-    def _applies(self, known: Known, setting: Setting) -> bool:
+    def _applies(self, known: NamedLaw, setting: LawSetting) -> bool:
         """Whether a law runs where the file names none."""
         return (
             known.named.in_files

@@ -4,7 +4,11 @@ An imperfection is known everywhere once it has an entry: a file in
 `deadtime.problems.imperfection_registry.entries`.
 """
 
-from deadtime.problems.imperfection_registry.entry import Axis, ImperfectionSection, Slider
+from deadtime.problems.imperfection_registry.entry import (
+    ImperfectionAxis,
+    ImperfectionSection,
+    Slider,
+)
 from deadtime.problems.imperfection_registry.registry import (
     ENTRIES,
     SWEPT,
@@ -17,7 +21,7 @@ from deadtime.problems.imperfection_registry.registry import (
 __all__ = [
     "ENTRIES",
     "SWEPT",
-    "Axis",
+    "ImperfectionAxis",
     "ImperfectionSection",
     "Slider",
     "Swept",

@@ -23,7 +23,7 @@ PerSignal = Annotated[float | Vector, Shape("a number, or one for each", [0.1, 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axis:
+class ImperfectionAxis:
     """An imperfection as an axis of sweeps, none of it for the value 0 (immutable).
 
     Attributes
@@ -73,5 +73,5 @@ class ImperfectionSection(Section):
     """What all share. An entry adds its `kind`, and a key for every field of the class it makes."""
 
     made: ClassVar[type[Imperfection] | None] = None
-    axis: ClassVar[Axis | None] = None
+    axis: ClassVar[ImperfectionAxis | None] = None
     slider: ClassVar[Slider | None] = None

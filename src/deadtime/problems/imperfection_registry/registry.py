@@ -13,7 +13,11 @@ from deadtime import imperfections
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Imperfection
 from deadtime.problems.imperfection_registry import entries
-from deadtime.problems.imperfection_registry.entry import Axis, ImperfectionSection, Slider
+from deadtime.problems.imperfection_registry.entry import (
+    ImperfectionAxis,
+    ImperfectionSection,
+    Slider,
+)
 from deadtime.problems.toml.entries import collect as entries_in, kinds_of, modules_of, refuse
 
 Entry = type[ImperfectionSection]
@@ -24,7 +28,7 @@ class Swept(NamedTuple):
     """An imperfection that sweeps have an axis of, and the page perhaps a slider."""
 
     kind: str
-    axis: Axis
+    axis: ImperfectionAxis
     slider: Slider | None
 
     def section(self, value: float) -> dict[str, Any]:

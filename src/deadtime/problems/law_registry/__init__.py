@@ -9,13 +9,13 @@ from deadtime.problems.law_registry.registry import (
     LAWS,
     MODEL_KINDS,
     QUICK,
-    Known,
+    NamedLaw,
     build_law,
     collect,
     the_law,
     the_problem_law,
 )
-from deadtime.problems.law_registry.setting import NEEDS, Model, Setting
+from deadtime.problems.law_registry.setting import NEEDS, LawSetting, Model
 
 __all__ = [
     "ENTRIES",
@@ -24,11 +24,11 @@ __all__ = [
     "MODEL_KINDS",
     "NEEDS",
     "QUICK",
-    "Known",
     "LawSection",
+    "LawSetting",
     "Model",
     "Named",
-    "Setting",
+    "NamedLaw",
     "build_law",
     "collect",
     "the_law",

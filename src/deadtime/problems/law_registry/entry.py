@@ -20,7 +20,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from deadtime.feedback import Law
-from deadtime.problems.law_registry.setting import Need, Setting
+from deadtime.problems.law_registry.setting import LawSetting, Need
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.table import Matrices, Matrix, Section, Vector
 
@@ -108,5 +108,5 @@ class LawSection(Section):
     model: ModelSection = Field(default_factory=ModelSection)
 
     @abstractmethod
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         """The law that the section asks for; what the entry `needs` is there."""

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple, cast
 from deadtime.feedback import Law
 from deadtime.problems.law_registry import entries
 from deadtime.problems.law_registry.entry import LEVELS, LawSection, Named
-from deadtime.problems.law_registry.setting import NEEDS, Setting
+from deadtime.problems.law_registry.setting import NEEDS, LawSetting
 from deadtime.problems.toml.entries import collect as entries_in, kinds_of, modules_of, refuse
 
 Entry = type[LawSection]
 _refuse = partial(refuse, "law")
 
 
-class Known(NamedTuple):
+class NamedLaw(NamedTuple):
     """A law that is known by a name: its entry, and what the entry says of the name."""
 
     entry: Entry
@@ -52,13 +52,13 @@ class Known(NamedTuple):
         return {**self.named.keys, **told}
 
     def build(
-        self, setting: Setting, mode: int | None = None, dwell_time: float | None = None
+        self, setting: LawSetting, mode: int | None = None, dwell_time: float | None = None
     ) -> Law:
         """The law itself."""
         return build_law(self.entry(**{"kind": self.kind, **self.keys(mode, dwell_time)}), setting)
 
 
-def build_law(section: LawSection, setting: Setting) -> Law:
+def build_law(section: LawSection, setting: LawSetting) -> Law:
     """The law that a section asks for, its filter aside; refused where something is lacking."""
     for need in section.needs:
         setting.require(need, kinds_of(type(section))[0])
@@ -91,7 +91,7 @@ def _require_whole(entry: Entry) -> None:
 
 def _require_fit(entry: Entry, named: Named) -> None:
     """Refuse a name of which no section can be made."""
-    name, known = named.name, Known(entry, named)
+    name, known = named.name, NamedLaw(entry, named)
     if named.knows not in LEVELS:
         _refuse(entry, f"{name!r} knows {named.knows!r}: it must be one of {', '.join(LEVELS)}.")
     given = known.keys()
@@ -105,10 +105,10 @@ def _require_fit(entry: Entry, named: Named) -> None:
 
 ENTRIES: tuple[Entry, ...] = collect(modules_of(entries))
 # Laws by name: those that need no model, those that do, and variants of both.
-LAWS: Mapping[str, Known] = {
+LAWS: Mapping[str, NamedLaw] = {
     known.named.name: known
     for known in sorted(
-        (Known(entry, named) for entry in ENTRIES for named in entry.names),
+        (NamedLaw(entry, named) for entry in ENTRIES for named in entry.names),
         key=lambda known: 2 if not known.usual else int("model" in known.entry.needs),
     )
 }

@@ -19,7 +19,7 @@ Need = Literal["model", "rule", "signal", "mode_filter"]
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class LawSetting:
     """The plant that a law believes in, gains, and what there is to know of the switching.
 
     Attributes

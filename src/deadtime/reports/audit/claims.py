@@ -10,14 +10,14 @@ import numpy as np
 from deadtime.base.wording import amount, as_rate
 from deadtime.problems import Problem
 from deadtime.reports.audit.claim import Claim
-from deadtime.reports.audit.measure import LEAD, MEAN, TRANSIENT, Evidence, is_stabilised
+from deadtime.reports.audit.measure import LEAD, MEAN, TRANSIENT, AuditEvidence, is_stabilised
 from deadtime.scenarios.paired.proportion import Proportion
 from deadtime.switching import SwitchingSignal
 
 NUMBER = {LEAD: "(2)", MEAN: "(80)"}
 
 
-def claims_at_dwell_time(evidence: Evidence) -> Iterator[Claim]:
+def claims_at_dwell_time(evidence: AuditEvidence) -> Iterator[Claim]:
     """In the order of the paper."""
     yield printed_numbers(evidence.problem)
     yield stabilises(evidence, LEAD, "Section III, Figure 3")
@@ -47,7 +47,7 @@ def printed_numbers(problem: Problem) -> Claim:
     )
 
 
-def stabilises(evidence: Evidence, name: str, where: str) -> Claim:
+def stabilises(evidence: AuditEvidence, name: str, where: str) -> Claim:
     """Law (2) or (80) brings the state to rest."""
     problem, one, many = evidence.problem, evidence.one[name], evidence.many[name]
     good = is_stabilised(problem, many)
@@ -84,7 +84,7 @@ def _constant_mode_growth(problem: Problem, name: str) -> list[float]:
     return [-run.metrics()["decay_rate"] for run in runs]
 
 
-def single_is_worse(evidence: Evidence, mode: int, name: str) -> Claim:
+def single_is_worse(evidence: AuditEvidence, mode: int, name: str) -> Claim:
     """A law that believes in one mode performs worse than law (2)."""
     one, many = evidence.one, evidence.many
     worse = many[name]["ise"] > many[LEAD]["ise"]
@@ -106,7 +106,7 @@ def single_is_worse(evidence: Evidence, mode: int, name: str) -> Claim:
     )
 
 
-def predicts_better(evidence: Evidence) -> Claim:
+def predicts_better(evidence: AuditEvidence) -> Claim:
     """Law (2) predicts better than the laws of one mode."""
     one, many, singles = evidence.one, evidence.many, evidence.singles
 
@@ -138,7 +138,7 @@ def predicts_better(evidence: Evidence) -> Claim:
     )
 
 
-def converges_faster(evidence: Evidence) -> Claim:
+def converges_faster(evidence: AuditEvidence) -> Claim:
     """Law (2) settles sooner than law (80)."""
     one, many = evidence.one, evidence.many
     sooner = many[LEAD]["settling_time"] < many[MEAN]["settling_time"]
@@ -162,7 +162,7 @@ def converges_faster(evidence: Evidence) -> Claim:
     )
 
 
-def better_transient(evidence: Evidence) -> Claim:
+def better_transient(evidence: AuditEvidence) -> Claim:
     """Law (2) has the better start."""
 
     def is_better(figures, key: str) -> np.ndarray:

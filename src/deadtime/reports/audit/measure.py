@@ -24,7 +24,7 @@ Figures = Mapping[str, Mapping[str, np.ndarray]]  # law → figure → one entry
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class AuditEvidence:
     """What the claims about the example are judged by.
 
     Attributes
@@ -135,14 +135,14 @@ def is_stabilised(problem: Problem, figures: Mapping[str, np.ndarray]) -> np.nda
 
 def gather_all(
     problem: Problem, dwell_time: float, scenarios: int, seed: int, progress: Progress
-) -> Evidence:
+) -> AuditEvidence:
     """The evidence on the problem's own signal and on random ones."""
     one = gather(problem, [problem.given_signal], lambda: None)
     signals = random_signals(problem, dwell_time, scenarios, seed)
     many = gather(
         problem, signals, lambda: progress(f"audit: every law on {scenarios:,} random signals")
     )
-    return Evidence(problem, dwell_time, one, many)
+    return AuditEvidence(problem, dwell_time, one, many)
 
 
 def _rms(array: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from deadtime.laws import AveragedPredictor, MeanPredictor
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Progress
 from deadtime.reports.audit.claim import Claim, Sweep
-from deadtime.reports.audit.measure import LEAD, MEAN, Evidence, is_stabilised, random_signals
+from deadtime.reports.audit.measure import LEAD, MEAN, AuditEvidence, is_stabilised, random_signals
 from deadtime.scenarios import monte_carlo
 from deadtime.scenarios.paired.proportion import Proportion
 from deadtime.switching import SwitchingSignal
@@ -52,7 +52,7 @@ def pairs(problem: Problem, own: SwitchingSignal, signals: list[SwitchingSignal]
     return Pairs(figures["ise"], is_stabilised(problem, figures))
 
 
-def at_the_example(evidence: Evidence, count: int) -> Pairs:
+def at_the_example(evidence: AuditEvidence, count: int) -> Pairs:
     """The same from the evidence at the example's own dwell time and distance."""
     joined = {
         name: {
@@ -86,7 +86,7 @@ def move_modes(problem: Problem, alpha: float) -> tuple[Problem, float]:
 
 
 def claims_about_dwell_time(
-    evidence: Evidence, count: int, seed: int, progress: Progress
+    evidence: AuditEvidence, count: int, seed: int, progress: Progress
 ) -> Iterator[Claim]:
     """What happens to law (2), alone and against (80), as the dwell time decreases."""
     problem, runs = evidence.problem, []
@@ -157,7 +157,9 @@ def _gains_when_shorter(runs: list[Pairs], times: tuple[float, ...]) -> Claim:
     )
 
 
-def claim_about_distance(evidence: Evidence, count: int, seed: int, progress: Progress) -> Claim:
+def claim_about_distance(
+    evidence: AuditEvidence, count: int, seed: int, progress: Progress
+) -> Claim:
     """Whether law (80) bears modes farther apart than (2) does."""
     problem = evidence.problem
     signals = random_signals(problem, evidence.dwell_time, count, seed)

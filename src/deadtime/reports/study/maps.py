@@ -17,7 +17,7 @@ from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import STYLE, WIDTH, plain
 from deadtime.reports.figures.colours import colour_of
 from deadtime.reports.figures.sweeps.maps import Scale, colour_map, winners
-from deadtime.reports.figures.sweeps.panels import Grid
+from deadtime.reports.figures.sweeps.panels import PanelGrid
 from deadtime.reports.study.findings import LOST, best, duel, summary
 from deadtime.reports.study.phrases import words_of
 from deadtime.scenarios.sweeps.laws import AWARE
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 MOST_RATIO = 3.0  # where the colours of a comparison end, in both directions
 
 
-def _grid(data: xr.Dataset) -> Grid:
+def _grid(data: xr.Dataset) -> PanelGrid:
     """Dwell time across and mode distance up; sojourns side by side, the other axes down."""
     x, y, columns = "dwell_time", "distance", "sojourn"
     rows = (str(name) for name in data.ise.dims[:-2])
-    return Grid(x, y, columns, tuple(name for name in rows if name not in (x, y, columns)))
+    return PanelGrid(x, y, columns, tuple(name for name in rows if name not in (x, y, columns)))
 
 
 def plot_winners(data: xr.Dataset, laws: Sequence[str]) -> Figure:

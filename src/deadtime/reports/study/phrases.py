@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Table:
+class AnswerTable:
     """A small table beside an answer."""
 
     caption: str
@@ -39,7 +39,7 @@ class Answer:
 
     question: str
     sentences: tuple[str, ...]
-    tables: tuple[Table, ...] = ()
+    tables: tuple[AnswerTable, ...] = ()
     duels: tuple[tuple[str, str], ...] = ()
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.wording import amount
-from deadtime.reports.study.phrases import Table, tally
+from deadtime.reports.study.phrases import AnswerTable, tally
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,7 +21,7 @@ def by_dwell_time(fight: xr.Dataset) -> Iterator[tuple[float, float, xr.Dataset]
             yield float(delay), float(time), fight.sel(delay=delay, dwell_time=time)
 
 
-def table(caption: str, fight: xr.Dataset, outcomes: tuple[str, str]) -> Table:
+def table(caption: str, fight: xr.Dataset, outcomes: tuple[str, str]) -> AnswerTable:
     """A comparison of two laws: quotients over the other axes, and in how many cells each won."""
     rows = []
     for delay, time, cells in by_dwell_time(fight):
@@ -42,4 +42,4 @@ def table(caption: str, fight: xr.Dataset, outcomes: tuple[str, str]) -> Table:
             )
         )
     headings = ("D, s", "τ_d, s", "τ_d/D", "median", "least", "largest", *outcomes, "neither")
-    return Table(caption, headings, tuple(rows))
+    return AnswerTable(caption, headings, tuple(rows))

@@ -30,7 +30,7 @@ GROWN = 1e6  # times a peak of x under the same push: no push does that to a loo
 _INTERVAL = "95 % interval"
 
 
-class Quantiles(NamedTuple):
+class ThreeQuantiles(NamedTuple):
     """The 5 % quantile, the median and the 95 % quantile; ∞ where diverged runs reach into them."""
 
     low: float
@@ -72,8 +72,8 @@ class LawSummary:
     """
 
     law: str
-    cost: Quantiles
-    ise: Quantiles
+    cost: ThreeQuantiles
+    ise: ThreeQuantiles
     best: float
     relative: float
     diverged: int
@@ -81,7 +81,7 @@ class LawSummary:
     interval: Interval
     relative_interval: Interval
     best_interval: Interval
-    iae: Quantiles | None = None
+    iae: ThreeQuantiles | None = None
 
 
 @dataclass(frozen=True)
@@ -311,8 +311,8 @@ def quantile(values: Float[np.ndarray, " scenario"], level: float) -> float:
     return float(np.quantile(np.minimum(values, highest), level))
 
 
-def _quantiles(values: np.ndarray) -> Quantiles:
-    return Quantiles(*(quantile(values, level) for level in LEVELS))
+def _quantiles(values: np.ndarray) -> ThreeQuantiles:
+    return ThreeQuantiles(*(quantile(values, level) for level in LEVELS))
 
 
 def interval_text(low: float, high: float) -> str:

@@ -25,7 +25,7 @@ _FEW = 20_000  # signals that are drawn all at once, to run equal ones only once
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class CellOutcome:
     """What was measured in one cell.
 
     Attributes
@@ -42,7 +42,7 @@ class Outcome:
     reasons: tuple[str, ...]
 
 
-def run_cell(study: Study, cell: Cell) -> Outcome:
+def run_cell(study: Study, cell: Cell) -> CellOutcome:
     """Run every law of a study in one cell; whatever fails there is a result with a reason."""
     shape = (len(study.laws), study.scenarios)
     metrics = {name: np.full(shape, np.nan) for name in study.metrics}
@@ -67,7 +67,7 @@ def run_cell(study: Study, cell: Cell) -> Outcome:
     for law, lost in zip(study.laws, diverged, strict=True):
         if lost.any():
             reasons[law] = f"diverged on {lost.sum():,} of {study.scenarios:,} scenarios"
-    return Outcome(metrics, diverged, tuple(reasons.values()))
+    return CellOutcome(metrics, diverged, tuple(reasons.values()))
 
 
 def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.toml import require_valid
 from deadtime.scenarios.dataset import METRICS
-from deadtime.scenarios.sweeps.layout import Layout
+from deadtime.scenarios.sweeps.layout import BlockLayout
 from deadtime.scenarios.sweeps.study import require_axis
 
 MOST = 10**8  # cells of a grid, and scenarios
@@ -31,7 +31,7 @@ class _Definition(BaseModel):
     metrics: Strings
 
 
-class _Description(BaseModel):
+class _StoreAttributes(BaseModel):
     """The attributes that reading needs."""
 
     model_config = ConfigDict(extra="allow", strict=True)
@@ -40,7 +40,7 @@ class _Description(BaseModel):
     block: list[Annotated[int, Field(ge=1)]]
 
 
-def read_description(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Layout]:
+def read_description(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], BlockLayout]:
     """The definition of a store's study, and how its grid is cut.
 
     Raises
@@ -59,7 +59,7 @@ def read_description(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Lay
         known["definition"] = json.loads(str(known.get("definition")))
     except (ValueError, RecursionError):
         raise ArgumentError("its definition is no JSON.") from None
-    checked = require_valid(_Description, known)
+    checked = require_valid(_StoreAttributes, known)
     definition: dict[str, Any] = checked.definition.model_dump()
     shape = tuple(map(len, definition["grid"].values()))
     if unknown := set(definition["metrics"]) - set(METRICS):
@@ -71,4 +71,4 @@ def read_description(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Lay
     block = tuple(checked.block)
     if len(block) != len(shape) or any(b > s for b, s in zip(block, shape, strict=True)):
         raise ArgumentError(f"block is {list(block)}, of a grid of the shape {shape}.")
-    return definition, Layout(shape, block)
+    return definition, BlockLayout(shape, block)

@@ -22,7 +22,7 @@ from deadtime.problems.file.gains import as_numbers
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.file.mode_filter import build_mode_filter
 from deadtime.problems.file.switching import build_model, promise_of
-from deadtime.problems.law_registry import Model, Setting
+from deadtime.problems.law_registry import LawSetting, Model
 from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
 from deadtime.scenarios.sweeps.laws import COARSE, INPUT_WEIGHT, kinds_of
@@ -122,7 +122,7 @@ class FileStudy(Study):
         plant = problem.model or problem.plant
         poles = as_numbers(file.gains.poles or [])
         mean_gain = place(plant.mean(), poles)[0]
-        setting = Setting(
+        setting = LawSetting(
             plant=plant,
             gains=problem.gains,
             mean_gain=lambda _: mean_gain,

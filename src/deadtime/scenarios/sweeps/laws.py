@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
-from deadtime.problems.law_registry import LAWS, LEVELS, Known, Setting
+from deadtime.problems.law_registry import LAWS, LEVELS, LawSetting, NamedLaw
 
 ORACLE, AWARE = "oracle", ", dwell-aware"
 COARSE = 20  # sampling periods per delay at which minimax laws are sought
@@ -18,7 +18,7 @@ INPUT_WEIGHT = 1e-3  # of ∫|u|² beside ∫|x|² in what the optimal law minim
 class Kind:
     """A law of the registry, of one of the modes if there is one for each."""
 
-    known: Known
+    known: NamedLaw
     mode: int | None = None
 
     @property
@@ -26,7 +26,7 @@ class Kind:
         """One of `LEVELS`."""
         return self.known.named.knows
 
-    def make(self, setting: Setting, dwell_time: float | None = None) -> Law:
+    def make(self, setting: LawSetting, dwell_time: float | None = None) -> Law:
         """The law for one cell; τ_d for those that are told it."""
         if self.known.is_told and dwell_time is None:
             raise ArgumentError("a dwell-aware law is told τ_d: give grid.dwell_time.")

@@ -41,7 +41,7 @@ _LOOKED_AT = 64  # cells whose cost is estimated; the others follow from their p
 
 
 @dataclass(frozen=True)
-class Layout:
+class BlockLayout:
     """How the grid is cut into blocks of neighbouring cells.
 
     Attributes
@@ -79,7 +79,7 @@ class Layout:
         return itertools.product(*(range(s.start, s.stop) for s in self.slices(number)))
 
 
-def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> Layout:
+def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> BlockLayout:
     """Blocks of about a second of work: the same for every number of workers.
 
     Where that would make more than some 20,000, blocks are larger, up to 20 s. The last axes are
@@ -98,7 +98,7 @@ def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> Layout:
         room = max(1, math.floor(cells))
         block.append(math.ceil(size / math.ceil(size / room)))
         cells /= block[-1]
-    return Layout(study.shape, tuple(reversed(block)))
+    return BlockLayout(study.shape, tuple(reversed(block)))
 
 
 @lru_cache(4)

@@ -16,7 +16,7 @@ from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError, WorkerError
 from deadtime.scenarios.sweeps.cell import run_cell
 from deadtime.scenarios.sweeps.cluster import cluster
-from deadtime.scenarios.sweeps.layout import Layout, costs_of, facts_of, layout_of
+from deadtime.scenarios.sweeps.layout import BlockLayout, costs_of, facts_of, layout_of
 from deadtime.scenarios.sweeps.load import load_study
 from deadtime.scenarios.sweeps.read import open_sweep
 from deadtime.scenarios.sweeps.store import (
@@ -171,7 +171,7 @@ def prepare(study: Study, url: str) -> Store:
     return target
 
 
-def block_costs(study: Study, layout: Layout) -> np.ndarray:
+def block_costs(study: Study, layout: BlockLayout) -> np.ndarray:
     """Estimated seconds of every block."""
     costs = costs_of(study)
     return np.array([costs[layout.slices(number)].sum() for number in range(layout.size)])

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_
 
 from deadtime.problems.file.imperfections import ImperfectionEntry
 from deadtime.problems.file.schema import CostSection
-from deadtime.problems.imperfection_registry import SWEPT, Axis
+from deadtime.problems.imperfection_registry import SWEPT, ImperfectionAxis
 from deadtime.problems.toml.table import Count, First, NotNegative, Poles, Section
 from deadtime.scenarios.dataset import METRICS
 from deadtime.scenarios.sweeps.sojourns import FAMILIES
@@ -90,7 +90,7 @@ class _PlainAxes(Section):
     dwell_time: Positives | None = Field(None, description="τ_d: no sojourn is shorter, seconds.")
 
 
-def _axis(axis: Axis) -> tuple[Any, Any]:
+def _axis(axis: ImperfectionAxis) -> tuple[Any, Any]:
     """The field of an imperfection: its type and what editors show."""
     values: Any = Annotated[list[axis.values], *List]
     return values | None, Field(None, description=axis.description)

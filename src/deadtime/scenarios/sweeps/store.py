@@ -28,9 +28,9 @@ from deadtime.base.errors import ArgumentError, StoreError
 from deadtime.base.version import __version__
 from deadtime.scenarios.dataset import DIVERGED, attributes_of
 from deadtime.scenarios.sweeps.axes import Axis, no_write
-from deadtime.scenarios.sweeps.cell import Outcome
+from deadtime.scenarios.sweeps.cell import CellOutcome
 from deadtime.scenarios.sweeps.description import read_description
-from deadtime.scenarios.sweeps.layout import Layout
+from deadtime.scenarios.sweeps.layout import BlockLayout
 from deadtime.scenarios.sweeps.study import Study, differences
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ class Store:
             if not done[self.layout.slices(number)].all()
         ]
 
-    def write(self, number: int, outcomes: Sequence[Outcome]) -> None:
+    def write(self, number: int, outcomes: Sequence[CellOutcome]) -> None:
         """Store the outcomes of a block's cells, in their order; the flags last."""
         place = self.layout.slices(number)
         shape = tuple(part.stop - part.start for part in place)
@@ -264,7 +264,7 @@ def exists(url: str) -> bool:
     return True
 
 
-def create(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> Store:
+def create(url: str, study: Study, layout: BlockLayout, facts: Mapping[str, Any]) -> Store:
     """A new store of absent cells; it appears whole or not at all where names can be changed.
 
     Where another sweep makes one at the same time, it is the one that is there first.
@@ -287,7 +287,7 @@ def create(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> 
     return open_store(url)
 
 
-def _fill(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> None:
+def _fill(url: str, study: Study, layout: BlockLayout, facts: Mapping[str, Any]) -> None:
     """Arrays without chunks, coordinates and attributes."""
     import zarr
     from zarr.codecs import BloscCodec, Crc32cCodec

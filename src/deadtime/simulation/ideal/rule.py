@@ -33,10 +33,10 @@ from deadtime.laws import StateDependentPredictor
 from deadtime.laws.state_dependent import final_place
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.digital import Outcome
+from deadtime.simulation.digital import RunOutcome
 from deadtime.simulation.ideal.breakpoints import merge, subdivide
 from deadtime.simulation.ideal.piecewise import Piecewise, side_by_side
-from deadtime.simulation.ideal.rule_parts import Part, no_loop, outcome_of
+from deadtime.simulation.ideal.rule_parts import RulePart, no_loop, outcome_of
 from deadtime.simulation.ideal.run import NODES, IdealRecord
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.switching import Rule
@@ -50,7 +50,7 @@ _MOST_PIECES = 1e6
 _SAME = 1e-12  # of the time: edges that close are one
 
 
-class _Stage(NamedTuple):
+class _InputStage(NamedTuple):
     """A stretch of time over which the same inputs have arrived.
 
     arrived : (m,)
@@ -70,10 +70,10 @@ class _Stage(NamedTuple):
     held: np.ndarray
 
 
-class _March(NamedTuple):
+class _RuleMarch(NamedTuple):
     """Parts of a run; state, place and boundary at their end; and what keeps it from going on."""
 
-    parts: list[Part]
+    parts: list[RulePart]
     x: np.ndarray
     place: int
     beside: Beside | None
@@ -87,7 +87,7 @@ def run_ideal_rule(
     x0: Float[np.ndarray, " n"],
     horizon: float,
     u0: InitialInput,
-) -> Outcome:
+) -> RunOutcome:
     """Solve the loop on [0, horizon]."""
     delays, gains = plant.delays[0], _exact_gains(plant, law, rule)
     if not (plant.delays == delays).all():
@@ -185,7 +185,7 @@ def _line(plant: SwitchedSystem, u0: InitialInput, rate: float) -> Float[np.ndar
     return np.repeat(history.function(middles), max(each, 1), axis=0)
 
 
-def _waiting(line: np.ndarray, delays: np.ndarray, begin: float, end: float) -> _Stage:
+def _waiting(line: np.ndarray, delays: np.ndarray, begin: float, end: float) -> _InputStage:
     """The stage from one arrival to the next: some inputs still read what was in the line."""
     arrived, longest = delays <= begin, delays.max()
     sent = np.linspace(-longest, 0.0, len(line) + 1)
@@ -197,29 +197,31 @@ def _waiting(line: np.ndarray, delays: np.ndarray, begin: float, end: float) -> 
     ago = delays - (edges[:-1] + edges[1:])[:, None] / 2.0
     place = np.floor((1.0 - ago / longest) * len(line)).astype(int)
     read = np.take_along_axis(line, np.clip(place, 0, len(line) - 1), axis=0)
-    return _Stage(arrived, edges, lengths, kinds, np.where(arrived, 0.0, read))
+    return _InputStage(arrived, edges, lengths, kinds, np.where(arrived, 0.0, read))
 
 
-def _closed(plant: SwitchedSystem, horizon: float, rate: float) -> _Stage:
+def _closed(plant: SwitchedSystem, horizon: float, rate: float) -> _InputStage:
     """The stage from the last arrival on, up to that of what is sent at the horizon."""
     pieces = math.ceil(horizon * rate / _PIECE)
     edges = np.linspace(plant.longest_delay, plant.longest_delay + horizon, pieces + 1)
     held, kinds = np.zeros((pieces, plant.inputs)), np.zeros(pieces, dtype=int)
-    return _Stage(np.ones(plant.inputs, dtype=bool), edges, (horizon / pieces,), kinds, held)
+    return _InputStage(np.ones(plant.inputs, dtype=bool), edges, (horizon / pieces,), kinds, held)
 
 
-def _march(motion: Motion, stage: _Stage, x: np.ndarray, place: int) -> _March:
+def _march(motion: Motion, stage: _InputStage, x: np.ndarray, place: int) -> _RuleMarch:
     """Move over the pieces of a stage."""
     from deadtime.simulation.loop_arrays import LIMIT
 
     edges = stage.edges.tolist()
-    parts: list[Part] = []
+    parts: list[RulePart] = []
     beside = None
     pieces = zip(edges[:-1], edges[1:], stage.kinds.tolist(), stage.held, strict=True)
     for a, b, kind, u in pieces:
         move = motion.advance(kind, x, place, u, beside)
         if not np.abs(move.x).max() <= LIMIT:
-            return _March(parts, x, place, None, f"diverged: |x| leaves 1e100 before t = {b:g} s")
+            return _RuleMarch(
+                parts, x, place, None, f"diverged: |x| leaves 1e100 before t = {b:g} s"
+            )
         stop = ""
         if move.chatter is not None:
             b = a + move.chatter.time
@@ -227,24 +229,24 @@ def _march(motion: Motion, stage: _Stage, x: np.ndarray, place: int) -> _March:
         starts = [min(a + leg.time, b) for leg in move.legs]
         ends = [*starts[1:], b]
         parts += [
-            Part(start, until, motion, leg, u)
+            RulePart(start, until, motion, leg, u)
             for start, until, leg in zip(starts, ends, move.legs, strict=True)
             if until > start
         ]
         x, place, beside = move.x, move.place, move.beside
         if stop:
-            return _March(parts, x, place, None, stop)
-    return _March(parts, x, place, beside)
+            return _RuleMarch(parts, x, place, None, stop)
+    return _RuleMarch(parts, x, place, beside)
 
 
 def _outcome(
     plant: SwitchedSystem,
     gains: np.ndarray,
-    march: _March,
+    march: _RuleMarch,
     line: np.ndarray,
     horizon: float,
     rate: float,
-) -> Outcome:
+) -> RunOutcome:
     """Lay the parts out as polynomials, and say what there is to say."""
     parts, longest, stop = march.parts, plant.longest_delay, march.stop
     reached = parts[-1].end if parts else 0.0
@@ -258,7 +260,7 @@ def _outcome(
 
 
 def _polynomials(
-    parts: list[Part], rate: float, cut: float
+    parts: list[RulePart], rate: float, cut: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edges of segments, one of them at `cut`, x at the nodes of each, and its mode."""
     nodes = gauss(NODES)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.simulation.digital import Outcome
+from deadtime.simulation.digital import RunOutcome
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.slides import Slide, join, slides_in_words
 from deadtime.switching import SwitchingSignal
@@ -16,7 +16,7 @@ from deadtime.switching.rules.motion import Leg, Motion
 _SAME = 1e-12  # of the time: switches that close are one
 
 
-class Part(NamedTuple):
+class RulePart(NamedTuple):
     """A part of the run in one motion, seconds from its start, and the input held over it."""
 
     begin: float
@@ -38,7 +38,7 @@ def no_loop(stop: str, arrived: float) -> ArgumentError:
     )
 
 
-def outcome_of(record: IdealRecord, parts: list[Part], end: float, stop: str) -> Outcome:
+def outcome_of(record: IdealRecord, parts: list[RulePart], end: float, stop: str) -> RunOutcome:
     """What a run of these parts leaves behind; `stop` says why it ended early at `end`, if so."""
     reached = parts[-1].end
     signal = _signal(parts, reached)
@@ -50,7 +50,7 @@ def outcome_of(record: IdealRecord, parts: list[Part], end: float, stop: str) ->
     early = (
         f"{stop}, a delay ahead: the run ends at t = {end:g} s." if stop and not diverged else ""
     )
-    return Outcome(
+    return RunOutcome(
         record,
         signal,
         lambda time: signal(time + record.states.slack),
@@ -60,7 +60,7 @@ def outcome_of(record: IdealRecord, parts: list[Part], end: float, stop: str) ->
     )
 
 
-def _signal(parts: list[Part], reached: float) -> SwitchingSignal:
+def _signal(parts: list[RulePart], reached: float) -> SwitchingSignal:
     """The switching signal that the parts are, known up to where they reach."""
     times, modes = [0.0], [parts[0].mode]
     for part in parts[1:]:
@@ -76,7 +76,7 @@ def _signal(parts: list[Part], reached: float) -> SwitchingSignal:
     return SwitchingSignal(times, modes, reached)
 
 
-def _slide(part: Part, end: float) -> Slide:
+def _slide(part: RulePart, end: float) -> Slide:
     """The sliding motion of a part, up to the end of the run."""
     assert part.leg.beside is not None
     mode, other = (part.motion.mode_of(p) for p in (part.leg.place, part.leg.beside.place))

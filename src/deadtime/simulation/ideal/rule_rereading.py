@@ -25,9 +25,9 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.digital import Outcome
+from deadtime.simulation.digital import RunOutcome
 from deadtime.simulation.ideal.piecewise import Piecewise, side_by_side
-from deadtime.simulation.ideal.rule_parts import Part, no_loop, outcome_of
+from deadtime.simulation.ideal.rule_parts import RulePart, no_loop, outcome_of
 from deadtime.simulation.ideal.run import NODES, IdealRecord
 from deadtime.simulation.ideal.sent import Sent, with_edge
 from deadtime.switching import Rule
@@ -70,9 +70,9 @@ def run_rereading_rule(
     horizon: float,
     line: Float[np.ndarray, "piece m"],
     rate: float,
-) -> Outcome:
+) -> RunOutcome:
     """Solve the loop on [0, horizon]; `line` is what was sent before 0, over equal pieces."""
-    march = _March(plant, gains, rule, x0, horizon, line, PIECE / rate)
+    march = _RereadingMarch(plant, gains, rule, x0, horizon, line, PIECE / rate)
     while not march.stop and min(each.newest for each in march.sent) < horizon:
         march.read()
         march.advance()
@@ -85,7 +85,7 @@ def run_rereading_rule(
     return outcome_of(record, march.parts, end, march.stop)
 
 
-class _March:
+class _RereadingMarch:
     """A run on its way: x at t and where it is, what has been sent, and what there is to report."""
 
     def __init__(
@@ -275,7 +275,7 @@ class _March:
         n, support, none = self.x.size, gauss(NODES).support, np.zeros(self.plant.inputs)
         times = (end - self.t) * support
         x = np.array([motion.along(leg, none, time)[:n] for time in times.tolist()])
-        self.parts.append(Part(self.t, end, motion, leg, none))
+        self.parts.append(RulePart(self.t, end, motion, leg, none))
         self.edges.append(end)
         self.states.append(x)
         for j, (sent, i) in enumerate(zip(self.sent, readings.reader.tolist(), strict=True)):

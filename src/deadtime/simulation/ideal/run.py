@@ -78,7 +78,7 @@ class IdealRecord:
         return InputHistory(lambda s: self.inputs(s + end), jumps)
 
 
-class Plant(NamedTuple):
+class SegmentPlant(NamedTuple):
     """The plant, for the compiled march."""
 
     A: np.ndarray
@@ -86,7 +86,7 @@ class Plant(NamedTuple):
     delays: np.ndarray
 
 
-class Line(NamedTuple):
+class Segments(NamedTuple):
     """The segments, for the compiled march: the run begins with segment `begin`, u ends with
     segment `stop`; the plant's mode on each, and the inputs sent (segments, p + 2, m).
     """
@@ -160,8 +160,8 @@ def _solve(
     inputs = np.zeros((middles.size, NODES + 2, plant.inputs))
     inputs[:begin] = history.on(edges[: begin + 1], nodes)
     run = np.maximum(middles, 0.0)
-    line = Line(edges, begin, stop, signal(run), inputs)
-    moving = Plant(plant.A, plant.B, plant.delays)
+    line = Segments(edges, begin, stop, signal(run), inputs)
+    moving = SegmentPlant(plant.A, plant.B, plant.delays)
     if isinstance(law, Forecast):
         from deadtime.simulation.ideal.loop import march
 

@@ -16,7 +16,7 @@ from deadtime.imperfections import (
     WrongMode,
 )
 from deadtime.problems.imperfection_registry.entry import (
-    Axis,
+    ImperfectionAxis,
     ImperfectionSection,
     PerSignal,
     Slider,
@@ -28,7 +28,7 @@ class NoiseSection(ImperfectionSection):
     """White measurement noise."""
 
     made: ClassVar = Noise
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="noise",
         label="measurement noise",
         unit="x",
@@ -45,7 +45,7 @@ class MeasurementDelaySection(ImperfectionSection):
     """A measurement delay beside the input delay."""
 
     made: ClassVar = MeasurementDelay
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="measurement_delay",
         label="measurement delay",
         unit="s",
@@ -61,7 +61,7 @@ class JitterSection(ImperfectionSection):
     """Samples taken early."""
 
     made: ClassVar = Jitter
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="jitter",
         label="jitter",
         unit="s",
@@ -87,7 +87,7 @@ class DropoutSection(ImperfectionSection):
     """Lost samples."""
 
     made: ClassVar = Dropout
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="dropout",
         label="samples lost",
         unit="",
@@ -104,7 +104,7 @@ class ModeDelaySection(ImperfectionSection):
     """Late mode detection."""
 
     made: ClassVar = ModeDelay
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="mode_delay",
         label="late modes",
         unit="periods",
@@ -121,7 +121,7 @@ class WrongModeSection(ImperfectionSection):
     """Wrong mode detection."""
 
     made: ClassVar = WrongMode
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="wrong_mode",
         label="wrong modes",
         unit="",

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from deadtime.imperfections import RateLimit, Saturation
 from deadtime.problems.imperfection_registry.entry import (
-    Axis,
+    ImperfectionAxis,
     ImperfectionSection,
     PerSignal,
     Slider,
@@ -19,7 +19,7 @@ class SaturationSection(ImperfectionSection):
     """Limits of the input."""
 
     made: ClassVar = Saturation
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="saturation",
         label="input limit",
         unit="u",
@@ -37,7 +37,7 @@ class RateLimitSection(ImperfectionSection):
     """A limit of the input's rate."""
 
     made: ClassVar = RateLimit
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="rate_limit",
         label="input rate limit",
         unit="u/s",

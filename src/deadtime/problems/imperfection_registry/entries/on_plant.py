@@ -8,7 +8,11 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from deadtime.imperfections import ColouredDisturbance, StepDisturbance, WhiteDisturbance
-from deadtime.problems.imperfection_registry.entry import Axis, ImperfectionSection, PerSignal
+from deadtime.problems.imperfection_registry.entry import (
+    ImperfectionAxis,
+    ImperfectionSection,
+    PerSignal,
+)
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.table import Matrices, Matrix, Vector
 
@@ -22,7 +26,7 @@ class WhiteDisturbanceSection(ImperfectionSection):
     """White process noise."""
 
     made: ClassVar = WhiteDisturbance
-    axis: ClassVar = Axis(
+    axis: ClassVar = ImperfectionAxis(
         name="disturbance",
         label="disturbance intensity",
         unit="x^2/s",

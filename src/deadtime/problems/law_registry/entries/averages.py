@@ -15,7 +15,7 @@ from deadtime.feedback import Law
 from deadtime.laws import AveragedPredictor, MeanPredictor, SingleModePredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.law_registry.entry import COLUMN, SQUARE, LawSection, Named
-from deadtime.problems.law_registry.setting import Setting
+from deadtime.problems.law_registry.setting import LawSetting
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.table import Matrix, Vector
 
@@ -70,7 +70,7 @@ class AveragedLaw(LawSection):
     )
     dwell_time: float | None = Field(None, description=_DWELL_TIME)
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         if self.weights == "minimax":
             plant, allow = setting.plant, setting.allow_unstable
             arrays = (_hashable(plant.A), _hashable(plant.B), _hashable(setting.gains))
@@ -124,7 +124,7 @@ class SingleLaw(LawSection):
     kind: Literal["single"]
     mode: int
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         return SingleModePredictor(
             setting.plant, setting.gains, self.mode, allow_unstable=setting.allow_unstable
         )
@@ -164,7 +164,7 @@ class MeanLaw(LawSection):
     )
     dwell_time: float | None = Field(None, description=_DWELL_TIME)
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         plant = setting.plant
         A, B = plant.mean().A[0], plant.mean().B[0]
         A = A if self.A is None else real_array("A", self.A, "(n, n)", 2)

@@ -11,7 +11,7 @@ from deadtime.feedback import Law
 from deadtime.laws import ExpectedPredictor, OptimalPredictor
 from deadtime.plant import Weight
 from deadtime.problems.law_registry.entry import InputWeight, LawSection, Named, Square
-from deadtime.problems.law_registry.setting import Setting
+from deadtime.problems.law_registry.setting import LawSetting
 
 
 class ExpectedLaw(LawSection):
@@ -32,7 +32,7 @@ class ExpectedLaw(LawSection):
     kind: Literal["expected"]
     ages: int | None = Field(None, description="Most ages (samples) that the table tells apart.")
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         assert setting.model is not None
         return ExpectedPredictor(
             setting.plant,
@@ -57,7 +57,7 @@ class OptimalLaw(LawSection):
     Q: Square | None = Field(None, description="n × n; that of [cost] or [gains.lqr], or I.")
     R: InputWeight | None = Field(None, description="m × m; that of [cost] or [gains.lqr], or I.")
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         assert setting.model is not None
         plant = setting.plant
         weight = (setting.weight or Weight()).of(plant)

@@ -8,7 +8,7 @@ from deadtime.base.palette import GREY
 from deadtime.feedback import Law
 from deadtime.laws import ExactPredictor, StateDependentPredictor
 from deadtime.problems.law_registry.entry import LawSection, Named
-from deadtime.problems.law_registry.setting import Setting
+from deadtime.problems.law_registry.setting import LawSetting
 
 
 class ExactLaw(LawSection):
@@ -28,7 +28,7 @@ class ExactLaw(LawSection):
 
     kind: Literal["exact"]
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         return ExactPredictor(setting.plant, setting.gains, allow_unstable=setting.allow_unstable)
 
 
@@ -41,7 +41,7 @@ class StateDependentLaw(LawSection):
 
     kind: Literal["state-dependent"]
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         assert setting.rule is not None
         return StateDependentPredictor(
             setting.plant, setting.gains, setting.rule, allow_unstable=setting.allow_unstable

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 from deadtime.feedback import Law
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems.law_registry.entry import LawSection, Named
-from deadtime.problems.law_registry.setting import Setting
+from deadtime.problems.law_registry.setting import LawSetting
 
 
 class DelayedLaw(LawSection):
@@ -17,7 +17,7 @@ class DelayedLaw(LawSection):
 
     kind: Literal["delayed"]
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         return DelayedStateFeedback(
             setting.plant, setting.gains, allow_unstable=setting.allow_unstable
         )

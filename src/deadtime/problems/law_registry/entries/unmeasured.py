@@ -11,7 +11,7 @@ from deadtime.estimation import BeliefPredictor
 from deadtime.feedback import Law
 from deadtime.problems.law_registry.entries.distribution import ExpectedLaw, OptimalLaw
 from deadtime.problems.law_registry.entry import LawSection, Named
-from deadtime.problems.law_registry.setting import Setting
+from deadtime.problems.law_registry.setting import LawSetting
 
 
 class BeliefLaw(LawSection):
@@ -35,7 +35,7 @@ class BeliefLaw(LawSection):
         "expected", description="The law whose rows are weighed by the belief."
     )
 
-    def law(self, setting: Setting) -> Law:
+    def law(self, setting: LawSetting) -> Law:
         assert setting.mode_filter is not None
         told = {"expected": ExpectedLaw, "optimal": OptimalLaw}[self.of]
         law = told.model_validate({"kind": self.of}).law(setting)

@@ -8,7 +8,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from deadtime.reports.figures.sweeps.maps import Scale, colour_map
-from deadtime.reports.figures.sweeps.panels import Grid, grid_of
+from deadtime.reports.figures.sweeps.panels import PanelGrid, grid_of
 from deadtime.reports.figures.sweeps.reduction import reduce
 from deadtime.reports.figures.sweeps.scales import scale_of
 from deadtime.reports.figures.sweeps.selection import (
@@ -136,7 +136,7 @@ def regret(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | Non
     return add_title(figure, found, grid, f"Law “{law}”")
 
 
-def grid_for(found: xr.Dataset, x: str | None, y: str | None) -> Grid:
+def grid_for(found: xr.Dataset, x: str | None, y: str | None) -> PanelGrid:
     """The panels of a map."""
     across, up = sides(found, x, y)
     return grid_of(found, (across, up), [a for a in long_axes(found) if a not in (across, up)])

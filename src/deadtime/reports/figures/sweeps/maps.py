@@ -23,7 +23,7 @@ from deadtime.reports.figures.sweeps.panels import (
     HATCH,
     NOT_BUILT,
     NOT_RUN,
-    Grid,
+    PanelGrid,
     draw_cells,
     panels_of,
 )
@@ -53,7 +53,7 @@ class Scale:
 
 def colour_map(
     data: xr.Dataset,
-    grid: Grid,
+    grid: PanelGrid,
     values: xr.DataArray,
     scale: Scale,
     write: Callable[[float], str] = short,
@@ -89,7 +89,7 @@ def colour_map(
 
 def winners(
     data: xr.Dataset,
-    grid: Grid,
+    grid: PanelGrid,
     found: xr.Dataset,
     colours: Mapping[str, str],
     waiting: xr.DataArray | None = None,

@@ -37,7 +37,7 @@ _MOST = 40  # panels
 
 
 @dataclass(frozen=True)
-class Grid:
+class PanelGrid:
     """Which axes lie where: across and up in every panel, across and down over the panels."""
 
     x: str | None
@@ -66,7 +66,9 @@ class Grid:
 Place = dict[str, int]
 
 
-def grid_of(data: xr.Dataset, sides: tuple[str | None, str | None], rest: Sequence[str]) -> Grid:
+def grid_of(
+    data: xr.Dataset, sides: tuple[str | None, str | None], rest: Sequence[str]
+) -> PanelGrid:
     """Panels for a sweep: the last of the other axes that fits goes across, the others down."""
     x, y = sides
     count = math.prod(data.sizes[name] for name in rest)
@@ -75,7 +77,7 @@ def grid_of(data: xr.Dataset, sides: tuple[str | None, str | None], rest: Sequen
     width = max(_LEAST, _length(data, "x", x))
     fitting = [name for name in rest if 0.8 + width * data.sizes[name] <= _WIDEST]
     columns = fitting[-1] if fitting else None
-    return Grid(x, y, columns, tuple(name for name in rest if name != columns))
+    return PanelGrid(x, y, columns, tuple(name for name in rest if name != columns))
 
 
 def too_many(data: xr.Dataset, axes: Sequence[str], count: int, most: int) -> ArgumentError:
@@ -99,7 +101,7 @@ def words_of(data: xr.Dataset, place: Place) -> list[str]:
     return [plain(say(data[name], data[name].values[i])) for name, i in place.items()]
 
 
-def panels_of(data: xr.Dataset, grid: Grid) -> tuple[Figure, list[tuple[Axes, Place]]]:
+def panels_of(data: xr.Dataset, grid: PanelGrid) -> tuple[Figure, list[tuple[Axes, Place]]]:
     """A panel for every combination of the outer axes.
 
     Returns the figure, and every panel with its place on these axes.
@@ -132,7 +134,7 @@ def _length(data: xr.Dataset, side: str, name: str | None) -> float:
     return _CELL[side] * count if count <= FIGURES else _MANY[side]
 
 
-def _frame(panel: Axes, data: xr.Dataset, grid: Grid, labelled: tuple[bool, bool]) -> None:
+def _frame(panel: Axes, data: xr.Dataset, grid: PanelGrid, labelled: tuple[bool, bool]) -> None:
     """Ticks for the values of the inner axes, and nothing else."""
     for side, name in grid.inner.items():
         axis = panel.xaxis if side == "x" else panel.yaxis

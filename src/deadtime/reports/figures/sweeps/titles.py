@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from deadtime.base.figure_style import plain
 from deadtime.plant.weight import PLAIN
-from deadtime.reports.figures.sweeps.panels import Grid
+from deadtime.reports.figures.sweeps.panels import PanelGrid
 from deadtime.reports.figures.sweeps.selection import axes_of
 from deadtime.reports.figures.sweeps.words import say, unbroken
 from deadtime.scenarios.dataset import formula_of
@@ -47,7 +47,7 @@ def measure_of(found: xr.Dataset, metric: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def add_title(figure: Figure, found: xr.Dataset, grid: Grid | None, lead: str = "") -> Figure:
+def add_title(figure: Figure, found: xr.Dataset, grid: PanelGrid | None, lead: str = "") -> Figure:
     """A title: what is shown, and the axes that have one value."""
     shown = () if grid is None else (grid.x, grid.y)
     held = [axis for axis in axes_of(found) if found.sizes[axis] == 1 and axis not in shown]
