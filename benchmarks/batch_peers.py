@@ -15,7 +15,7 @@ from numba import njit, prange
 
 import deadtime as dt
 from deadtime.plant import SampledPlant
-from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.batch_loop import Loop
 
 WIDTH = 64  # scenarios side by side in `side_by_side`
 

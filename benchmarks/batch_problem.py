@@ -11,7 +11,7 @@ from scipy.stats import expon
 
 import deadtime as dt
 from deadtime.plant import SampledPlant
-from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.window_form import window_form
 from deadtime.switching import SignalBatch
 

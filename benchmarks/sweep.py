@@ -25,9 +25,9 @@ from machine import heading
 import deadtime as dt
 from deadtime.numerics import kernels
 from deadtime.scenarios.sweeps import Progress
+from deadtime.scenarios.sweeps.blocks import BlockLayout
 from deadtime.scenarios.sweeps.cluster import cluster
-from deadtime.scenarios.sweeps.layout import BlockLayout
-from deadtime.scenarios.sweeps.run import run_block
+from deadtime.scenarios.sweeps.run_sweep import run_block
 from deadtime.scenarios.sweeps.store import create, open_store
 
 SECOND = 180_000  # scenarios of a cell of about a second

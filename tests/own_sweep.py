@@ -6,7 +6,7 @@ from scipy.stats import expon
 
 import deadtime as dt
 from deadtime.scenarios.sweeps import load_study
-from deadtime.scenarios.sweeps.run import prepare, run_block
+from deadtime.scenarios.sweeps.run_sweep import prepare, run_block
 
 # Three modes, two inputs, a delay that is no multiple of the period; laws with gains of their own.
 PROBLEM = """\

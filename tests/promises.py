@@ -6,9 +6,9 @@ import numpy as np
 
 import deadtime as dt
 from deadtime.identification.excitation.exact_states import ExactStates
+from deadtime.identification.excitation.excited_loop import chain_of
 from deadtime.identification.excitation.given import root_of
-from deadtime.identification.excitation.information import Prospect
-from deadtime.identification.excitation.loop import chain_of
+from deadtime.identification.excitation.input_information import Prospect
 from deadtime.identification.excitation.noise_tables import NoiseTables
 from deadtime.identification.excitation.noisy_states import NoisyStates
 from deadtime.identification.parameters import Layout

@@ -92,6 +92,32 @@ def test_every_file_lies_in_a_room():
     assert loose == {"__init__", "__main__"}
 
 
+# The same thing for another kind: as a command, a table and a figure; of a law and of a model; in a
+# problem file and in memory; of a problem and of a study; of laws and of imperfections.
+KINDS = {
+    "audit certificates comparison constants design drawn_plants experiment fit identify loop maps "
+    "monte_carlo report robustness runs sweep tracking witness",
+    "markov semi_markov",
+    "mode_filter observer servo",
+    "load schema",
+    "entry registry",
+}
+SHARED_CLASSES = {"Comparison", "Loop"}  # faces of two rooms, each with its own
+
+
+def test_files_and_classes_share_no_name_but_for_one_thing_of_several_kinds():
+    files = [path.stem for path in FILES.values() if not path.stem.startswith("__")]
+    shared = {name for name in files if files.count(name) > 1}
+    assert shared == {name for kind in KINDS for name in kind.split()}
+    classes = [
+        node.name
+        for path in FILES.values()
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert {name for name in classes if classes.count(name) > 1} == SHARED_CLASSES
+
+
 def texts(folder: Path) -> list[tuple[str, str]]:
     return [(str(path), path.read_text(encoding="utf-8")) for path in folder.rglob("*.py")]
 

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 import deadtime as dt
 from c_code import Library, needs_compiler
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems import load_problem
 from deadtime.reports import plot_heat
 from deadtime.scenarios.sweeps.axes import axis_of

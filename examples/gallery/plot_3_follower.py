@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 import deadtime as dt
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
-from deadtime.simulation.figure import plot_run
+from deadtime.simulation.run_figure import plot_run
 
 problem = dt.problems.follower()
 costs = {name: problem.simulate(name).metrics()["cost"] for name in problem.laws}

@@ -11,14 +11,14 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
-from deadtime.app import logs
+from deadtime.app import uploaded_log
 from deadtime.app.documents import open_named
 from deadtime.app.door import Door
-from deadtime.app.found import details, shown
+from deadtime.app.identified_page import details, shown
 from deadtime.app.jobs import try_log
 from deadtime.app.log_form import HIDDEN, INPUT, MODE, ONE, STATE, UNUSED, LogForm
-from deadtime.app.logs import MOST_ROWS, FoundPlant, LogRequest, look_at, open_log
 from deadtime.app.page import Page
+from deadtime.app.uploaded_log import MOST_ROWS, FoundPlant, LogRequest, look_at, open_log
 from deadtime.app.workers import TooLongError
 from deadtime.cli import main
 from deadtime.problems import load_problem
@@ -135,7 +135,7 @@ def test_a_page_that_is_given_a_log_shows_its_plant(log, workers):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"x" * (logs.MOST_BYTES + 1), "has 16.0 MB, a page takes logs of at most 16 MB"),
+        (b"x" * (uploaded_log.MOST_BYTES + 1), "has 16.0 MB, a page takes logs of at most 16 MB"),
         (b"t,x,u\n" + b"0,0,0\n" * (MOST_ROWS + 1), "more than 200,000 rows"),
         (b"t," + b",".join(b"c%d" % i for i in range(41)) + b"\n", "offers at most 40"),
         (b"t,x,x ,u\n0,1,1,1\n", "a name of its own for every column, got x twice"),
@@ -177,7 +177,7 @@ def test_a_log_that_is_refused_changes_nothing(own, workers):
     assert re.search("line 4: t must be later.*Nothing was changed", page.message.object)
     assert page.outcome is before
     assert page.log.form.roles["x"].value == STATE
-    page.upload_log("log.csv", b"x" * (logs.MOST_BYTES + 1))
+    page.upload_log("log.csv", b"x" * (uploaded_log.MOST_BYTES + 1))
     assert "at most 16 MB" in page.message.object
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.server import free_port, is_loopback
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from explorer import Explorer
 
 

@@ -21,7 +21,7 @@ from deadtime.app.jobs import look_at_log
 from deadtime.app.opening import Opening
 from deadtime.app.page import Page
 from deadtime.app.sessions import Sessions
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 
 # Of widgets that set options of other widgets, and of messages that Bokeh had yet to send to a page
 # that left; none of ours.

@@ -219,12 +219,11 @@ def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(monkeypat
     from deadtime.laws.tables import constant_mode as rows
     from deadtime.numerics import exponential, kernels
     from deadtime.plant import cut_pieces
-    from deadtime.simulation import kernel
 
     monkeypatch.setattr(kernels, "WISH", "always")
     compiled = [
         function.dispatcher
-        for module in (kernel, rows, cut_pieces, exponential)
+        for module in (digital_kernel, rows, cut_pieces, exponential)
         for function in vars(module).values()
         if isinstance(function, kernels.Kernel)
     ]

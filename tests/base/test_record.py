@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.base.record import json_text, plain, record
+from deadtime.base.json_records import json_text, plain, record
 
 
 class Pair(NamedTuple):

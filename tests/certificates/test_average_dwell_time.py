@@ -13,7 +13,7 @@ import deadtime as dt
 from certificate_corpus import aged_pair, free
 from certificate_forgeries import forged, put
 from certified_loops import PAPER, designed, proved
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.asked import signals_of
 
 STEP = 0.1

@@ -16,8 +16,8 @@ import delayed_loops
 from certified_loops import assert_runs_decrease, assert_steps_decrease, proved
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import check
-from deadtime.certificates.proof.enclosure import Enclosures, cells_of
 from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.step_enclosure import Enclosures, cells_of
 from deadtime.numerics.precision import precision
 from shares import mostly_long
 

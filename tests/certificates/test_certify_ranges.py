@@ -17,7 +17,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import check
 from deadtime.certificates.proof.box import FIRST, Box
 from deadtime.certificates.proof.covering import enclosures_of
-from deadtime.certificates.proof.enclosure import cells_of
+from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.numerics.precision import precision
 from shares import mostly_long
 

@@ -16,7 +16,7 @@ from deadtime.certificates.dwell.sways import Sways
 from deadtime.certificates.proof.box import family_of
 from deadtime.certificates.proof.covering import enclosures_of
 from deadtime.certificates.proof.ellipsoid import Sway, kronecker
-from deadtime.certificates.proof.enclosure import cells_of
+from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.numerics.precision import precision
 

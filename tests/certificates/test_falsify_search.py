@@ -9,12 +9,12 @@ import deadtime as dt
 import plants
 from deadtime.certificates.worst_case.admissible import Admissible, Dwell, mode_cycles
 from deadtime.certificates.worst_case.candidates import _without_grid
+from deadtime.certificates.worst_case.cycle_growth import SampledLoop
+from deadtime.certificates.worst_case.cycle_words import Word, _apart
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
-from deadtime.certificates.worst_case.loop import SampledLoop
 from deadtime.certificates.worst_case.products import compress
-from deadtime.certificates.worst_case.runs import _drawn
-from deadtime.certificates.worst_case.words import Word, _apart
+from deadtime.certificates.worst_case.run_search import _drawn
 from deadtime.switching.constraint import SwitchingConstraint
 from worst_case_laws import QUICK, TURNING, H, free
 

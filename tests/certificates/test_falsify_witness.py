@@ -10,8 +10,8 @@ import deadtime as dt
 import plants
 import reference
 from deadtime.certificates.worst_case.admissible import Dwell
+from deadtime.certificates.worst_case.cycle_growth import SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.loop import SampledLoop
 from deadtime.certificates.worst_case.witness import repeat
 from shares import mostly_long
 from worst_case_laws import QUICK, H, drifting, measured

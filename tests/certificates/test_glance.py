@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.certificates.dwell.search import EvidenceSearch, Freedom
+from deadtime.certificates.dwell.evidence_search import EvidenceSearch, Freedom
 
 FOLLOWER = dt.problems.follower()
 DWELL, STEP = 1.0, 0.05

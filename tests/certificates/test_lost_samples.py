@@ -16,7 +16,7 @@ from deadtime.certificates.proof import load_evidence
 from deadtime.certificates.proof.transitions import SwitchGraph
 from deadtime.certificates.worst_case.losses import _allowed
 from deadtime.certificates.worst_case.lost_at import LostAt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from shares import mostly_long
 
 STEP = 0.1

@@ -11,7 +11,7 @@ from deadtime.certificates.dwell.centre import loop_matrix
 from deadtime.certificates.dwell.leaps import plant_rows
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.feedback.recurrence import recurrence_of
 from exponential_products import ellipses
 

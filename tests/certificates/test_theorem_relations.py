@@ -14,7 +14,7 @@ from deadtime.base.errors import ArgumentError, InfeasibleError
 from deadtime.certificates import theorem_bound
 from deadtime.certificates.theorem.sharp import logarithmic_norm
 from deadtime.gains import common_lyapunov, stabilize
-from deadtime.numerics.logs import log_integral, log_inverse, log_one_plus, log_sum
+from deadtime.numerics.logarithms import log_integral, log_inverse, log_one_plus, log_sum
 from theorem_cases import CASES, FORMS, PAPER, PROVEN, bound_of, each_case, quick, seeds
 
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from shares import mostly_long
 
 
@@ -244,7 +244,7 @@ def test_commands_load_what_they_need_only(tmp_path, command):
         heavy |= {"numpy", "matplotlib", "pydantic"}
     arguments = command.split() if "--help" in command else [command, "follower"]
     code = (
-        "import atexit, sys; from deadtime.cli.entry import main; import deadtime.cli; "
+        "import atexit, sys; from deadtime.cli.application import main; import deadtime.cli; "
         f"atexit.register(lambda: print(sorted({heavy!r} & set(sys.modules)), file=sys.stderr)); "
         f"main({arguments!r})"
     )

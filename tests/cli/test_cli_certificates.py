@@ -14,7 +14,7 @@ import deadtime as dt
 from certificate_reference import rewritten
 from deadtime.certificates import Verification
 from deadtime.certificates.proof.archive import digest
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.imperfections import Dropout
 
 WITNESS = SimpleNamespace(

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from c_code import needs_compiler
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.controller.export import compiler
 
 SATURATION = '\n[[imperfection]]\nkind = "saturation"\nlow = -20.0\nhigh = 30.0\n'

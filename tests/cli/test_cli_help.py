@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deadtime.cli.entry import app, main
+from deadtime.cli.application import app, main
 
 COMMANDS = sorted(name for name in app if not name.startswith("-"))
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")

@@ -5,7 +5,7 @@ import json
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.margins import loop_view, step_response
 
 

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
 from deadtime.reports.tables.monte_carlo import quantile, summary
 
@@ -103,7 +103,7 @@ def test_sojourns_are_those_asked_for(capsys, monkeypatch):
         asked.append(model)
         raise dt.ArgumentError("enough.")
 
-    monkeypatch.setattr(import_module("deadtime.scenarios.run"), "compare", stopped)
+    monkeypatch.setattr(import_module("deadtime.scenarios.batch_run"), "compare", stopped)
     run(capsys, "three-mode", "--dwell-time", "0.5", "--mean-sojourn", "2")
     run(capsys, "follower")
     for model, (dwell, mean) in zip(asked, ((0.5, 2.0), (1.0, 2.0)), strict=True):
@@ -124,7 +124,7 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
 
         yield report
 
-    module = import_module("deadtime.scenarios.run")
+    module = import_module("deadtime.scenarios.batch_run")
     monkeypatch.setattr(module, "show_progress", interrupting)
     monkeypatch.setattr(module, "_BLOCK", 8)
     flags = ("--json",) if ending == "json" else ()
@@ -144,7 +144,7 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
 
 
 def test_interrupted_before_the_first_scenario_it_says_so(capsys, monkeypatch):
-    place = import_module("deadtime.scenarios.run")
+    place = import_module("deadtime.scenarios.batch_run")
 
     def interrupted(run, scenarios, *arguments):
         return 0, True

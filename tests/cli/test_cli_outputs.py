@@ -13,7 +13,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.base.staging import replacing
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 
 SMALL = """
 [plant]

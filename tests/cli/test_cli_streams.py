@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from deadtime.cli.entry import app, main
+from deadtime.cli.application import app, main
 from deadtime.cli.printing import print_json
 from terminal import on_a_terminal
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 
 
 def run(capsys, *arguments):

@@ -8,7 +8,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.controller import Status
-from deadtime.controller.arguments import require_state
+from deadtime.controller.controller_arguments import require_state
 from deadtime.controller.status import Clock
 from shares import mostly_long
 

@@ -12,7 +12,7 @@ import pytest
 
 import deadtime as dt
 from c_code import Library, needs_compiler, needs_frama_c
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.controller import Status
 from deadtime.controller.export import compiler as compiling
 from deadtime.controller.export.compiler import self_check

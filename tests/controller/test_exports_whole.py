@@ -13,7 +13,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.base.staging import Staging
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.controller.export import compiler, export_c, export_fmu
 from deadtime.problems.file import load_problem
 from shares import mostly_long
@@ -120,7 +120,7 @@ def test_names_of_inputs_reach_figures_headers_and_descriptions(folder):
     assert command("export", "two.toml", "--c", "out") == 0
     assert "Inputs: u[0]: throttle, u[1]: brake (N)." in (folder / "out/controller.h").read_text()
     from deadtime.reports.figures.runs import plot_laws
-    from deadtime.simulation.figure import plot_run
+    from deadtime.simulation.run_figure import plot_run
 
     run = problem.simulate("averaged")
     panels = plot_run(run, inputs=problem.inputs).axes[2:4]

@@ -16,7 +16,7 @@ from deadtime.controller.export import Names, compiler, export_plant_fmu
 from deadtime.controller.export.compiler import self_check
 from deadtime.controller.export.names import in_comment
 from deadtime.problems.file import load_problem
-from deadtime.simulation.figure import plot_run
+from deadtime.simulation.run_figure import plot_run
 from shares import mostly_long
 
 NAMES = {

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 import believing_laws
 import deadtime as dt
 import plants
-from deadtime.feedback.prediction import prediction_table
+from deadtime.feedback.prediction_rows import prediction_table
 from predictions import GENERIC, OWN, SEMI, STEP, K, past_of, served
 
 PREDICTING = [name for name in plants.LAWS if name not in ("exact", "delayed")]

@@ -19,7 +19,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import deadtime as dt
-from deadtime.cli.entry import app, as_command, main
+from deadtime.cli.application import app, as_command, main
 from deadtime.controller.export.compiler import compiler
 from shares import mostly_long
 
@@ -153,13 +153,13 @@ def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monke
 
 KNOWN_EVERYWHERE = """
 from deadtime.app.documents import open_named
-from deadtime.app.laws import laws_on_offer
+from deadtime.app.offered_laws import laws_on_offer
 from deadtime.app.script import script_of
 from deadtime.reports.figures.colours import colour_of
 from deadtime.problems.law_registry import the_law
 from deadtime.base.palette import SLATE
 from deadtime.problems import json_schema, load_problem
-from deadtime.scenarios.sweeps.laws import kinds_of
+from deadtime.scenarios.sweeps.study_laws import kinds_of
 
 assert laws_on_offer(open_named("paper"))[0]["current mode"] == {"kind": "current-mode"}
 assert colour_of("current mode") == SLATE

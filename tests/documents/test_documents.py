@@ -168,7 +168,7 @@ def test_quick_start_of_the_readme_runs_line_by_line_in_an_empty_folder(tmp_path
 
 def test_commands_of_the_page_on_them_are_those_there_are(monkeypatch):
     """Each is understood as it stands; tests/cli/test_cli_streams.py runs one of every kind."""
-    from deadtime.cli.entry import app
+    from deadtime.cli.application import app
 
     monkeypatch.chdir(ROOT)
     page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ import deadtime as dt
 from certificate_corpus import CORPUS
 from deadtime.problems.file import load_problem
 from deadtime.scenarios.sweeps import load_study
-from deadtime.scenarios.sweeps.run import prepare, run_block
+from deadtime.scenarios.sweeps.run_sweep import prepare, run_block
 from fuzzing import mutators, seeds
 from second_verifier import both, second_verifier
 

@@ -11,7 +11,7 @@ import deadtime as dt
 import plants
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.gains import CommonLyapunov, common_lyapunov, stabilize
-from deadtime.gains.checked import check_gains
+from deadtime.gains.checked_gains import check_gains
 from deadtime.gains.lyapunov import check_lyapunov, decaying_lyapunov, growth_in_norm
 from deadtime.numerics import lmi
 

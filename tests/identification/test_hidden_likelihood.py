@@ -9,10 +9,10 @@ from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
 from deadtime.identification.cells import cells_of
-from deadtime.identification.hidden.information import information_of, lifted
+from deadtime.identification.hidden.hidden_information import information_of, lifted
+from deadtime.identification.hidden.hidden_likelihood import HiddenLog
 from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import EvenPeriods, UnevenPeriods
+from deadtime.identification.hidden.mode_periods import EvenPeriods, UnevenPeriods
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for

@@ -12,10 +12,10 @@ from scipy.stats import multivariate_normal
 import deadtime as dt
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.filters_kernel import carry_halves
+from deadtime.identification.hidden.hidden_likelihood import HiddenLog
 from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.likelihood import HiddenLog
+from deadtime.identification.hidden.mode_periods import EvenPeriods
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
-from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.noisy.noise_intervals import sensor_intervals

@@ -18,7 +18,7 @@ from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluation, climb
 from deadtime.identification.uneven import nodes_for
 from deadtime.problems import load_problem
-from deadtime.reports.identified import interval_rows
+from deadtime.reports.identification_report import interval_rows
 from output_logs import MOTOR, OUTPUTS, H, logged, misses
 from synthetic_logs import Plant
 

@@ -11,9 +11,9 @@ from scipy.stats import t as t_of
 import deadtime as dt
 from deadtime.identification.noisy.noise_intervals import ends
 from deadtime.identification.peaks import fresh_rise
+from deadtime.identification.results.delay_verdict import delays_beside
 from deadtime.identification.results.problem_text import problem_text
 from deadtime.identification.results.separate_errors import failure_of
-from deadtime.identification.results.verdict import delays_beside
 from synthetic_logs import Plant, oscillator
 
 H = 0.05

@@ -23,9 +23,9 @@ from deadtime.imperfections import (
     TimingImperfection,
 )
 from deadtime.scenarios import scenario_seed
-from deadtime.scenarios.sweeps.layout import _ALONE, _of_law
+from deadtime.scenarios.sweeps.blocks import _ALONE, _of_law
 from deadtime.scenarios.sweeps.study import Loop
-from deadtime.simulation.compiled import Arrays
+from deadtime.simulation.imperfection_arrays import Arrays
 from shares import mostly_long
 
 LAW = plants.LAWS["averaged"](MODEL)

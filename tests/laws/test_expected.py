@@ -10,7 +10,7 @@ from scipy import stats
 import deadtime as dt
 import plants
 import reference
-from deadtime.switching.models.checked import require_model
+from deadtime.switching.models.checked_models import require_model
 from reference import LONG
 from shares import mostly_long
 

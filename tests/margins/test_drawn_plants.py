@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.margins import drawn_stability
 
 H = 0.1

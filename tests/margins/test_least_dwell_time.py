@@ -11,7 +11,7 @@ import pytest
 import deadtime as dt
 import exponential_products as products
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.margins import dwell_time as module
 from deadtime.margins.bracket import Questions, bracket
 

@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.imperfections import Dropout, LateSamples, ModeDelay, Noise, Saturation
 from deadtime.reports.figures.robustness import plot_robustness
 

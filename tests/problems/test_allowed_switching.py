@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.asked import random_model, signals_of
 from deadtime.problems.file import load_problem
 

@@ -6,7 +6,7 @@ import json
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.asked import dwell_time_of, mean_sojourn_of
 from deadtime.problems.comparison import compare
 from deadtime.problems.file import load_problem

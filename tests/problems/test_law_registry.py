@@ -10,9 +10,9 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import open_named
-from deadtime.app.laws import laws_on_offer
+from deadtime.app.offered_laws import laws_on_offer
 from deadtime.problems.file.build import build_problem
-from deadtime.problems.file.named import template
+from deadtime.problems.file.named_problems import template
 from deadtime.problems.file.schema import ProblemFile
 from deadtime.problems.law_registry import (
     ENTRIES,
@@ -24,7 +24,7 @@ from deadtime.problems.law_registry import (
     collect,
     the_law,
 )
-from deadtime.scenarios.sweeps.laws import DEFAULT, KINDS
+from deadtime.scenarios.sweeps.study_laws import DEFAULT, KINDS
 
 PAPER = dt.problems.paper()
 GAIN = dt.place(PAPER.plant.mean(), [-1.0, -2.0])[0]

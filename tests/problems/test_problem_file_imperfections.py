@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.imperfections import Noise, Saturation, StepDisturbance
 from deadtime.problems.comparison import compare
 from deadtime.problems.file import load_problem

@@ -5,9 +5,9 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import open_named
-from deadtime.app.laws import laws_on_offer
+from deadtime.app.offered_laws import laws_on_offer
 from deadtime.problems import load_problem
-from deadtime.simulation.figure import plot_run
+from deadtime.simulation.run_figure import plot_run
 
 PLANT = """\
 [plant]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.file import load_problem
 from deadtime.scenarios.sweeps import load_study
 

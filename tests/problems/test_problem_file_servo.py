@@ -7,9 +7,9 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.script import script_of
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.file import load_problem
-from deadtime.problems.file.named import template
+from deadtime.problems.file.named_problems import template
 
 PLANT = """\
 [plant]

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.comparison import compare
 from deadtime.problems.file import load_problem
 from deadtime.reports.verdict import verdict

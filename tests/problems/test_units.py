@@ -9,7 +9,7 @@ import deadtime as dt
 from deadtime.cli import main
 from deadtime.controller.export import Names
 from deadtime.problems.file import load_problem
-from deadtime.simulation.figure import plot_run
+from deadtime.simulation.run_figure import plot_run
 
 PLANT = """\
 [plant]

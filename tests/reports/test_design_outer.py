@@ -9,7 +9,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.file import load_problem
 from deadtime.reports.figures.design import plot_designs
 from deadtime.reports.tables.design import (

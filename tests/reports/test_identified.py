@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.identification.results.report_figures import figures_of
-from deadtime.reports.identified import write_identification
+from deadtime.reports.identification_report import write_identification
 from synthetic_logs import Plant
 
 H = 0.05

@@ -7,7 +7,7 @@ import deadtime as dt
 import plants
 from deadtime.base.figure_style import LINES
 from deadtime.reports import plot_norms
-from deadtime.simulation.figure import plot_run
+from deadtime.simulation.run_figure import plot_run
 
 
 def test_every_state_and_input_has_a_panel_headed_by_its_name_and_unit():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import (
     against_best,

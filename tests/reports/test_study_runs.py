@@ -8,18 +8,18 @@ import pytest
 from scipy.stats import expon
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.file.schema import SemiMarkovSwitching
 from deadtime.problems.file.switching import build_model
 from deadtime.problems.law_registry import LEVELS
 from deadtime.reports.study import run_study
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import best, summary
-from deadtime.reports.study.run import failures
+from deadtime.reports.study.study_runs import failures
 from deadtime.scenarios.sweeps import load_study
 from deadtime.scenarios.sweeps.cell import run_cell
-from deadtime.scenarios.sweeps.laws import kinds_of, within
-from deadtime.scenarios.sweeps.sojourns import FAMILIES, sojourn_section
+from deadtime.scenarios.sweeps.study_laws import kinds_of, within
+from deadtime.scenarios.sweeps.study_sojourns import FAMILIES, sojourn_section
 from small_study import PLAIN, load
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "paper.toml"

@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.reports.figures.colours import colours_of
 from deadtime.reports.figures.sweeps import plot_bands, plot_heat, plot_regret, plot_wins
 from deadtime.reports.figures.sweeps.panels import NOT_BUILT, NOT_RUN

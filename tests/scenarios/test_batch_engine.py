@@ -15,8 +15,8 @@ import reference
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import Stretch
 from deadtime.scenarios import draw_signals
+from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.engine import Engine
-from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.window_form import window_form
 from deadtime.switching import SignalBatch
 
@@ -226,7 +226,7 @@ def test_results_do_not_depend_on_blocks_threads_or_how_signals_are_handed_over(
     for name in METRICS:
         here = run(model=part)[name].values
         np.testing.assert_array_equal(here, whole[name].values[:, 13:18])
-    module = importlib.import_module("deadtime.scenarios.run")
+    module = importlib.import_module("deadtime.scenarios.batch_run")
     for block, threads in ((8, 1), (16, 3)):
         monkeypatch.setattr(module, "_BLOCK", block)
         assert run(seed=4, threads=threads).identical(whole)
@@ -268,7 +268,7 @@ def test_a_first_mode_of_any_age_is_as_in_single_runs():
 
 
 def test_what_would_not_fit_into_memory_is_refused_with_the_estimate(monkeypatch):
-    module = importlib.import_module("deadtime.scenarios.memory")
+    module = importlib.import_module("deadtime.scenarios.memory_needed")
     monkeypatch.setattr(module, "free_memory", lambda: 2.0**30)
     message = r"trajectories of 1,000,000 scenarios of 81 samples under 3 laws would take 5.* GiB"
     with pytest.raises(dt.ArgumentError, match=message):

@@ -16,7 +16,7 @@ import plants
 from deadtime.imperfections import Noise, Saturation
 from deadtime.scenarios import engine as engines, helper, laid
 from deadtime.scenarios.helper import Helper, share_of
-from deadtime.scenarios.kernel import run_scenarios
+from deadtime.scenarios.lane_loop import run_scenarios
 from deadtime.scenarios.prepare import BatchRequest, prepare
 from deadtime.switching import SignalBatch
 
@@ -149,7 +149,7 @@ FIRST_USE = """
     import sys
     from types import SimpleNamespace
     from numba.core import event
-    from deadtime.cli.entry import main
+    from deadtime.cli.application import main
     from deadtime.scenarios import helper
     helper.processors = lambda: 2
     {}

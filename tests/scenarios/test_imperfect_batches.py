@@ -23,9 +23,9 @@ from deadtime.imperfections import (
 )
 from deadtime.plant import SampledPlant
 from deadtime.scenarios import draw_signals
-from deadtime.scenarios.heard import HeardBlock
-from deadtime.scenarios.loop import Loop
-from deadtime.scenarios.run import _block
+from deadtime.scenarios.batch_loop import Loop
+from deadtime.scenarios.batch_run import _block
+from deadtime.scenarios.received_lanes import HeardBlock
 from shares import mostly_long
 
 

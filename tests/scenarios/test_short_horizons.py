@@ -94,7 +94,7 @@ def test_short_runs_do_not_depend_on_how_many_go_at_a_time(monkeypatch):
     whole = run()
     monkeypatch.setattr("deadtime.scenarios.block._ROOM", 1)
     assert run().identical(whole)
-    monkeypatch.setattr("deadtime.scenarios.run._BLOCK", 8)
+    monkeypatch.setattr("deadtime.scenarios.batch_run._BLOCK", 8)
     assert run(threads=3).identical(whole)
 
 

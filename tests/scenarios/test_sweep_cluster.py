@@ -16,8 +16,8 @@ import psutil
 import pytest
 
 import deadtime as dt
+from deadtime.scenarios.sweeps.blocks import BlockLayout
 from deadtime.scenarios.sweeps.cluster import _reachable, cluster
-from deadtime.scenarios.sweeps.layout import BlockLayout
 from deadtime.scenarios.sweeps.store import create
 from own_sweep import filled, tree
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.cli.sweep import Lines
 from deadtime.scenarios.sweeps import Progress
 from own_sweep import STUDY, load

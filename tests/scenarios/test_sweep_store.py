@@ -11,10 +11,10 @@ import pytest
 import xarray as xr
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.scenarios.sweeps import store
-from deadtime.scenarios.sweeps.layout import layout_of
-from deadtime.scenarios.sweeps.run import prepare
+from deadtime.scenarios.sweeps.blocks import layout_of
+from deadtime.scenarios.sweeps.run_sweep import prepare
 from deadtime.scenarios.sweeps.store import open_store
 from own_sweep import PROBLEM, STUDY, filled, load, make_loop, tree
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import deadtime as dt
 import plants
 import rule_reference as second
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.laws import StateDependentPredictor
 from deadtime.problems.file import load_problem
 from deadtime.problems.file.load import problem_with_run

@@ -12,7 +12,7 @@ import pytest
 import deadtime as dt
 import plants
 import rule_reference as second
-from deadtime.simulation.ideal.run import IdealRecord
+from deadtime.simulation.ideal.ideal_run import IdealRecord
 from deadtime.switching import FunctionRule, HalfSpace
 from sectors import EDGES, PLANE, SECTORS, sector
 from swinging import BOUNDARIES, RULES, X0, soft, swinging, wedge

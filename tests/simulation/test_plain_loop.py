@@ -6,22 +6,22 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.imperfections import Noise, Saturation
-from deadtime.simulation import kernel
+from deadtime.simulation import digital_kernel
 
 SIGNAL = dt.SwitchingSignal([0.0, 0.33, 0.71, 1.4], [0, 1, 0, 1])
 
 
 def runs_of(monkeypatch, plant, law, x0, **options):
     """One run by each of the three ways: lists or what stands for them, arrays, compiled."""
-    loop = kernel.closed_loop
+    loop = digital_kernel.closed_loop
     found, taken = [], []
 
     def bare(*run):
         taken.append(True)
         return bare_loop(*run)
 
-    bare_loop = kernel.bare_loop
-    monkeypatch.setattr(kernel, "bare_loop", bare)
+    bare_loop = digital_kernel.bare_loop
+    monkeypatch.setattr(digital_kernel, "bare_loop", bare)
     for way in (loop.plain, loop.function, loop.dispatcher):
         monkeypatch.setattr(loop, "_ready", way)
         run = dt.simulate(plant, law, SIGNAL, x0, 3.0, **options)
@@ -67,7 +67,7 @@ def test_a_run_of_which_more_is_asked_goes_by_arrays(monkeypatch, imperfection):
 
 
 def test_integrals_have_the_bits_of_the_kernel():
-    form = kernel.form_integral
+    form = digital_kernel.form_integral
     rng = np.random.default_rng(4)
     for n, m in ((1, 1), (2, 1), (3, 2), (5, 4)):
         M, entry = rng.normal(size=(6, n + m, n + m)), rng.integers(0, 6, 50)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.simulation.step_figures import TRACKING, fill_step_info, step_info
 
 PLANT = dt.SwitchedSystem(

@@ -8,8 +8,8 @@ from scipy import stats
 
 from deadtime import ArgumentError, SwitchingSignal
 from deadtime.switching import SemiMarkov
-from deadtime.switching.models.families import Observed, estimate
 from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of
+from deadtime.switching.models.sojourn_families import Observed, estimate
 from shares import mostly_long
 
 TRUTH = {

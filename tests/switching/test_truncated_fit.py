@@ -8,7 +8,7 @@ import pytest
 from scipy import integrate, optimize, stats
 
 from deadtime import ArgumentError, SwitchingSignal
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.problems.file.schema import SemiMarkovSwitching
 from deadtime.problems.file.switching import build_model
 from deadtime.switching import SemiMarkov

@@ -11,12 +11,12 @@ import deadtime as dt
 import plants
 from deadtime.spectrum import lifted_loop
 from deadtime.synthesis import DelayLimit, TradeOff
-from deadtime.synthesis.estimate import estimated_margin
-from deadtime.synthesis.families import Poles, Weights
+from deadtime.synthesis.design_search import DesignSearch
 from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.gain_families import Poles, Weights
+from deadtime.synthesis.margin_estimate import estimated_margin
 from deadtime.synthesis.message import percent, sentences
 from deadtime.synthesis.price import cost_and_growth, loop_cost
-from deadtime.synthesis.search import DesignSearch
 from deadtime.synthesis.strategy import pairs_of
 
 # Three modes, two inputs, unstable poles in each; N = 5 and φ = 0.034 s.

@@ -7,10 +7,10 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.cli.entry import main
-from deadtime.synthesis.families import Poles
+from deadtime.cli.application import main
+from deadtime.synthesis.design_search import DesignSearch
 from deadtime.synthesis.floors import Floors
-from deadtime.synthesis.search import DesignSearch
+from deadtime.synthesis.gain_families import Poles
 
 # Stable without an input: the cheapest loop with the widest margin hardly moves.
 PLANT = dt.SwitchedSystem([[[-0.06]]], [[[1.0]]], 1.0)

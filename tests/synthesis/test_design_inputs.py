@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli.entry import main
+from deadtime.cli.application import main
 from deadtime.reports.figures.design import plot_designs
 from deadtime.reports.tables.design import HEADINGS, design_rows
 from deadtime.synthesis import input_peak
-from deadtime.synthesis.units import unit_hints
+from deadtime.synthesis.unit_hints import unit_hints
 
 # A position and a speed; a fast plain design asks for large inputs.
 PLANT = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -0.5]]], [[[0.0], [1.0]]], 0.3)

@@ -8,11 +8,11 @@ from typing import Any
 import panel_material_ui as pmui
 
 from deadtime.app.documents import Document
-from deadtime.app.laws import Section
+from deadtime.app.offered_laws import Section
 from deadtime.app.ranges import FROM_FILE, IDEAL, Range, ranges_of, steps_of
 from deadtime.app.settings import DrawnSignal, GivenSignal, Settings
 from deadtime.problems.file.schema import RULES
-from deadtime.scenarios.sweeps.sojourns import FAMILIES
+from deadtime.scenarios.sweeps.study_sojourns import FAMILIES
 
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 10)}
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from deadtime.app.outcome import ProblemOutcome
+from deadtime.app.page_run import ProblemOutcome
 from deadtime.app.style import dash_of
 from deadtime.base.wording import compact
 from deadtime.plant.weight import text_of

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import param
 from panel.custom import JSComponent
 
-from deadtime.app import logs
+from deadtime.app import uploaded_log
 from deadtime.problems.toml import MOST_BYTES
 
-_MOST = {"csv": logs.MOST_BYTES, "toml": MOST_BYTES}
+_MOST = {"csv": uploaded_log.MOST_BYTES, "toml": MOST_BYTES}
 
 Take = Callable[[str, int, bytes | None], None]
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
-from deadtime.app.logs import Columns, LogRequest, Tell, look_at, open_log, report_of
-from deadtime.app.outcome import run_draft
+from deadtime.app.page_run import run_draft
+from deadtime.app.uploaded_log import Columns, LogRequest, Tell, look_at, open_log, report_of
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify
 from deadtime.feedback import Law
@@ -24,7 +24,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.toml import SectionError
-from deadtime.reports.identified import Picture
+from deadtime.reports.identification_report import Picture
 from deadtime.scenarios.sweeps.axes import AXES
 from deadtime.spectrum import growth_rate
 

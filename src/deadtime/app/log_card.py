@@ -10,16 +10,16 @@ from typing import Any, Protocol
 import panel as pn
 import panel_material_ui as pmui
 
-from deadtime.app import found as page_of
+from deadtime.app import identified_page as page_of
 from deadtime.app.documents import Document, file_stem
 from deadtime.app.errands import Errands
 from deadtime.app.jobs import look_at_log, try_log
 from deadtime.app.log_form import LogForm
-from deadtime.app.logs import Columns, FoundPlant, LogRequest
 from deadtime.app.progress import ProgressBar
+from deadtime.app.uploaded_log import Columns, FoundPlant, LogRequest
 from deadtime.app.workers import TooLongError, Workers
 from deadtime.base.errors import ArgumentError
-from deadtime.reports.identified import Picture
+from deadtime.reports.identification_report import Picture
 
 LIMIT = 120.0  # seconds after which a log is given up
 _LOOKING = 30.0

@@ -6,8 +6,8 @@ from typing import Any
 
 import panel_material_ui as pmui
 
-from deadtime.app.logs import Columns, LogRequest
-from deadtime.app.outcome import MOST_MODES
+from deadtime.app.page_run import MOST_MODES
+from deadtime.app.uploaded_log import Columns, LogRequest
 from deadtime.base.errors import ArgumentError
 
 UNUSED, STATE, INPUT, MODE = "not used", "state", "input", "mode"

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deadtime.app.documents import Document
-from deadtime.app.laws import Section, laws_on_offer
-from deadtime.app.outcome import ProblemOutcome, run_draft
+from deadtime.app.offered_laws import Section, laws_on_offer
+from deadtime.app.page_run import ProblemOutcome, run_draft
 from deadtime.app.settings import Settings, draft_of
 
 

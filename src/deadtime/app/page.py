@@ -12,7 +12,7 @@ import panel as pn
 import panel_material_ui as pmui
 from bokeh.layouts import column
 
-from deadtime.app import logs
+from deadtime.app import uploaded_log
 from deadtime.app.actions import Actions
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.costs import CSS, table_of
@@ -20,11 +20,11 @@ from deadtime.app.documents import MOST_BYTES, Document, file_stem, open_named, 
 from deadtime.app.door import Door
 from deadtime.app.drawing import switch_at
 from deadtime.app.errands import Errands
-from deadtime.app.figures import MOST_PANELS, ProblemPanels
 from deadtime.app.jobs import try_upload
 from deadtime.app.log_card import LogCard
 from deadtime.app.opening import Opening
-from deadtime.app.outcome import ProblemOutcome, run_draft
+from deadtime.app.page_panels import MOST_PANELS, ProblemPanels
+from deadtime.app.page_run import ProblemOutcome, run_draft
 from deadtime.app.settings import DrawnSignal, GivenSignal, draft_of
 from deadtime.app.workers import Workers
 from deadtime.base.errors import DeadtimeError
@@ -153,8 +153,8 @@ class Page:
 
     def upload_log(self, name: str, content: bytes) -> None:
         """Show the card of a log that came through the browser."""
-        if len(content) > logs.MOST_BYTES:
-            self.refuse(str(logs.too_large(name, len(content))))
+        if len(content) > uploaded_log.MOST_BYTES:
+            self.refuse(str(uploaded_log.too_large(name, len(content))))
         else:
             self.log.take(name, content)
 
@@ -172,7 +172,7 @@ class Page:
                 f"{file_stem(name)} is neither a problem (.toml) nor a log (.csv) by its name."
             )
         elif content is None:
-            large = logs.too_large if ending == "csv" else too_large
+            large = uploaded_log.too_large if ending == "csv" else too_large
             self.refuse(str(large(name, size)))
         else:
             (self.upload_log if ending == "csv" else self.upload)(name, content)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from deadtime.app.assumed_switching import dwell_time_of
 from deadtime.app.delays import delay_error, longest_delay, moved_delays
 from deadtime.app.documents import Document
-from deadtime.app.outcome import MOST_SAMPLES, MOST_TAPS
-from deadtime.app.switching import dwell_time_of
+from deadtime.app.page_run import MOST_SAMPLES, MOST_TAPS
 from deadtime.base.wording import subscript
 from deadtime.problems.imperfection_registry import SWEPT, Slider
 

@@ -7,9 +7,9 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any
 
+from deadtime.app.assumed_switching import dwell_time_of, with_model
 from deadtime.app.documents import Document
-from deadtime.app.laws import Section
-from deadtime.app.switching import dwell_time_of, with_model
+from deadtime.app.offered_laws import Section
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.imperfection_registry import SWEPT
 from deadtime.problems.law_registry import MODEL_KINDS

@@ -24,8 +24,8 @@ from deadtime.certificates.clock import (
     lag_in_range,
     losses_in_range,
 )
+from deadtime.certificates.dwell.evidence_search import EvidenceSearch, Freedom
 from deadtime.certificates.dwell.frame import whole
-from deadtime.certificates.dwell.search import EvidenceSearch, Freedom
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.plants import delays_of, extremes, plants_of
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence

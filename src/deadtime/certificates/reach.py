@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.sojourns import shortest
+from deadtime.certificates.proof.leaving_ages import shortest
 from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw

@@ -19,8 +19,8 @@ from deadtime.cli import (
     experiment,
     explorer,
     export,
-    files,
     identify,
+    init_and_schema,
     loop,
     models,
     monte_carlo,
@@ -30,7 +30,7 @@ from deadtime.cli import (
     sweep,
     theorem,
 )
-from deadtime.cli.entry import app, main
+from deadtime.cli.application import app, main
 
 __all__ = [
     "app",
@@ -40,8 +40,8 @@ __all__ = [
     "experiment",
     "explorer",
     "export",
-    "files",
     "identify",
+    "init_and_schema",
     "loop",
     "main",
     "models",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
+from deadtime.cli.application import JUDGE, AsJson, File, app, lines
 from deadtime.cli.asked_signals import (
     delays_from,
     kept_by_search,
@@ -15,7 +16,6 @@ from deadtime.cli.asked_signals import (
     with_step,
 )
 from deadtime.cli.brackets import about, for_json, least_dwell_times, longest_mode_lags
-from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
 
@@ -269,7 +269,7 @@ def verify(
             why = "Rejected: the certificate is about a table of none of the problem's laws."
             result = replace(result, proven=False, message=why)
     if json_output:
-        from deadtime.base.record import plain
+        from deadtime.base.json_records import plain
 
         print_json(plain(result) | {"matches": matches})
     else:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import FILES, AsJson, Flag, app, lines
+from deadtime.cli.application import FILES, AsJson, Flag, app, lines
 from deadtime.cli.printing import print_json
 
 Shell = Literal["bash", "zsh", "fish"]

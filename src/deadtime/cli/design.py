@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import BUILD, AsJson, Flag, Folder, app, lines
+from deadtime.cli.application import BUILD, AsJson, Flag, Folder, app, lines
 from deadtime.cli.printing import (
     PICTURES,
     output_file,

@@ -10,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import START, AsJson, app as commands, lines
+from deadtime.cli.application import START, AsJson, app as commands, lines
 from deadtime.cli.printing import print_json, stage_line
 
 

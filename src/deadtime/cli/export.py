@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import BUILD, AsJson, app, lines
+from deadtime.cli.application import BUILD, AsJson, app, lines
 from deadtime.cli.printing import print_json
 from deadtime.cli.problems import problem_of
 
@@ -118,7 +118,7 @@ def export(
                 staging=staging,
             )
     if json_output:
-        from deadtime.base.record import record
+        from deadtime.base.json_records import record
 
         made = {
             "c": code and _c_record(code),
@@ -158,7 +158,7 @@ def _c_lines(written: Exported, precision: str) -> list[str]:
 
 
 def _c_record(written: Exported) -> dict[str, Any]:
-    from deadtime.base.record import record
+    from deadtime.base.json_records import record
 
     check = written.check
     whole = record(written, "folder", "files", "form", "rom", "ram", "error")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import BUILD, AsJson, File, Flag, app, command_line, lines
+from deadtime.cli.application import BUILD, AsJson, File, Flag, app, command_line, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -25,7 +25,7 @@ from deadtime.cli.problems import problem_of
 if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.identification import Identification
-    from deadtime.identification.hidden.found import HiddenModes
+    from deadtime.identification.hidden.hidden_modes import HiddenModes
 
 
 @app.command(
@@ -108,7 +108,7 @@ def identify(
         Print the result as JSON instead of text.
     """
     from deadtime.identification import identify as identified
-    from deadtime.reports.identified import HEADINGS, interval_rows
+    from deadtime.reports.identification_report import HEADINGS, interval_rows
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
@@ -176,7 +176,7 @@ def _write(
     say: Callable[[str], None],
 ) -> list[Path]:
     """The problem file, the figure and the report that were asked for."""
-    from deadtime.reports.identified import write_identification
+    from deadtime.reports.identification_report import write_identification
 
     out, figure, report = asked
     if out is not None:
@@ -211,7 +211,7 @@ def _columns(given: list[str] | None, log: Path) -> list[str] | None:
     """Names with commas between them, but for columns of the log that have commas in them."""
     if given is None or not any("," in text for text in given):
         return given
-    from deadtime.identification.log.tables import read_table
+    from deadtime.identification.log.read_tables import read_table
 
     whole = {str(name).strip() for name in read_table(log, 0).columns}
     parts = [[text] if text in whole else text.split(",") for text in given]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
+from deadtime.cli.application import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import output_file, print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_with
 
@@ -129,7 +129,7 @@ def _step_row(name: str, answer: StepResponse) -> list[str]:
 
 def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
     """The figures for JSON."""
-    from deadtime.base.record import record
+    from deadtime.base.json_records import record
 
     figures = (
         "mode",

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import BUILD, COMPARE, AsJson, Folder, app, lines
+from deadtime.cli.application import BUILD, COMPARE, AsJson, Folder, app, lines
 from deadtime.cli.printing import (
     output_file,
     output_folder,

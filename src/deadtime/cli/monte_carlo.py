@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import COMPARE, AsJson, FigureWidth, File, app, lines
+from deadtime.cli.application import COMPARE, AsJson, FigureWidth, File, app, lines
 from deadtime.cli.printing import (
     TABLES,
     output_file,
@@ -95,8 +95,8 @@ def monte_carlo(
     """
     from deadtime.reports.figures.monte_carlo import plot_monte_carlo
     from deadtime.reports.tables.monte_carlo import summary
+    from deadtime.scenarios.batch_run import compare
     from deadtime.scenarios.dataset import dataset_of
-    from deadtime.scenarios.run import compare
 
     chosen = problem_of(problem)
     period = _period(chosen, step)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
+from deadtime.cli.application import COMPARE, AsJson, File, app, lines
 from deadtime.cli.printing import output_folder, print_json, progress_bar, save_figure
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.progress import Progress, ProgressColumn
 
-    from deadtime.cli.entry import FigureWidth
+    from deadtime.cli.application import FigureWidth
     from deadtime.problems import Problem
     from deadtime.problems.comparison import Comparison
     from deadtime.reports.study.phrases import Answer
@@ -32,7 +32,7 @@ class Advance(Protocol):
 
 def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None) -> None:
     """One JSON document on stdout; `written` are the files that the command made."""
-    from deadtime.base.record import json_text
+    from deadtime.base.json_records import json_text
 
     whole = dict(record) if written is None else {**record, "written": [*map(str, written)]}
     # Characters as they are where the terminal or file can hold them, escaped elsewhere.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
+from deadtime.cli.application import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -111,7 +111,7 @@ def _record(
     result: Robustness, slips: list[str], drawn: dict[str, DrawnStability]
 ) -> dict[str, Any]:
     """The figures for JSON."""
-    from deadtime.base.record import record
+    from deadtime.base.json_records import record
     from deadtime.plant.weight import record_of
     from deadtime.reports.tables.drawn_plants import drawn_record
 
@@ -132,7 +132,7 @@ def _record(
 
 
 def _tolerance(one: Tolerance) -> dict[str, Any]:
-    from deadtime.base.record import record
+    from deadtime.base.json_records import record
 
     lost = one.lost.mean(axis=1)
     return record(one, "tolerated", "failed", "values") | {"lost": lost}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from deadtime.cli.entry import START, AsJson, FigureWidth, File, Folder, app, lines
+from deadtime.cli.application import START, AsJson, FigureWidth, File, Folder, app, lines
 from deadtime.cli.printing import (
     output_file,
     output_folder,
@@ -155,7 +155,7 @@ def _save_logs(result: Comparison, path: Path) -> list[Path]:
 def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
     from deadtime.reports.figures.comparison import all_laws
-    from deadtime.simulation.figure import plot_run
+    from deadtime.simulation.run_figure import plot_run
 
     problem = result.problem
     run = result.runs[result.lead]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import COMPARE, AsJson, Flag, app, lines
+from deadtime.cli.application import COMPARE, AsJson, Flag, app, lines
 from deadtime.cli.printing import (
     TABLES,
     on_terminal,
@@ -122,7 +122,7 @@ def sweep(
 
         save_text("table", table, sweep_table(data).to_latex())
     if json_output:
-        from deadtime.base.record import plain
+        from deadtime.base.json_records import plain
 
         state = {**plain(plan_of(chosen, place)), "damaged": damaged, "reasons": reasons}
         print_json(state, None if table is None else [table])
@@ -184,7 +184,7 @@ def _reasons(data: Any) -> dict[str, tuple[int, str]]:
 def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     """How far a store is, and how much there is to do."""
     if as_json:
-        from deadtime.base.record import plain
+        from deadtime.base.json_records import plain
 
         print_json(plain(plan))
         return

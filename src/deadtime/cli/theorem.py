@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deadtime.cli.entry import JUDGE, AsJson, app, lines
+from deadtime.cli.application import JUDGE, AsJson, app, lines
 from deadtime.cli.printing import print_json, print_table
 from deadtime.cli.problems import problem_of
 

@@ -32,7 +32,7 @@ class DensePast:
 
     def push(self, u: Float[np.ndarray, " m"]) -> None:
         """u becomes the latest input."""
-        from deadtime.controller.kernel import push
+        from deadtime.controller.past_input_sums import push
 
         push(u, self.place, self.ring)
 
@@ -43,7 +43,7 @@ class DensePast:
 
     def row(self, row: int, x: Float[np.ndarray, " n"], u: Float[np.ndarray, " m"]) -> None:
         """Write the input that the row asks for into u."""
-        from deadtime.controller.kernel import dense_row
+        from deadtime.controller.past_input_sums import dense_row
 
         dense_row(self.table.state_gain[row], self.G[row], x, self.place, self.ring, u)
 
@@ -54,7 +54,7 @@ class DensePast:
         u: Float[np.ndarray, " m"],
     ) -> None:
         """Write into u the inputs that the rows ask for, weighed by their shares."""
-        from deadtime.controller.kernel import mean_of_dense
+        from deadtime.controller.past_input_sums import mean_of_dense
 
         mean_of_dense(self.table.state_gain, self.G, share, x, self.place, self.ring, u)
 
@@ -96,7 +96,7 @@ class FactoredPast(DensePast):
         np.fill_diagonal(self.power, 1.0)
 
     def push(self, u: Float[np.ndarray, " m"]) -> None:
-        from deadtime.controller.kernel import accumulate
+        from deadtime.controller.past_input_sums import accumulate
 
         super().push(u)
         accumulate(
@@ -112,7 +112,7 @@ class FactoredPast(DensePast):
         )
 
     def row(self, row: int, x: Float[np.ndarray, " n"], u: Float[np.ndarray, " m"]) -> None:
-        from deadtime.controller.kernel import factored_row
+        from deadtime.controller.past_input_sums import factored_row
 
         self._sum_window()
         F, H, last = self.table.state_gain[row], self.factor.H[row], self.factor.last[row]
@@ -124,7 +124,7 @@ class FactoredPast(DensePast):
         x: Float[np.ndarray, " n"],
         u: Float[np.ndarray, " m"],
     ) -> None:
-        from deadtime.controller.kernel import mean_of_factored
+        from deadtime.controller.past_input_sums import mean_of_factored
 
         self._sum_window()
         F, H, last = self.table.state_gain, self.factor.H, self.factor.last
@@ -132,7 +132,7 @@ class FactoredPast(DensePast):
 
     def _sum_window(self) -> None:
         """q, which all rows read."""
-        from deadtime.controller.kernel import window_sum
+        from deadtime.controller.past_input_sums import window_sum
 
         window_sum(
             self.window,

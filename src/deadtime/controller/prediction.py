@@ -14,8 +14,8 @@ from deadtime.base.frozen import Frozen
 from deadtime.controller.status import Status
 from deadtime.estimation import BeliefPredictor, OutputFeedback, OutputModeFilter
 from deadtime.estimation.filter_arguments import intensities, intensity
-from deadtime.feedback.known import Known
-from deadtime.feedback.prediction import PredictionTable
+from deadtime.feedback.known_state import Known
+from deadtime.feedback.prediction_rows import PredictionTable
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw

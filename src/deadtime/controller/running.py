@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Stateful
-from deadtime.controller.arguments import limits_of, require_state, vector
-from deadtime.controller.believing import believing_of
+from deadtime.controller.controller_arguments import limits_of, require_state, vector
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
+from deadtime.controller.running_belief import believing_of
 from deadtime.controller.status import Clock, Status
 from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
-from deadtime.feedback.prediction import PredictionTable, prediction_table
+from deadtime.feedback.prediction_rows import PredictionTable, prediction_table
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 

@@ -1,4 +1,4 @@
-"""The compiled steps of a bank of Kalman filters, one per mode: see `deadtime.estimation.bank`.
+"""The compiled steps of a bank of Kalman filters, one per mode: see `estimation.running_bank`.
 
 `begin_bank` is the first sample and `advance_bank` every other one, whoever runs them: a single
 run, eight scenarios, a controller. The belief moves by `estimation/belief_kernel.py`.

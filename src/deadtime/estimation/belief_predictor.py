@@ -8,9 +8,9 @@ import numpy as np
 
 from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation.bank import RunningBank
 from deadtime.estimation.mode_filter import ModeFilter
 from deadtime.estimation.output_mode_filter import OutputModeFilter
+from deadtime.estimation.running_bank import RunningBank
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief, BeliefState, Believing

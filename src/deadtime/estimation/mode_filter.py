@@ -25,7 +25,7 @@ from deadtime.feedback.belief import Belief, frozen, held_noise
 from deadtime.numerics.covariance import noise_covariances, switched_covariances, transition
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov
-from deadtime.switching.models.checked import require_model
+from deadtime.switching.models.checked_models import require_model
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_shape
 from deadtime.base.frozen import Stateful
-from deadtime.estimation.bank import RunningBank
 from deadtime.estimation.filter_arguments import belief_of
+from deadtime.estimation.running_bank import RunningBank
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief, BeliefState
 

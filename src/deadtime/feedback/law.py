@@ -17,10 +17,10 @@ from deadtime.base.checks import brief, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
-from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.functional import Functional
-from deadtime.feedback.known import Known
+from deadtime.feedback.known_state import Known
 from deadtime.feedback.outlook import Outlook
+from deadtime.feedback.preview import Foresight
 from deadtime.feedback.table import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
@@ -208,8 +208,8 @@ class TableLaw(Law):
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
         """The law with the same forecast for a larger plant, with gains `rows` of inputs after m.
 
-        Of that its predictions are made (`deadtime.feedback.prediction`). Raises `ArgumentError`
-        for a law that has no prediction.
+        Of that its predictions are made (`deadtime.feedback.prediction_rows`). Raises
+        `ArgumentError` for a law that has no prediction.
         """
         raise ArgumentError(
             f"law must predict for a prediction: {type(self).__name__} ({self.label}) has no "

@@ -8,7 +8,8 @@ a measurement y,
     x̂_k = x̄_k + L_i (y_k − C_i x̄_k),   or x̄_k where y_k is missing,
     q_k = q_{k−1} + h (v_{k−1} + v_k)/2 − h r_{k−1},   v = H y,
 
-the sum stopping where it asks for more of what an input was refused (`estimation/kernel.py`).
+the sum stopping where it asks for more of what an input was refused
+(`estimation/observer_kernel.py`).
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
-from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.law import Law, TableLaw
+from deadtime.feedback.preview import Foresight
 from deadtime.feedback.table import Feedback
 from deadtime.switching import SwitchingSignal
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError, InfeasibleError
 from deadtime.base.frozen import Frozen
-from deadtime.gains.checked import check_gains, rightmost_eigenvalue
+from deadtime.gains.checked_gains import check_gains, rightmost_eigenvalue
 from deadtime.numerics.lmi import (
     Limit,
     Program,

@@ -1,5 +1,5 @@
-from .excitation.design import design_experiment as design_experiment
 from .excitation.experiment import Experiment as Experiment
-from .hidden.found import HiddenModes as HiddenModes
+from .excitation.experiment_design import design_experiment as design_experiment
+from .hidden.hidden_modes import HiddenModes as HiddenModes
 from .identification import Identification as Identification
 from .identify import identify as identify

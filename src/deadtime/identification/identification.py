@@ -14,8 +14,8 @@ from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.found import HiddenModes
-from deadtime.identification.hidden.identified import Hidden
+from deadtime.identification.hidden.hidden_modes import HiddenModes
+from deadtime.identification.hidden.identify_hidden import Hidden
 from deadtime.identification.levels import Rest, rest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
-    from deadtime.identification.results.verdict import Margin
+    from deadtime.identification.results.delay_verdict import Margin
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -244,7 +244,7 @@ class Identification(Frozen):
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
         Delay 0.2594 s (0.2589 … 0.26); the law bears 0 … 1.054 s: enough.
         """
-        from deadtime.identification.results.verdict import verdict_of
+        from deadtime.identification.results.delay_verdict import verdict_of
 
         period = self.step if step is None else positive("step", step)
         return verdict_of(self, margin, law, period)
@@ -272,7 +272,7 @@ class Identification(Frozen):
 
     def plot(self) -> Figure:
         """The likelihood over the delays, predictions against the log, residuals, and modes."""
-        from deadtime.identification.results.figure import plot_identification
+        from deadtime.identification.results.identification_figure import plot_identification
 
         return plot_identification(self)
 

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import reporter
 from deadtime.identification.closed_loop import estimate_in_loop
-from deadtime.identification.exact import estimate_exactly
+from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.fed_back import fed_back
-from deadtime.identification.hidden.identified import Sensed, identify_hidden
-from deadtime.identification.hidden.request import numbers_of
+from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden
+from deadtime.identification.hidden.mode_numbers import numbers_of
 from deadtime.identification.identification import Identification
 from deadtime.identification.levels import level_of
 from deadtime.identification.log.logged_modes import fit_switching
@@ -26,7 +26,7 @@ from deadtime.identification.log.logged_states import (
 )
 from deadtime.identification.log.recording import Recording, read_recording
 from deadtime.identification.log.rest import disproved, resting
-from deadtime.identification.log.units import require_same_units, require_seconds
+from deadtime.identification.log.unit_changes import require_same_units, require_seconds
 from deadtime.identification.noisy.noise import estimate_with_noise
 from deadtime.identification.noisy.noise_intervals import exact_holds
 from deadtime.identification.options import (
@@ -35,8 +35,8 @@ from deadtime.identification.options import (
     require_order_for,
     require_switches,
 )
-from deadtime.identification.outputs.identified import identify_outputs
-from deadtime.identification.outputs.request import is_states, require_logged
+from deadtime.identification.outputs.identify_outputs import identify_outputs
+from deadtime.identification.outputs.output_orders import is_states, require_logged
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cell_of, cells_of
-from deadtime.identification.hidden.likelihood import HiddenLog
+from deadtime.identification.hidden.hidden_likelihood import HiddenLog
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.likelihood import NoisyLog

@@ -18,7 +18,7 @@ from .disturbances import (
     StepDisturbance as StepDisturbance,
     WhiteDisturbance as WhiteDisturbance,
 )
-from .heard import Additive as Additive, Heard as Heard, Relaying as Relaying
+from .received import Additive as Additive, Heard as Heard, Relaying as Relaying
 from .sensors import (
     Dropout as Dropout,
     LateSamples as LateSamples,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count as whole
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import SensorImperfection, Sizes, once, per_signal, probability_of
-from deadtime.imperfections.heard import Additive, Draw, DrawnRelaying, Heard
+from deadtime.imperfections.received import Additive, Draw, DrawnRelaying, Heard
 
 _MOST = 10**9  # periods
 

@@ -14,9 +14,9 @@ from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Foresight, Outlook
 from deadtime.feedback.law import TableLaw
-from deadtime.feedback.prediction import extended_gains
+from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import require_finite_gains
-from deadtime.gains.checked import check_gains
+from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Functional
-from deadtime.feedback.known import Known
+from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, remember_table, require_room, room
-from deadtime.feedback.prediction import extended_gains
-from deadtime.gains.checked import check_gains
+from deadtime.feedback.prediction_rows import extended_gains
+from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
-from deadtime.switching.models.checked import require_model
+from deadtime.switching.models.checked_models import require_model
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Functional, Outlook
-from deadtime.feedback.known import Known
+from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
-from deadtime.feedback.prediction import extended_gains
-from deadtime.gains.checked import check_gains, require_hurwitz
+from deadtime.feedback.prediction_rows import extended_gains
+from deadtime.gains.checked_gains import check_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -118,7 +118,7 @@ class MeanPredictor(TableLaw):
     ) -> Feedback:
         mean, K = self._mean_plant, self.gain[None]
         if self.dwell_time is not None:
-            from deadtime.laws.tables.dwell_time import dwelling_table
+            from deadtime.laws.tables.guaranteed_dwell import dwelling_table
 
             return dwelling_table(self.plant, mean, K, np.ones(1), self.dwell_time, step)
         from deadtime.laws.tables.constant_mode import constant_table

@@ -16,7 +16,7 @@ from deadtime.laws.expected import table_ages
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
-from deadtime.switching.models.checked import require_model
+from deadtime.switching.models.checked_models import require_model
 
 MOST_MEMORY = 4e9
 

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Forecast, Functional
-from deadtime.feedback.known import Known
+from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, remember_table
-from deadtime.feedback.prediction import extended_gains
-from deadtime.gains.checked import check_gains
+from deadtime.feedback.prediction_rows import extended_gains
+from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Update
-from deadtime.gains.checked import check_gains
+from deadtime.gains.checked_gains import check_gains
 from deadtime.laws.first_reads import RuleForecast, chattering_ahead
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import TOLERANCE

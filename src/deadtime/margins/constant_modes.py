@@ -29,8 +29,8 @@ from deadtime.margins.loop_gain import Band, bands
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
-from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.growth import not_decaying
+from deadtime.spectrum.held_mode_arguments import require_constant
 from deadtime.spectrum.ideal_response import IdealResponse
 from deadtime.spectrum.observed_response import digital_response
 from deadtime.spectrum.one_input import OneInput

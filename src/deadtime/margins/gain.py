@@ -25,8 +25,8 @@ from deadtime.numerics.small_matrices import inverses, matched
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.affordable import require_affordable
-from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.growth import not_decaying
+from deadtime.spectrum.held_mode_arguments import require_constant
 from deadtime.spectrum.ideal_response import IdealResponse
 from deadtime.spectrum.observed_response import digital_response
 from deadtime.spectrum.response import Response

@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.libraries import python_control
 from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.arguments import check_mode
+from deadtime.spectrum.held_mode_arguments import check_mode
 from deadtime.spectrum.open_loop import OpenLoop, StateSpace, ideal_responses
 
 

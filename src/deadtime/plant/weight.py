@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, brief, number, read_only, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.base.record import record
+from deadtime.base.json_records import record
 from deadtime.plant import SwitchedSystem
 
 PLAIN = "∫|x|² + |u|²"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from deadtime.base.record import plain, record
+from deadtime.base.json_records import plain, record
 from deadtime.base.version import __version__
 from deadtime.plant.weight import record_of
 from deadtime.problems.comparison import Comparison

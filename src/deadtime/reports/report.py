@@ -27,7 +27,7 @@ from deadtime.reports.figures.comparison import (
     plot_window,
 )
 from deadtime.reports.metrics import metrics_of
-from deadtime.reports.page import PAGE, save_figure, write_metrics, write_page, writing
+from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, write_page, writing
 from deadtime.reports.tables import tracking
 from deadtime.reports.tables.certificates import delay_sentence
 from deadtime.reports.tables.constants import (
@@ -37,7 +37,7 @@ from deadtime.reports.tables.constants import (
     bounds_of,
 )
 from deadtime.reports.verdict import headings_of, table, verdict
-from deadtime.simulation.figure import plot_run
+from deadtime.simulation.run_figure import plot_run
 from deadtime.switching import SwitchingSignal
 
 SCENARIOS = 1000

@@ -1,4 +1,4 @@
-from .run import monte_carlo as monte_carlo
+from .batch_run import monte_carlo as monte_carlo
 from .source import draw_signals as draw_signals, scenario_seed as scenario_seed
 from .sweeps import (
     Cell as Cell,

@@ -19,11 +19,11 @@ from deadtime.imperfections import (
 )
 from deadtime.imperfections.base import Drawing, DrawnTiming
 from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
-from deadtime.imperfections.heard import DrawnRelaying, relayed
+from deadtime.imperfections.received import DrawnRelaying, relayed
 from deadtime.numerics.pcg import Streams
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.source import scenario_seeds
-from deadtime.simulation.compiled import lags_of
+from deadtime.simulation.imperfection_arrays import lags_of
 
 
 class RunLength(NamedTuple):

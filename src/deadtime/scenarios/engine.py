@@ -1,4 +1,4 @@
-"""The engine: tables of laws along signals, eight scenarios to a vector (`scenarios.kernel`)."""
+"""The engine: tables of laws along signals, eight scenarios to a vector (`scenarios.lane_loop`)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from deadtime.feedback import Feedback, memory as memories
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.numerics.lanes import LANES
-from deadtime.scenarios.figures import Path, ScenarioSums
-from deadtime.scenarios.foreseen import KnownSignalModel, stacks_of
-from deadtime.scenarios.kernel import FIGURES, run_scenarios, work_of
-from deadtime.scenarios.layout import (
+from deadtime.scenarios.batch_loop import Loop
+from deadtime.scenarios.lane_loop import FIGURES, run_scenarios, work_of
+from deadtime.scenarios.lane_types import (
     KINDS,
     BankLanes,
     ClipLanes,
@@ -29,10 +28,11 @@ from deadtime.scenarios.layout import (
     PlantLanes,
     RunLanes,
 )
-from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory_form import memory_form
 from deadtime.scenarios.model_ahead import ModelAhead
+from deadtime.scenarios.preview_lanes import KnownSignalModel, stacks_of
 from deadtime.scenarios.records import Laid
+from deadtime.scenarios.scenario_sums import Path, ScenarioSums
 from deadtime.scenarios.side_by_side import groups
 from deadtime.scenarios.window_form import WindowForm, window_form
 from deadtime.switching import SignalBatch
@@ -42,7 +42,7 @@ PERFECT = Hearing()
 
 
 class EngineTable(NamedTuple):
-    """A law as `scenarios.kernel` takes it: one of three, its memory or belief, its window.
+    """A law as `scenarios.lane_loop` takes it: one of three, its memory or belief, its window.
 
     `taps` is how many inputs it reads, and `feedback` what its rows are, where it has some and goes
     by the modes that it is told.

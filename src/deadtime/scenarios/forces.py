@@ -16,10 +16,10 @@ from jaxtyping import Float
 
 from deadtime.imperfections import Disturbance, Imperfection, Sizes
 from deadtime.numerics.lanes.code import LANES
+from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.cut_periods import MOST_NUMBERS, NODES, WIDE, nodes, series_through, stack
 from deadtime.scenarios.drawn import RunLength, in_many_runs
 from deadtime.scenarios.laid import fill_series
-from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Records
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import groups, lay_forces

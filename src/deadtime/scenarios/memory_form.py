@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import memory as feedback
-from deadtime.scenarios.layout import MemoryLanes
+from deadtime.scenarios.lane_types import MemoryLanes
 
 
 def memory_form(memory: feedback.Memory, outputs: Float[np.ndarray, "mode p n"]) -> MemoryLanes:

@@ -11,16 +11,16 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Foresight
 from deadtime.feedback.law import TableLaw
 from deadtime.plant import SampledPlant
+from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.cut_periods import compose, parts_of
-from deadtime.scenarios.foreseen import KnownSignalModel
 from deadtime.scenarios.laid import compose_cuts
-from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.preview_lanes import KnownSignalModel
 from deadtime.scenarios.records import Laid, Records
 from deadtime.switching import SignalBatch, SwitchingSignal
 
 
 class ModelAhead:
-    """The model of a law over the periods 0, …, K + W, W = ⌊D/h⌋ (`scenarios.foreseen`).
+    """The model of a law over the periods 0, …, K + W, W = ⌊D/h⌋ (`scenarios.preview_lanes`).
 
     Attributes
     ----------

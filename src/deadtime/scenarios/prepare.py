@@ -11,10 +11,10 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.memory import WithMemory, tables_of
 from deadtime.imperfections import Disturbance, Imperfection, Limiting, TimingImperfection
-from deadtime.imperfections.known import is_batched
+from deadtime.imperfections.array_kinds import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.engine import Engine, EngineTable
-from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.switching import SwitchingSignal
 

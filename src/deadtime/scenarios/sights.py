@@ -22,14 +22,14 @@ from deadtime.imperfections import Imperfection, Sizes, TimingImperfection
 from deadtime.numerics.lanes.code import LANES
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.acting import acting_of
+from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.cut_periods import compose, nodes, parts_of, series_through, stack
 from deadtime.scenarios.drawn import InManyRuns, in_many_runs
-from deadtime.scenarios.layout import SightLanes
-from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.lane_types import SightLanes
 from deadtime.scenarios.records import Records
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import groups
-from deadtime.simulation.compiled import MeasurementLags
+from deadtime.simulation.imperfection_arrays import MeasurementLags
 from deadtime.switching import SignalBatch
 
 

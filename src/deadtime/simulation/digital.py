@@ -15,13 +15,13 @@ from deadtime.feedback.memory import Tables
 from deadtime.feedback.table import OLDEST, follow
 from deadtime.imperfections import Disturbance
 from deadtime.plant.steps import snap
-from deadtime.simulation.compiled import Arrays, no_clip
+from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.forcing import Forcing
-from deadtime.simulation.foreseen import Along, Foreseen
-from deadtime.simulation.ideal.run import IdealRecord
+from deadtime.simulation.ideal.ideal_run import IdealRecord
 from deadtime.simulation.imperfect import Told
+from deadtime.simulation.imperfection_arrays import Arrays, no_clip
 from deadtime.simulation.loop_arrays import DelayLine, Grid, Rows
-from deadtime.simulation.record import DigitalRecord
+from deadtime.simulation.preview_loop import Along, Foreseen
 from deadtime.simulation.sight import Sight
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
@@ -70,7 +70,7 @@ def run_table(
     disturbances: Drawn = (),
 ) -> RunOutcome:
     """Run a law by its tables, or what imperfections make of it, along a signal."""
-    from deadtime.simulation.kernel import closed_loop
+    from deadtime.simulation.digital_kernel import closed_loop
 
     sampled, samples, past = grid.sampled, grid.samples, grid.past
     step, memory, belief = sampled.step, tables.memory, tables.belief

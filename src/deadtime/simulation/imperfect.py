@@ -15,7 +15,7 @@ from deadtime.imperfections import (
     SensorImperfection,
     Sizes,
 )
-from deadtime.simulation.compiled import MeasurementLags, tells_commands
+from deadtime.simulation.imperfection_arrays import MeasurementLags, tells_commands
 
 
 class Told(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from deadtime.feedback import Law
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
-from deadtime.simulation.compiled import Arrays
+from deadtime.simulation.imperfection_arrays import Arrays
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 LIMIT = 1e100  # of |x|, beyond which a run has diverged

@@ -19,11 +19,11 @@ from deadtime.feedback import Law
 from deadtime.feedback.belief import Believing
 from deadtime.feedback.law import Update, require_input
 from deadtime.plant.steps import snap
-from deadtime.simulation.compiled import MeasurementLags
 from deadtime.simulation.digital import Drawn, RunOutcome, initial_age
+from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.imperfect import ImperfectLaw
+from deadtime.simulation.imperfection_arrays import MeasurementLags
 from deadtime.simulation.loop_arrays import Grid
-from deadtime.simulation.record import DigitalRecord
 from deadtime.simulation.slides import slides_in_words
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.switching import Rule, SwitchingSignal

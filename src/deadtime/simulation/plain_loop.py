@@ -1,6 +1,6 @@
 """The loop of a run of which nothing but the law's rows is asked, in Python's own numbers.
 
-`deadtime.simulation.kernel.closed_loop` reads arrays element by element, which costs Python several
+`simulation.digital_kernel.closed_loop` reads arrays element by element, which costs Python several
 times what lists do. Most runs are told the state itself at every sample and have neither limits nor
 disturbances; of these little is left of the loop, and it is done here over lists: the same
 products, added in the same order, so the bits are those of the kernel.
@@ -16,7 +16,7 @@ from deadtime.plant.pieces import PieceTable
 from deadtime.simulation.loop_arrays import LIMIT, DelayLine, Rows
 
 if TYPE_CHECKING:
-    from deadtime.simulation.compiled import Clip
+    from deadtime.simulation.imperfection_arrays import Clip
     from deadtime.simulation.sight import Sight
 
 

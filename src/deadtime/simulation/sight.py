@@ -11,7 +11,7 @@ from deadtime.base.checks import read_only
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import Cuts
-from deadtime.simulation.compiled import Arrays, MeasurementLags
+from deadtime.simulation.imperfection_arrays import Arrays, MeasurementLags
 
 
 class Sight(NamedTuple):

@@ -24,11 +24,11 @@ from deadtime.imperfections import (
 )
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
-from deadtime.simulation.compiled import Arrays, Pairs, takes
 from deadtime.simulation.digital import Drawn, RunOutcome, run_table
-from deadtime.simulation.ideal.rule import run_ideal_rule
-from deadtime.simulation.ideal.run import run_ideal
+from deadtime.simulation.ideal.ideal_run import run_ideal
+from deadtime.simulation.ideal.rule_march import run_ideal_rule
 from deadtime.simulation.imperfect import ImperfectLaw
+from deadtime.simulation.imperfection_arrays import Arrays, Pairs, takes
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.loop_arrays import Grid
 from deadtime.simulation.online import run_online

@@ -18,9 +18,9 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.plant.weight import Weight, costs, weight_of
 from deadtime.simulation.columns import numbered_columns, write_csv
-from deadtime.simulation.ideal.run import IdealRecord
+from deadtime.simulation.digital_record import DigitalRecord
+from deadtime.simulation.ideal.ideal_run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
-from deadtime.simulation.record import DigitalRecord
 from deadtime.simulation.step_figures import OF_STEPS, RISE, SETTLED, step_info
 from deadtime.simulation.tracking import Followed
 from deadtime.switching import SwitchingSignal
@@ -243,7 +243,7 @@ class Trajectory(Frozen):
         The width is "column" (3.5 in) or "page" (7.16 in) of a journal, or inches. A run that ended
         before the first of the `times` asked for is drawn at its samples.
         """
-        from deadtime.simulation.figure import plot_run
+        from deadtime.simulation.run_figure import plot_run
 
         run = self
         if not self.time.size:

@@ -52,7 +52,7 @@ from deadtime.base.checks import count as checked_count
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.arguments import check_mode
+from deadtime.spectrum.held_mode_arguments import check_mode
 from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.newton import errors, newton
 
@@ -135,8 +135,8 @@ def characteristic_roots(
 
 def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
     """At least so many of the rightmost roots of a loop, where there are so many."""
+    from deadtime.spectrum.chebyshev_roots import approximate_roots
     from deadtime.spectrum.count import count_right_of
-    from deadtime.spectrum.discretisation import approximate_roots
 
     n, m = loop.B.shape
     degree, before = _FIRST, -1

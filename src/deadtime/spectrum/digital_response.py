@@ -59,7 +59,7 @@ class DigitalResponse(LoopResponse):
         return z - self.Phi, 1j * self.step * z
 
     def law(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from deadtime.spectrum.compiled import transform
+        from deadtime.spectrum.lifted_kernels import transform
 
         g, slope = transform(self.G, np.exp(-1j * omega * self.step))
         return np.eye(g.shape[1]) - g, 1j * self.step * slope

@@ -10,7 +10,7 @@ from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.arguments import check_mode
+from deadtime.spectrum.held_mode_arguments import check_mode
 from deadtime.spectrum.lifted import LiftedLoop, aged_row, with_memory
 from deadtime.spectrum.pace import least_growth, pace_of
 from deadtime.switching import SwitchingSignal
@@ -99,7 +99,7 @@ def growth_rate(
 
 def constant_growth(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int) -> float:
     """The growth rate of a mode under a row of a table, 1/s, to about 1e-9 of it or of the pace."""
-    from deadtime.spectrum.enclosure import LARGEST, enclose_growth
+    from deadtime.spectrum.root_enclosure import LARGEST, enclose_growth
 
     step, loop = feedback.step, LiftedLoop.of(plant, feedback, mode, row).balance()
     values, radius = loop.leading_eigenvalues()
@@ -118,7 +118,7 @@ def growth_bounds(
     """Two numbers, 1/s, between which the growth rate of one mode lies beyond doubt.
 
     A proof by computation: ball arithmetic on the characteristic polynomial of the lifted loop
-    (`deadtime.spectrum.enclosure`), of the matrices and of the law's table as stored, binary64,
+    (`spectrum.root_enclosure`), of the matrices and of the law's table as stored, binary64,
     and of the loop as `simulate` cuts it. They lie about 1e-11/D apart; two numbers of
     one sign prove that the loop grows, or decays, in this mode.
 
@@ -150,7 +150,7 @@ def growth_bounds(
     >>> 0.0 < low < high < low + 1e-10, round(low, 9), round(high, 9)
     (True, 0.281670215, 0.281670215)
     """
-    from deadtime.spectrum.enclosure import LARGEST, enclose_growth
+    from deadtime.spectrum.root_enclosure import LARGEST, enclose_growth
 
     instance("law", law, Law)
     mode, step = check_mode(plant, law, mode), positive("step", step)

@@ -2,7 +2,7 @@
 
     dx/dt = A x(t) + Σ_j b_j u_j(t − D_j),    u(t) = F x(t) + ∫ w(τ) u(t − τ) dτ,
 
-the D_j of the plant, F and w of the law: the windows of `deadtime.spectrum.memory`. A motion
+the D_j of the plant, F and w of the law: the windows of `deadtime.spectrum.input_windows`. A motion
 (x, u) = (X, U) e^{st} solves Δ(s) (X, U) = 0,
 
     Δ(s) = [[sI − A, −B diag(e^{−sD_j})], [−F, I − W(s)]],    W(s) = ∫ e^{−sτ} w(τ) dτ,
@@ -21,7 +21,7 @@ from jaxtyping import Complex, Float
 from deadtime.feedback import Law
 from deadtime.feedback.table import require_finite_gains
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.memory import LawWindow, weights, windows_of
+from deadtime.spectrum.input_windows import LawWindow, weights, windows_of
 from deadtime.switching import SwitchingSignal
 
 _TERMS = 60

@@ -91,7 +91,7 @@ class LiftedLoop:
 
     def after(self, z: Float[np.ndarray, " order"], periods: int) -> Float[np.ndarray, " order"]:
         """L^periods z, by running the loop: O(W m²) a period."""
-        from deadtime.spectrum.compiled import march
+        from deadtime.spectrum.lifted_kernels import march
 
         m, n = self.F.shape
         taps, W = self.G.shape[0], self.past
@@ -150,7 +150,7 @@ class LiftedLoop:
         method is for det [[zI − Φ, −Σ_l z^{−l} Γ_l], [−F, I − Σ_j G_j z^{−j}]]. At an eigenvalue
         of multiplicity k its step is a k-th of the distance; k ≤ n is taken.
         """
-        from deadtime.spectrum.compiled import transform
+        from deadtime.spectrum.lifted_kernels import transform
         from deadtime.spectrum.newton import decompose
 
         (m, n), z = self.F.shape, values[:, None, None]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, reporter
 from deadtime.feedback import Law
 from deadtime.gains import lqr
-from deadtime.gains.checked import check_gains
+from deadtime.gains.checked_gains import check_gains
 from deadtime.gains.state_feedback import require_controllable
 from deadtime.laws import AveragedPredictor
 from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
@@ -18,25 +18,25 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
-from deadtime.synthesis.assess import WIDEST, assess
-from deadtime.synthesis.exact import Exact
-from deadtime.synthesis.families import Choice, ChoiceFamily
-from deadtime.synthesis.floors import Floors
-from deadtime.synthesis.initial_states import InitialStates
-from deadtime.synthesis.input_peak import Source, check_initial, largest_inputs, limits_asked
-from deadtime.synthesis.limits import DelayLimit, delay_limit
-from deadtime.synthesis.message import sentences
-from deadtime.synthesis.request import (
+from deadtime.synthesis.design_measures import WIDEST, assess
+from deadtime.synthesis.design_request import (
     check_request,
     decay_asked,
     require_seen,
     require_table,
 )
+from deadtime.synthesis.design_search import DesignSearch, MakeLaw, Tried
+from deadtime.synthesis.exact_margins import Exact
+from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.gain_families import Choice, ChoiceFamily
+from deadtime.synthesis.initial_states import InitialStates
+from deadtime.synthesis.input_peak import Source, check_initial, largest_inputs, limits_asked
+from deadtime.synthesis.limits import DelayLimit, delay_limit
+from deadtime.synthesis.message import sentences
 from deadtime.synthesis.result import Design, TradeOff
-from deadtime.synthesis.search import DesignSearch, MakeLaw, Tried
 from deadtime.synthesis.stationary_noise import StationaryNoise
 from deadtime.synthesis.strategy import pairs_of, spend
-from deadtime.synthesis.units import unit_hints
+from deadtime.synthesis.unit_hints import unit_hints
 
 DEAREST = 100.0
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadtime.synthesis.families import ChoiceFamily, Poles, Weights
-from deadtime.synthesis.search import DesignSearch, Merit, Spent, Tried
+from deadtime.synthesis.design_search import DesignSearch, Merit, Spent, Tried
+from deadtime.synthesis.gain_families import ChoiceFamily, Poles, Weights
 
 _ROUND = 50  # trials in the first round
 _SAMPLED = 0.2  # of a round

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.certificates.dwell.leaps import Node
-from deadtime.certificates.dwell.shape import future_sums
+from deadtime.certificates.dwell.lyapunov_shape import future_sums
 from deadtime.certificates.proof.evidence import Setting
 
 WHOLE, WHOLE_REMEMBERED = 12, 20  # order up to which H is all of ξ; with what a law remembers in it

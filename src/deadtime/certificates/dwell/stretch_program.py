@@ -17,7 +17,7 @@ import numpy as np
 
 from deadtime.certificates.dwell.cones import maximise, squares
 from deadtime.certificates.dwell.leaps import Node
-from deadtime.certificates.dwell.shape import FLOOR, LyapunovShape
+from deadtime.certificates.dwell.lyapunov_shape import FLOOR, LyapunovShape
 from deadtime.numerics.lmi import pack, packing
 
 SEEN = 1e-2  # of the strongest functional: weaker ones open no direction

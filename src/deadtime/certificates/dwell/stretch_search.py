@@ -16,7 +16,7 @@ import numpy as np
 
 from deadtime.certificates.dwell.frame import balancing_units, functionals, metric, whole
 from deadtime.certificates.dwell.leaps import Leap, Leaps, Node
-from deadtime.certificates.dwell.shape import LyapunovShape
+from deadtime.certificates.dwell.lyapunov_shape import LyapunovShape
 from deadtime.certificates.dwell.stretch_program import ADDED, Looked, decrease, solve
 from deadtime.certificates.proof import Check, StretchEvidence, check
 from deadtime.certificates.proof.evidence import Setting

@@ -9,8 +9,8 @@ import numpy as np
 from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.covering import enclosures_of
 from deadtime.certificates.proof.ellipsoid import Sway
-from deadtime.certificates.proof.enclosure import ParameterCell
 from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.step_enclosure import ParameterCell
 from deadtime.numerics.precision import precision
 
 

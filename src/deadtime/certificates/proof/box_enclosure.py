@@ -31,7 +31,7 @@ from deadtime.certificates.proof.ellipsoid import (
     swelled,
     unit_matrices,
 )
-from deadtime.certificates.proof.enclosure import (
+from deadtime.certificates.proof.step_enclosure import (
     Enclosure,
     ParameterCell,
     by_entries,

@@ -28,8 +28,13 @@ from deadtime.certificates.proof.box import POLYTOPE, Box
 from deadtime.certificates.proof.box_enclosure import BoxEnclosures
 from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.ellipsoid import Sway, weight_of
-from deadtime.certificates.proof.enclosure import Enclosure, Enclosures, ParameterCell, cells_of
 from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.step_enclosure import (
+    Enclosure,
+    Enclosures,
+    ParameterCell,
+    cells_of,
+)
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.work import ELLIPSOID, Work, cost
 

@@ -36,7 +36,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.certificates.clock import CLOCK_TOLERANCE
 from deadtime.certificates.proof.box import Box, family_of
 from deadtime.certificates.proof.family import Delays, Family
-from deadtime.certificates.proof.sojourns import least_periods
+from deadtime.certificates.proof.leaving_ages import least_periods
 from deadtime.certificates.proof.transitions import (
     Following,
     PerMode,

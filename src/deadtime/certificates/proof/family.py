@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.certificates.proof.steps import Steps
+from deadtime.certificates.proof.proof_steps import Steps
 from deadtime.plant import SwitchedSystem, Window
 from deadtime.plant.steps import windows_of
 

@@ -42,8 +42,8 @@ from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.covering import Covering, QuadraticForm
 from deadtime.certificates.proof.definite import congruent
-from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.certificates.proof.transitions import NodeStretch, Transition
 from deadtime.certificates.proof.work import Work, cost
 from deadtime.numerics.precision import precision

@@ -52,7 +52,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from deadtime.certificates.proof.sojourns import LeavingAges, decimal
+from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal
 from deadtime.feedback.table import Context, row_of
 
 T = TypeVar("T")

@@ -19,13 +19,13 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.gains.checked import check_gains
+from deadtime.gains.checked_gains import check_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory
 from deadtime.simulation.ideal.breakpoints import merge, subdivide
+from deadtime.simulation.ideal.ideal_run import NODES, IdealRecord
 from deadtime.simulation.ideal.piecewise import Piecewise
-from deadtime.simulation.ideal.run import NODES, IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
 
@@ -83,7 +83,7 @@ class Backstepping(Frozen):
 
         The state obeys dP/dθ = A P + B drive, or (A + B K) P + B drive when `closed`.
         """
-        from deadtime.simulation.ideal.kernel import solve_alone
+        from deadtime.simulation.ideal.segment_kernel import solve_alone
 
         plant, delay = self.plant, self.plant.delay
         require_shape("x", x, (plant.states,), "(n,)")

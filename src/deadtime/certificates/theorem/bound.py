@@ -25,7 +25,7 @@ from deadtime.certificates.theorem.paper import paper_constants
 from deadtime.certificates.theorem.sharp import sharp_constants
 from deadtime.gains import CommonLyapunov, common_lyapunov
 from deadtime.gains.lyapunov import check_lyapunov, hurwitz_gains
-from deadtime.numerics.logs import exp, log
+from deadtime.numerics.logarithms import exp, log
 from deadtime.plant import SwitchedSystem
 
 FORMS = ("printed", "corrected", "sharp")

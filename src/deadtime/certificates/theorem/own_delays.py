@@ -30,7 +30,7 @@ from deadtime.certificates.theorem.sharp import (
     weighted_norm,
 )
 from deadtime.gains import CommonLyapunov
-from deadtime.numerics.logs import log, log_integral, log_sum
+from deadtime.numerics.logarithms import log, log_integral, log_sum
 from deadtime.plant import SwitchedSystem
 
 _HALVINGS = 60  # of the interval in which the rate ξ lies

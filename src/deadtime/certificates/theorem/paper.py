@@ -20,7 +20,7 @@ import numpy as np
 from deadtime.certificates.theorem.constants import FunctionalConstants, Gains, largest_norm
 from deadtime.gains import CommonLyapunov
 from deadtime.gains.lyapunov import closed_loops
-from deadtime.numerics.logs import exp, log, log_inverse, log_one_plus, log_sum
+from deadtime.numerics.logarithms import exp, log, log_inverse, log_one_plus, log_sum
 from deadtime.plant import SwitchedSystem
 
 

@@ -22,7 +22,7 @@ from deadtime.base.errors import InfeasibleError, SolverError
 from deadtime.certificates.theorem.constants import FunctionalConstants, Gains, largest_norm
 from deadtime.gains import CommonLyapunov, common_lyapunov
 from deadtime.gains.lyapunov import closed_loops, decaying_lyapunov, growth_in_norm
-from deadtime.numerics.logs import log, log_integral, log_one_plus, log_sum
+from deadtime.numerics.logarithms import log, log_integral, log_one_plus, log_sum
 from deadtime.plant import SwitchedSystem
 
 # A sum of exponentials, each term as (log of its coefficient, exponent).

@@ -21,13 +21,13 @@ from jaxtyping import Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.admissible import Admissible
+from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
+from deadtime.certificates.worst_case.cycle_words import Word, climb
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.instants import COARSE
 from deadtime.certificates.worst_case.kinds import Kinds
-from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.products import Sojourns, compress
-from deadtime.certificates.worst_case.search import LETTERS, branch_and_bound
-from deadtime.certificates.worst_case.words import Word, climb
+from deadtime.certificates.worst_case.switch_instants import COARSE
+from deadtime.certificates.worst_case.word_search import LETTERS, branch_and_bound
 
 LENGTHS = 200  # of sojourns that the compressed loop knows
 DELAYS = 8  # the longest of them, at least

@@ -18,12 +18,12 @@ from deadtime.certificates.clock import (
 from deadtime.certificates.signals import admissible_signals
 from deadtime.certificates.worst_case.admissible import Admissible, Dwell
 from deadtime.certificates.worst_case.candidates import candidates
+from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.losses import with_losses
-from deadtime.certificates.worst_case.runs import RunLoop, worst_in_runs
-from deadtime.certificates.worst_case.selection import Rated, improve, worst_of
+from deadtime.certificates.worst_case.run_search import RunLoop, worst_in_runs
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
+from deadtime.certificates.worst_case.worst_cycle import Rated, improve, worst_of
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, same_outputs, with_lost_rows

@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from deadtime.certificates.worst_case.cycle_growth import SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.instants import COARSE
-from deadtime.certificates.worst_case.loop import SampledLoop
-from deadtime.certificates.worst_case.selection import Rated
+from deadtime.certificates.worst_case.switch_instants import COARSE
+from deadtime.certificates.worst_case.worst_cycle import Rated
 
 BASES = 4  # cycles in which samples are lost
 ROUND = 3  # samples measured in a row, at most, in the patterns tried first

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadtime.imperfections import SensorImperfection
 from deadtime.imperfections.base import Sizes
-from deadtime.imperfections.heard import Heard, Relaying
+from deadtime.imperfections.received import Heard, Relaying
 
 
 @dataclass(frozen=True)

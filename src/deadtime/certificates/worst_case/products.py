@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.certificates.worst_case.admissible import Admissible
+from deadtime.certificates.worst_case.cycle_growth import CycleTable, SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
-from deadtime.certificates.worst_case.loop import CycleTable, SampledLoop
 
 RANK = 16
 RUNS = 32

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from deadtime.base.checks import count
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof.transitions import per_mode
+from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.lost_at import LostAt
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.feedback import Law

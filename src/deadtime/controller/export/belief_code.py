@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.controller.believing import ModeBelief, OutputBelief
 from deadtime.controller.export.literals import literal
+from deadtime.controller.running_belief import ModeBelief, OutputBelief
 
 _BOUND = 2.0**100  # of states and inputs, {P}_BELIEF_BOUND of controller.h.j2
 _LARGEST = 2.0**190  # of predictions and of variances: their squares leave room

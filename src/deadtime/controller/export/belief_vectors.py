@@ -14,9 +14,9 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.controller.believing import OutputBelief
 from deadtime.controller.export.moving_calls import FAR, inputs_of, lasting_modes, slots
 from deadtime.controller.running import RunningLaw
+from deadtime.controller.running_belief import OutputBelief
 from deadtime.feedback.belief import held_noise
 
 _MOST_STAY = 400

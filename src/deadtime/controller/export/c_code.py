@@ -16,7 +16,7 @@ from deadtime.base.version import __version__
 from deadtime.controller.export import belief_code, observer_code, prediction_code
 from deadtime.controller.export.bounds import bounds, largest
 from deadtime.controller.export.compiler import SelfCheck, self_check
-from deadtime.controller.export.files import require_own
+from deadtime.controller.export.export_folder import require_own
 from deadtime.controller.export.forms import (
     Form,
     Precision,

@@ -18,7 +18,7 @@ from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export.c_code import environment
 from deadtime.controller.export.compiler import compile_and_link
-from deadtime.controller.export.files import require_suffix
+from deadtime.controller.export.export_folder import require_suffix
 from deadtime.controller.export.fmi_description import (
     FmuDescription,
     Variable,

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
-from deadtime.identification.excitation.loop import Chain
+from deadtime.identification.excitation.excited_loop import Chain
 
 Pullback = Callable[[np.ndarray], np.ndarray]
 

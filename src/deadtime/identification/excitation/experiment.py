@@ -14,7 +14,7 @@ from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.staging import replacing
-from deadtime.identification.excitation.information import Prospect
+from deadtime.identification.excitation.input_information import Prospect
 from deadtime.identification.parameters import Layout
 from deadtime.plant import SwitchedSystem
 

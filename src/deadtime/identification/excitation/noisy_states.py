@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.excitation.exact_states import Pullback
-from deadtime.identification.excitation.loop import Chain
+from deadtime.identification.excitation.excited_loop import Chain
 from deadtime.identification.excitation.noise_tables import NoiseTables
 
 _UNSEEN = 1e-12  # of an eigenvalue of the noise's information, scaled to a diagonal of ones

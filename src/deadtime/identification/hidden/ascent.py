@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.hidden.hidden_likelihood import HiddenLog
+from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior, UnevenPeriods
 from deadtime.identification.hidden.regressions import rooted
 from deadtime.identification.regression import LagRoots, Term, concentrated, even_terms, stacked
 from deadtime.identification.scoring import Evaluate, Evaluation, climb, climb_cells

@@ -16,9 +16,9 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.identification.hidden.ascent import Ascent, ascended
+from deadtime.identification.hidden.hidden_likelihood import HiddenLog
 from deadtime.identification.hidden.jumps import Counts, Jumps
-from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior, UnevenPeriods
 from deadtime.identification.hidden.pooled import PooledPlant, PooledRegression
 from deadtime.identification.hidden.regressions import (
     Regressions,

@@ -13,11 +13,11 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.choice import Begun, Fitted
-from deadtime.identification.hidden.found import HiddenModes
-from deadtime.identification.hidden.information import Information, information_of
-from deadtime.identification.hidden.likelihood import HiddenLog
+from deadtime.identification.hidden.hidden_information import Information, information_of
+from deadtime.identification.hidden.hidden_likelihood import HiddenLog
+from deadtime.identification.hidden.hidden_modes import HiddenModes
+from deadtime.identification.hidden.mode_periods import EvenPeriods
 from deadtime.identification.hidden.noisy_choice import NoisyFit
-from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.regressions import scanned
 from deadtime.identification.intervals import spread_of
 from deadtime.identification.log.recording import Recording

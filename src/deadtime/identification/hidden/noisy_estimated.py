@@ -22,7 +22,7 @@ from deadtime.identification.hidden.estimated import (
     start_of_grid,
     widening_of,
 )
-from deadtime.identification.hidden.information import Information, left_of, lifted
+from deadtime.identification.hidden.hidden_information import Information, left_of, lifted
 from deadtime.identification.hidden.noisy_choice import NoisyFit
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
 from deadtime.identification.intervals import spread_of

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.frozen import Frozen
 from deadtime.identification.hidden.filters_kernel import filter_modes
 from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.periods import Posterior, path_of, posterior_of
+from deadtime.identification.hidden.mode_periods import Posterior, path_of, posterior_of
 from deadtime.identification.hidden.stretch import PartPeriods, stretch_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.periods import EvenPeriods, Posterior
+from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import floored, log_density
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.periods import EvenPeriods
+from deadtime.identification.hidden.mode_periods import EvenPeriods
 from deadtime.identification.hidden.regressions import Regressions, regressed, rooted
 from deadtime.identification.parameters import Layout
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.cells import cells_of
+from deadtime.identification.noisy.filter_periods import even_periods, uneven_periods
 from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.periods import even_periods, uneven_periods
 
 _BLOCK = 4096  # samples whose derivatives, which nothing here needs, are there at a time
 

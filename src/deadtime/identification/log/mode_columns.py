@@ -8,7 +8,7 @@ import numpy as np
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.log.tables import LogTable
+from deadtime.identification.log.read_tables import LogTable
 
 
 def mode_column(tables: list[LogTable], modes: str | None) -> str | None:

@@ -12,7 +12,12 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.mode_columns import absent_modes, label, labels_of, mode_column
-from deadtime.identification.log.tables import LogTable, chosen_columns, numeric_column, table_of
+from deadtime.identification.log.read_tables import (
+    LogTable,
+    chosen_columns,
+    numeric_column,
+    table_of,
+)
 from deadtime.switching.log import TIMES
 
 _STRETCHES = 10  # of a long log, that stand for all of it

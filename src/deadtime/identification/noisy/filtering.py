@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.log.recording import Part
-from deadtime.identification.noisy.periods import PeriodsOf
+from deadtime.identification.noisy.filter_periods import PeriodsOf
 from deadtime.identification.noisy.tangent_kernel import tangents
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluation

@@ -11,7 +11,7 @@ from deadtime.identification.noisy.delay_scan import scanned
 from deadtime.identification.noisy.largest import of_sensors
 from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.outputs.past import chains_by_past
-from deadtime.identification.outputs.start import Guess
+from deadtime.identification.outputs.smoothed_start import Guess
 from deadtime.identification.uneven import gridded
 
 _SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise that chains with zeros begin with

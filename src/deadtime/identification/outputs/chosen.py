@@ -20,7 +20,7 @@ from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.outputs.begin import begins_of, by_past
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.outputs.other_delays import others_of
-from deadtime.identification.outputs.start import Guess, guess_of
+from deadtime.identification.outputs.smoothed_start import Guess, guess_of
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.uneven import gridded, nodes_for

@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.log.recording import Part
+from deadtime.identification.noisy.filter_periods import FilterPeriods
 from deadtime.identification.noisy.filtering import (
     Filtered,
     Places,
     Sensors,
     filtered as innovations,
 )
-from deadtime.identification.noisy.periods import FilterPeriods
 from deadtime.identification.noisy.smoother import FilterModel, filtered, smoothed
 
 _VAGUE = 1e8  # variances of a sensor that a state is not known by

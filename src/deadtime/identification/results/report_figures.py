@@ -11,7 +11,7 @@ import numpy as np
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.residuals import with_inputs
-from deadtime.identification.results.figure import (
+from deadtime.identification.results.identification_figure import (
     draw_likelihood,
     draw_log,
     draw_modes,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.feedback.known import Known
+from deadtime.feedback.known_state import Known
 from deadtime.numerics.covariance import noise_covariances, transitions
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap

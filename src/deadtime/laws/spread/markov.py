@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.feedback.known import Known
+from deadtime.feedback.known_state import Known
 from deadtime.plant import SampledPlant, SwitchedSystem
 
 _ROUND_OFF = 1e-18

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.feedback.known import Known
+from deadtime.feedback.known_state import Known
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.exponential import discretise_modes
 from deadtime.plant import SampledPlant

@@ -17,7 +17,7 @@ from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay, streams
 from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
 from deadtime.margins.gain import GainMargin, gain_margin
-from deadtime.margins.robustness.setting import RobustnessRuns
+from deadtime.margins.robustness.robustness_runs import RobustnessRuns
 from deadtime.margins.robustness.tolerance import (
     NoisePrice,
     Tolerance,

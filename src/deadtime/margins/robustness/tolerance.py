@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import amount
 from deadtime.imperfections import Imperfection, Noise
-from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, Cost, RobustnessRuns
+from deadtime.margins.robustness.robustness_runs import BOUNDED, KEPT, LOST, Cost, RobustnessRuns
 
 _TRIALS = 10
 _CROOKED = 0.3  # of what the largest noise adds: further off, the cost is not quadratic in it

@@ -15,7 +15,7 @@ from deadtime.imperfections import Imperfection, SensorImperfection, Sizes, requ
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.imperfection_registry import ENTRIES, ImperfectionSection, build_imperfection
 from deadtime.problems.toml import Shape, section as _section
-from deadtime.problems.toml.table import Section, Vector
+from deadtime.problems.toml.sections import Section, Vector
 
 if TYPE_CHECKING:
     ImperfectionEntry = ImperfectionSection

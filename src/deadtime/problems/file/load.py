@@ -10,7 +10,7 @@ from typing import Any
 
 from deadtime.base.errors import ArgumentError, ProblemFileError
 from deadtime.problems.file.build import build_problem
-from deadtime.problems.file.named import is_named, template
+from deadtime.problems.file.named_problems import is_named, template
 from deadtime.problems.file.schema import ProblemFile
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import SectionError, read_toml

@@ -16,7 +16,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.problems.file.observer import KalmanObserver, ObserverSection
 from deadtime.problems.law_registry import Model
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrices, Matrix, Section, Vector
+from deadtime.problems.toml.sections import Matrices, Matrix, Section, Vector
 
 Observed = tuple[Callable[[SwitchedSystem], Observer], ObserverSection]
 

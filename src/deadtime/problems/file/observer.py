@@ -17,7 +17,7 @@ from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.file.servo import FileServo, watching
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import (
+from deadtime.problems.toml.sections import (
     Matrices,
     Matrix,
     Poles,

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, model_validator
 
-from deadtime.problems.file.distribution import DistributionSection
 from deadtime.problems.file.imperfections import ImperfectionEntry, OffsetSection
 from deadtime.problems.file.mode_filter import ModeFilterSection
 from deadtime.problems.file.observer import ObserverSection
 from deadtime.problems.file.servo import ServoSection
+from deadtime.problems.file.sojourn_distributions import DistributionSection
 from deadtime.problems.law_registry import ENTRIES, LawSection
 from deadtime.problems.law_registry.entry import (
     SQUARE,
@@ -26,7 +26,7 @@ from deadtime.problems.law_registry.entry import (
     Square,
 )
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import (
+from deadtime.problems.toml.sections import (
     Integers,
     Matrices,
     Matrix,

@@ -10,7 +10,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.file import schema
-from deadtime.problems.file.distribution import DistributionSection, frozen
+from deadtime.problems.file.sojourn_distributions import DistributionSection, frozen
 from deadtime.problems.law_registry import Model
 from deadtime.switching import (
     HalfSpace,

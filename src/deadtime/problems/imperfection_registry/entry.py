@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar
 
 from deadtime.imperfections import Imperfection
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import NotNegative, Section, Vector
+from deadtime.problems.toml.sections import NotNegative, Section, Vector
 
 PerSignal = Annotated[float | Vector, Shape("a number, or one for each", [0.1, 0.2])]
 

@@ -4,6 +4,7 @@ A law is known everywhere once it has an entry: a file in `deadtime.problems.law
 """
 
 from deadtime.problems.law_registry.entry import LEVELS, LawSection, Named
+from deadtime.problems.law_registry.law_setting import NEEDS, LawSetting, Model
 from deadtime.problems.law_registry.registry import (
     ENTRIES,
     LAWS,
@@ -15,7 +16,6 @@ from deadtime.problems.law_registry.registry import (
     the_law,
     the_problem_law,
 )
-from deadtime.problems.law_registry.setting import NEEDS, LawSetting, Model
 
 __all__ = [
     "ENTRIES",

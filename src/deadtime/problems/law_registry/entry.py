@@ -20,9 +20,9 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from deadtime.feedback import Law
-from deadtime.problems.law_registry.setting import LawSetting, Need
+from deadtime.problems.law_registry.law_setting import LawSetting, Need
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrices, Matrix, Section, Vector
+from deadtime.problems.toml.sections import Matrices, Matrix, Section, Vector
 
 SQUARE = [[0.0, 1.0], [-1.0, -0.5]]
 COLUMN = [[0.0], [1.0]]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, cast
 from deadtime.feedback import Law
 from deadtime.problems.law_registry import entries
 from deadtime.problems.law_registry.entry import LEVELS, LawSection, Named
-from deadtime.problems.law_registry.setting import NEEDS, LawSetting
+from deadtime.problems.law_registry.law_setting import NEEDS, LawSetting
 from deadtime.problems.toml.entries import collect as entries_in, kinds_of, modules_of, refuse
 
 Entry = type[LawSection]

@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import NoReturn, TypeVar, get_args
 
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.toml.table import Section
+from deadtime.problems.toml.sections import Section
 
 S = TypeVar("S", bound=Section)
 

@@ -13,7 +13,7 @@ from deadtime.problems import Problem
 from deadtime.problems.comparison import Progress
 from deadtime.scenarios import scenario_seed
 from deadtime.simulation import Trajectory
-from deadtime.simulation.record import DigitalRecord
+from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.switching import SwitchingSignal
 
 LEAD, MEAN = "averaged", "mean"

@@ -20,7 +20,7 @@ from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.reports.figures.colours import looks_of
 from deadtime.simulation import Trajectory
-from deadtime.simulation.figure import signal_steps
+from deadtime.simulation.run_figure import signal_steps
 from deadtime.switching import SwitchingSignal
 
 

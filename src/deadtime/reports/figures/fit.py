@@ -14,8 +14,8 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.switching import SemiMarkov, SwitchingSignal
-from deadtime.switching.models.families import Observed
 from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of
+from deadtime.switching.models.sojourn_families import Observed
 from deadtime.switching.models.sojourns import Distribution, describe, log_survival
 
 if TYPE_CHECKING:

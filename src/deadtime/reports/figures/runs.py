@@ -16,7 +16,7 @@ from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.base.wording import input_names, numbered, subscript
 from deadtime.reports.figures.colours import Look, looks_of
 from deadtime.simulation import Trajectory
-from deadtime.simulation.figure import REFERENCE, mode_strip, references, signal_steps
+from deadtime.simulation.run_figure import REFERENCE, mode_strip, references, signal_steps
 
 _FAR = 5.0  # a run that goes so many times as far as the others leaves the frame
 

@@ -22,7 +22,7 @@ from deadtime.scenarios.paired.statistics import (
     share_below,
     share_of,
 )
-from deadtime.scenarios.sweeps.laws import ORACLE
+from deadtime.scenarios.sweeps.study_laws import ORACLE
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.base.wording import file_name
 from deadtime.problems.law_registry import LEVELS, the_law
-from deadtime.reports.page import PAGE, save_figure, write_metrics, write_page, writing
+from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, write_page, writing
 from deadtime.reports.study import maps
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.phrases import Answer
-from deadtime.reports.study.record import record_of, write_cells
-from deadtime.reports.study.run import failures, run_study
+from deadtime.reports.study.study_files import record_of, write_cells
+from deadtime.reports.study.study_runs import failures, run_study
 from deadtime.scenarios.sweeps.axes import AXES
 from deadtime.scenarios.sweeps.file_study import FileStudy
-from deadtime.scenarios.sweeps.laws import ORACLE, knowledge_of, within
-from deadtime.scenarios.sweeps.run import Report
-from deadtime.scenarios.sweeps.sojourns import FAMILIES
+from deadtime.scenarios.sweeps.run_sweep import Report
+from deadtime.scenarios.sweeps.study_laws import ORACLE, knowledge_of, within
+from deadtime.scenarios.sweeps.study_sojourns import FAMILIES
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, positive, reporter
 from deadtime.base.errors import ArgumentError
-from deadtime.base.record import record
+from deadtime.base.json_records import record
 from deadtime.base.threads import in_order
 from deadtime.base.wording import as_rate, sentence_of, with_names
 from deadtime.plant.switched_system import check_delays

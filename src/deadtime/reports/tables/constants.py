@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from deadtime.base.record import record
+from deadtime.base.json_records import record
 from deadtime.base.wording import compact
 from deadtime.certificates import TheoremBound, theorem_bound
 from deadtime.certificates.theorem.bound import stated_forms

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.base.record import plain, record
+from deadtime.base.json_records import plain, record
 from deadtime.base.wording import as_rate, compact
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import record_of

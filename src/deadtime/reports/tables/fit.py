@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from deadtime.base.record import plain, record
+from deadtime.base.json_records import plain, record
 from deadtime.base.wording import amount
 from deadtime.switching import SemiMarkov
-from deadtime.switching.models.families import Goodness
+from deadtime.switching.models.sojourn_families import Goodness
 from deadtime.switching.models.sojourns import Distribution, Fixed
 from deadtime.switching.models.truncation import Truncated
 

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.json_records import plain
 from deadtime.base.latex import booktabs
-from deadtime.base.record import plain
 from deadtime.base.wording import compact
 from deadtime.scenarios.dataset import Comparison
 from deadtime.scenarios.paired.proportion import Proportion

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from deadtime.base.latex import booktabs
 from deadtime.base.wording import compact
+from deadtime.reports.figures.sweeps.axis_words import one_of, text_of
 from deadtime.reports.figures.sweeps.reduction import score_of
 from deadtime.reports.figures.sweeps.selection import (
     RATES,
@@ -22,7 +23,6 @@ from deadtime.reports.figures.sweeps.selection import (
     select,
 )
 from deadtime.reports.figures.sweeps.titles import symbol_of
-from deadtime.reports.figures.sweeps.words import one_of, text_of
 from deadtime.reports.tables.monte_carlo import interval_text
 from deadtime.scenarios.dataset import formula_of
 from deadtime.scenarios.paired.statistics import mean_interval, median_interval, quotient

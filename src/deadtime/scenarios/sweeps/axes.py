@@ -16,7 +16,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.imperfection_registry import SWEPT, Swept
-from deadtime.scenarios.sweeps.sojourns import sojourn_section
+from deadtime.scenarios.sweeps.study_sojourns import sojourn_section
 
 Draft = dict[str, Any]
 Write = Callable[[Draft, Any], None]

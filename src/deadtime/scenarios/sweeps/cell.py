@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
-from deadtime.scenarios.run import monte_carlo
+from deadtime.scenarios.batch_run import monte_carlo
 from deadtime.scenarios.source import draw_signals
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SignalBatch, SwitchingSignal

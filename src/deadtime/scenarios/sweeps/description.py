@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.toml import require_valid
 from deadtime.scenarios.dataset import METRICS
-from deadtime.scenarios.sweeps.layout import BlockLayout
+from deadtime.scenarios.sweeps.blocks import BlockLayout
 from deadtime.scenarios.sweeps.study import require_axis
 
 MOST = 10**8  # cells of a grid, and scenarios

@@ -25,8 +25,8 @@ from deadtime.problems.file.switching import build_model, promise_of
 from deadtime.problems.law_registry import LawSetting, Model
 from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
-from deadtime.scenarios.sweeps.laws import COARSE, INPUT_WEIGHT, kinds_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
+from deadtime.scenarios.sweeps.study_laws import COARSE, INPUT_WEIGHT, kinds_of
 from deadtime.switching import SemiMarkov
 from deadtime.switching.random import mean_or_twice
 
@@ -45,7 +45,7 @@ class FileStudy(Study):
         Where it lies: its relative paths start there.
     poles : tuple of complex, or None
         Where the gains of every cell's modes, and of their mean, are placed, for the laws of
-        `deadtime.scenarios.sweeps.laws`; None: the problem's own gains and laws run.
+        `deadtime.scenarios.sweeps.study_laws`; None: the problem's own gains and laws run.
     files : mapping
         From the logs that the problem reads to a digest of each.
     """

@@ -14,7 +14,7 @@ from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import weight_of
 from deadtime.scenarios.dataset import METRICS
-from deadtime.scenarios.named import named_laws
+from deadtime.scenarios.named_laws import named_laws
 from deadtime.scenarios.source import SwitchingModel
 from deadtime.scenarios.sweeps.axes import Axis, no_write
 from deadtime.scenarios.sweeps.content import source_of, values_of

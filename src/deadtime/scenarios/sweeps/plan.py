@@ -7,7 +7,7 @@ from os import PathLike
 
 import numpy as np
 
-from deadtime.scenarios.sweeps.layout import costs_of, layout_of
+from deadtime.scenarios.sweeps.blocks import costs_of, layout_of
 from deadtime.scenarios.sweeps.pilot import Timed, time_cells
 from deadtime.scenarios.sweeps.store import exists, open_store, place_of
 from deadtime.scenarios.sweeps.study import Study

@@ -11,9 +11,9 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_
 from deadtime.problems.file.imperfections import ImperfectionEntry
 from deadtime.problems.file.schema import CostSection
 from deadtime.problems.imperfection_registry import SWEPT, ImperfectionAxis
-from deadtime.problems.toml.table import Count, First, NotNegative, Poles, Section
+from deadtime.problems.toml.sections import Count, First, NotNegative, Poles, Section
 from deadtime.scenarios.dataset import METRICS
-from deadtime.scenarios.sweeps.sojourns import FAMILIES
+from deadtime.scenarios.sweeps.study_sojourns import FAMILIES
 
 MOST_VALUES = 5000  # of an axis
 

@@ -28,9 +28,9 @@ from deadtime.base.errors import ArgumentError, StoreError
 from deadtime.base.version import __version__
 from deadtime.scenarios.dataset import DIVERGED, attributes_of
 from deadtime.scenarios.sweeps.axes import Axis, no_write
+from deadtime.scenarios.sweeps.blocks import BlockLayout
 from deadtime.scenarios.sweeps.cell import CellOutcome
 from deadtime.scenarios.sweeps.description import read_description
-from deadtime.scenarios.sweeps.layout import BlockLayout
 from deadtime.scenarios.sweeps.study import Study, differences
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ import numpy as np
 from deadtime.feedback.outlook import Outlook
 from deadtime.numerics.collocation import Nodes, gauss
 from deadtime.numerics.kernels import kernel
-from deadtime.simulation.ideal.kernel import flows, interpolate, locate, solve_alone
-from deadtime.simulation.ideal.loop import arrivals
 from deadtime.simulation.ideal.rereading import feedback_through_rereading
+from deadtime.simulation.ideal.segment_kernel import flows, interpolate, locate, solve_alone
+from deadtime.simulation.ideal.segment_march import arrivals
 from deadtime.simulation.initial_input import refit
 from deadtime.simulation.loop_arrays import LIMIT
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError
 from deadtime.simulation.digital import RunOutcome
-from deadtime.simulation.ideal.run import IdealRecord
+from deadtime.simulation.ideal.ideal_run import IdealRecord
 from deadtime.simulation.slides import Slide, join, slides_in_words
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.rules.motion import Leg, Motion

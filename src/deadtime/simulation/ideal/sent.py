@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.numerics.collocation import gauss, shares
+from deadtime.simulation.ideal.ideal_run import NODES
 from deadtime.simulation.ideal.piecewise import Piecewise
-from deadtime.simulation.ideal.run import NODES
 
 DEPTH = 5  # a jump of a higher derivative weighs less than 1e-12 on pieces as short as these
 

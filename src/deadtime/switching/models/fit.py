@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
-from deadtime.switching.models.families import EQUAL, FAMILIES, Goodness, Observed, estimate
+from deadtime.switching.models.sojourn_families import EQUAL, FAMILIES, Goodness, Observed, estimate
 from deadtime.switching.models.sojourns import Distribution, Fixed
 from deadtime.switching.models.truncated_fit import (
     FAMILIES_BETWEEN,
@@ -44,7 +44,7 @@ def fit_model(
     """Sojourn distributions, jump probabilities and goodness of a semi-Markov model.
 
     Distributions maximise the likelihood of complete and censored sojourns (see
-    `deadtime.switching.models.families`); T_ij is the share of the switches out of mode i that led
+    `switching.models.sojourn_families`); T_ij is the share of the switches out of mode i that led
     to j. Beyond the longest logged sojourn the tail is the family's word alone: if the law's
     trust in it matters, name the family, for "auto" judges only what was observed.
 

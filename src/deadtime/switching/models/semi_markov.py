@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
-from deadtime.switching.models.families import Goodness
 from deadtime.switching.models.hazards import count_ages, hazards, require_short
 from deadtime.switching.models.jump_process import JumpProcess
 from deadtime.switching.models.model import JumpModel
 from deadtime.switching.models.quantiles import Quantiles
+from deadtime.switching.models.sojourn_families import Goodness
 from deadtime.switching.models.sojourns import (
     Distribution,
     check_sojourns,

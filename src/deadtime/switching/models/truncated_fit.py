@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.models.families import FAMILIES, Observed, Parameters, estimate
+from deadtime.switching.models.sojourn_families import FAMILIES, Observed, Parameters, estimate
 from deadtime.switching.models.sojourns import Distribution
 from deadtime.switching.models.truncation import Truncated, log_between
 

@@ -21,7 +21,7 @@ from deadtime.problems.imperfection_registry.entry import (
     PerSignal,
     Slider,
 )
-from deadtime.problems.toml.table import Count, Probability
+from deadtime.problems.toml.sections import Count, Probability
 
 
 class NoiseSection(ImperfectionSection):

@@ -14,7 +14,7 @@ from deadtime.problems.imperfection_registry.entry import (
     PerSignal,
 )
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrices, Matrix, Vector
+from deadtime.problems.toml.sections import Matrices, Matrix, Vector
 
 
 def _without_default(schema: dict[str, Any]) -> None:

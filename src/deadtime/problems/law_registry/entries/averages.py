@@ -15,9 +15,9 @@ from deadtime.feedback import Law
 from deadtime.laws import AveragedPredictor, MeanPredictor, SingleModePredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.law_registry.entry import COLUMN, SQUARE, LawSection, Named
-from deadtime.problems.law_registry.setting import LawSetting
+from deadtime.problems.law_registry.law_setting import LawSetting
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrix, Vector
+from deadtime.problems.toml.sections import Matrix, Vector
 
 _DWELL_TIME = "Trust the current mode for the rest of this dwell time, seconds."
 

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 from deadtime.feedback import Law
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems.law_registry.entry import LawSection, Named
-from deadtime.problems.law_registry.setting import LawSetting
+from deadtime.problems.law_registry.law_setting import LawSetting
 
 
 class DelayedLaw(LawSection):

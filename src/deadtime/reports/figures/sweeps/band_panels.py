@@ -17,8 +17,8 @@ from matplotlib.ticker import NullLocator
 
 from deadtime.base.figure_files import Width, inches, new_figure
 from deadtime.base.figure_style import WIDTH, plain
+from deadtime.reports.figures.sweeps.axis_words import text_of, unbroken
 from deadtime.reports.figures.sweeps.scales import linear_ticks, log_ticks
-from deadtime.reports.figures.sweeps.words import text_of, unbroken
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from deadtime.base.figure_files import Width, style_of
 from deadtime.base.figure_style import LINES, plain
 from deadtime.reports.figures.colours import colours_of
+from deadtime.reports.figures.sweeps.axis_words import label_of
 from deadtime.reports.figures.sweeps.band_panels import (
     add_legend,
     draw,
@@ -34,7 +35,6 @@ from deadtime.reports.figures.sweeps.selection import (
     sides,
 )
 from deadtime.reports.figures.sweeps.titles import add_title, measure_of
-from deadtime.reports.figures.sweeps.words import label_of
 
 if TYPE_CHECKING:
     import xarray as xr

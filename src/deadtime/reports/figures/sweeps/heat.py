@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from deadtime.reports.figures.sweeps.axis_words import figure_of, one_of
 from deadtime.reports.figures.sweeps.maps import Scale, colour_map
 from deadtime.reports.figures.sweeps.panels import PanelGrid, grid_of
 from deadtime.reports.figures.sweeps.reduction import reduce
@@ -23,7 +24,6 @@ from deadtime.reports.figures.sweeps.selection import (
     sides,
 )
 from deadtime.reports.figures.sweeps.titles import add_title, measure_of, symbol_of
-from deadtime.reports.figures.sweeps.words import figure_of, one_of
 
 if TYPE_CHECKING:
     import xarray as xr

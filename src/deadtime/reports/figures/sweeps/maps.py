@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from deadtime.base.figure_style import STYLE, plain
+from deadtime.reports.figures.sweeps.axis_words import short
 from deadtime.reports.figures.sweeps.panels import (
     HATCH,
     NOT_BUILT,
@@ -27,7 +28,6 @@ from deadtime.reports.figures.sweeps.panels import (
     draw_cells,
     panels_of,
 )
-from deadtime.reports.figures.sweeps.words import short
 
 if TYPE_CHECKING:
     import xarray as xr

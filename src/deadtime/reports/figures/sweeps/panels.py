@@ -19,7 +19,7 @@ from matplotlib.patches import Rectangle
 from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import WIDTH, plain
-from deadtime.reports.figures.sweeps.words import label_of, name_of, say, text_of
+from deadtime.reports.figures.sweeps.axis_words import label_of, name_of, say, text_of
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.reports.figures.sweeps.words import one_of, text_of
+from deadtime.reports.figures.sweeps.axis_words import one_of, text_of
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from deadtime.base.figure_style import plain
 from deadtime.plant.weight import PLAIN
+from deadtime.reports.figures.sweeps.axis_words import say, unbroken
 from deadtime.reports.figures.sweeps.panels import PanelGrid
 from deadtime.reports.figures.sweeps.selection import axes_of
-from deadtime.reports.figures.sweeps.words import say, unbroken
 from deadtime.scenarios.dataset import formula_of
 
 if TYPE_CHECKING:

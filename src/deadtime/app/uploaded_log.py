@@ -1,0 +1,286 @@
+"""A log that came through a browser: its columns, its plant as a problem, what to say of it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadtime.app.documents import Document, file_stem, open_upload
+from deadtime.app.page_run import MOST_MODES
+from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.identification import Identification, identify
+from deadtime.identification.log.read_tables import (
+    TIMES,
+    LogTable,
+    columns_of,
+    numeric_column,
+    read_table,
+)
+from deadtime.identification.results.report_figures import likelihood_figure, quick_figures
+from deadtime.laws import ExactPredictor
+from deadtime.margins import delay_margin
+from deadtime.problems import load_problem
+from deadtime.reports.identification_report import (
+    Picture,
+    identification_page,
+    interval_rows,
+    pictures_of,
+)
+
+MOST_BYTES = 16_000_000
+MOST_ROWS = 200_000
+_MOST_COLUMNS = 40
+_LONGEST = 2.0  # seconds: the longest delay that is looked for unless another is said,
+_PERIODS = 60  # and in periods
+# What the page begins with; it offers the others, some of which take seconds.
+_LAWS = b"".join(b'\n[[law]]\nkind = "%s"\n' % kind for kind in (b"averaged", b"mean", b"exact"))
+
+Tell = Callable[[Any], None]
+
+
+class LogRequest(NamedTuple):
+    """What is asked of a log.
+
+    states, inputs : their columns
+    modes : the column of the mode, None for a plant of one, or the least and the largest number
+        of modes that were not logged
+    delay : the range that delays are looked for in, seconds
+    at_samples : whether modes change at samples only
+    per_mode : whether every mode has delays of its own
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    modes: str | tuple[int, int] | None
+    delay: tuple[float, float]
+    at_samples: bool = False
+    per_mode: bool = False
+
+    def command(self, name: str) -> str:
+        """The command that asks the same, and has no limit."""
+        words = ["deadtime", "identify", f"{file_stem(name)}.csv"]
+        words += [word for one in self.states for word in ("--states", one)]
+        words += [word for one in self.inputs for word in ("--inputs", one)]
+        if self.modes is None:
+            words.append("--one-mode")
+        else:
+            several = isinstance(self.modes, tuple)
+            words += ["--modes", "..".join(map(str, self.modes)) if several else str(self.modes)]
+        words += ["--delay", *(f"{end:g}" for end in self.delay)]
+        words += ["--switches", "samples"] if self.at_samples else []
+        words += ["--per-mode"] if self.per_mode else []
+        return shlex.join([*words, "--out", f"{file_stem(name)}.toml"])
+
+
+class Columns(NamedTuple):
+    """What a log has, at a look, and what is asked of it where nobody says otherwise.
+
+    rows, step : how many, and the median of the time between two, seconds
+    names : all columns but that of the time
+    numbers : columns that may be states or inputs
+    modes : columns that may be of the mode
+    guess : states and inputs are none where their names do not tell them
+    sure : whether the names of the columns tell everything
+    """
+
+    rows: int
+    step: float
+    names: tuple[str, ...]
+    numbers: tuple[str, ...]
+    modes: tuple[str, ...]
+    guess: LogRequest
+    sure: bool
+
+
+class FoundPlant(NamedTuple):
+    """A problem made of a log, and what was found.
+
+    delays : name, estimate and the ends of the interval of each, seconds
+    verdicts : what laws of the problem bear, beside what the log leaves open
+    rows : every unknown, its estimate and the ends of its interval
+    pictures : predictions, modes and what is left
+    """
+
+    document: Document
+    delays: tuple[tuple[str, float, float, float], ...]
+    sentences: tuple[str, ...]
+    verdicts: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    pictures: tuple[Picture, ...]
+
+
+def too_large(name: str, size: int) -> ArgumentError:
+    """What to say of a log that is larger than a page takes."""
+    return ArgumentError(
+        f"{file_stem(name)}.csv has {size / 1e6:.1f} MB, a page takes logs of at most "
+        f"{MOST_BYTES / 1e6:.0f} MB and {MOST_ROWS:,} rows: use `deadtime identify`, which has no "
+        "limit, or keep a stretch of the log."
+    )
+
+
+def look_at(name: str, content: bytes, folder: Path) -> Columns:
+    """The columns of a log: nothing that it says is trusted.
+
+    Raises
+    ------
+    ArgumentError
+        If it is too large, no table, or has no times.
+    """
+    source = _laid(name, content, folder)
+    try:
+        frame = read_table(source, MOST_ROWS + 1).rename(columns=lambda c: str(c).strip())
+    except DeadtimeError as error:
+        raise _without_folder(error, source) from None
+    finally:
+        source.unlink()
+    if len(frame) > MOST_ROWS:
+        raise ArgumentError(
+            f"{source.name} has more than {MOST_ROWS:,} rows, the most that a page takes: use "
+            "`deadtime identify`, which has no limit, or keep a stretch of the log."
+        )
+    columns = list(frame.columns)
+    twice = {one for one in columns if columns.count(one) > 1}
+    if twice:
+        raise ArgumentError(
+            f"{source.name} must have a name of its own for every column, got {twice.pop()} twice."
+        )
+    clock = next((one for one in TIMES if one in columns), None)
+    if clock is None:
+        raise ArgumentError(
+            f"{source.name} must have a column t of times in seconds, got {', '.join(columns)}."
+        )
+    given = numeric_column(LogTable(frame, source.name, "line", 2), clock)  # or its refusal
+    steps = np.diff(given[np.isfinite(given)])
+    step = float(np.median(steps)) if steps.size else np.nan
+    others = [one for one in columns if one != clock]
+    if len(others) > _MOST_COLUMNS:
+        raise ArgumentError(
+            f"{source.name} has {len(others)} columns beside {clock}, a page offers at most "
+            f"{_MOST_COLUMNS}: leave those out that are no states, inputs or modes."
+        )
+    numbers = tuple(one for one in others if _is_of_numbers(frame[one]))
+    few = tuple(one for one in others if frame[one].drop_duplicates().size <= MOST_MODES)
+    states, inputs = columns_of(others, "x"), columns_of(others, "u")
+    words = [one for one in few if one not in numbers]
+    mode = "mode" if "mode" in others else words[0] if len(words) == 1 else None
+    rest = set(others) - {*states, *inputs}
+    sure = bool(states and inputs) and (mode == "mode" or not rest)
+    reach = _PERIODS * step if step > 0.0 else _LONGEST
+    guess = LogRequest(
+        tuple(states), tuple(inputs), mode, (0.0, float(f"{min(_LONGEST, reach):.3g}"))
+    )
+    return Columns(len(frame), step, tuple(others), numbers, few, guess, sure)
+
+
+def _is_of_numbers(column: Any) -> bool:
+    """Whether most of what a column says are numbers; a slip among them is identify's to name."""
+    import pandas as pd
+
+    said = np.asarray(column.notna())
+    return 2 * np.isfinite(np.asarray(pd.to_numeric(column, errors="coerce"), float)).sum() > (
+        said.sum()
+    )
+
+
+def open_log(
+    name: str, content: bytes, folder: Path, asked: LogRequest, tell: Tell = lambda _: None
+) -> tuple[FoundPlant, Identification]:
+    """Identify the plant of a log: nothing that it says is trusted.
+
+    Parameters
+    ----------
+    name : str
+        Its name on the machine of the person.
+    content : bytes
+        CSV with a column t.
+    folder : Path
+        An empty folder to work in.
+    asked : Asked
+    tell : callable
+        Told what is being done.
+
+    Raises
+    ------
+    ArgumentError
+        If it is malformed, or does not tell the plant; the line is named.
+    """
+    source = _laid(name, content, folder)
+    modes = asked.modes
+    try:
+        fit = identify(
+            source,
+            range(modes[0], modes[1] + 1) if isinstance(modes, tuple) else modes,
+            asked.delay,
+            per_mode=asked.per_mode,
+            switches="samples" if asked.at_samples else "anywhere",
+            states=asked.states,
+            inputs=asked.inputs,
+            progress=tell,
+        )
+    except DeadtimeError as error:
+        raise _without_folder(error, source) from None
+    finally:
+        source.unlink()
+    tell("looking how much delay the laws bear")
+    saved = folder / f"{file_stem(name)}.toml"
+    fit.save(saved, title=saved.stem)
+    saved.write_bytes(saved.read_bytes() + _LAWS)
+    verdicts, text = _verdicts(fit, saved), saved.read_bytes()
+    saved.unlink()
+    document = open_upload(saved.stem, text, folder)
+    delays = tuple((called, fit.estimate(one), *fit.interval(one)) for one, called in _delays(fit))
+    low, high = asked.delay
+    said = (*fit.sentences, f"Delays were looked for between {low:g} and {high:g} s.")
+    rows = tuple(map(tuple, interval_rows(fit)))
+    pictures = pictures_of(quick_figures(fit))
+    return FoundPlant(document, delays, said, verdicts, rows, pictures), fit
+
+
+def _delays(fit: Identification) -> list[tuple[str, str]]:
+    """Every delay by its name among the unknowns, and in words: whose it is, in which mode."""
+    names = [one for one in fit.names if one.startswith("delay")]
+    if len(names) == 1:
+        return [(names[0], "delay")]
+    said = [f"delay of {one}" for one in fit.inputs]
+    if len(names) > len(said):
+        said = [f"{one} in mode {mode}" for mode in fit.modes for one in said]
+    return list(zip(names, said, strict=True))
+
+
+def report_of(fit: Identification, found: FoundPlant, command: str) -> tuple[Picture, bytes]:
+    """The likelihood over the delays, and the report on all, HTML; `command` makes it again."""
+    (likelihood,) = pictures_of([likelihood_figure(fit)])
+    said = (*found.sentences, *found.verdicts)
+    title = f"A plant from {found.document.name}.csv"
+    page = identification_page(fit, (likelihood, *found.pictures), said, title, command)
+    return likelihood, page.encode()
+
+
+def _laid(name: str, content: bytes, folder: Path) -> Path:
+    if len(content) > MOST_BYTES:
+        raise too_large(name, len(content))
+    source = folder / f"{file_stem(name)}.csv"
+    source.write_bytes(content)
+    return source
+
+
+def _without_folder(error: DeadtimeError, source: Path) -> ArgumentError:
+    return ArgumentError(str(error).replace(str(source), source.name))
+
+
+def _verdicts(fit: Identification, saved: Path) -> tuple[str, ...]:
+    """What each law of the problem bears, beside what the log leaves open."""
+    said, refused = [], ""
+    for name, law in load_problem(saved).laws.items():
+        if isinstance(law, ExactPredictor):  # to compare with: no plant offers what it knows
+            continue
+        try:
+            margin = delay_margin(fit.plant, law, fit.step)
+            said.append(f"Law “{name}”, each mode held: {fit.verdict(margin, law)}")
+        except DeadtimeError as error:
+            refused = f"No margin of law “{name}”: {error}"
+    return tuple(said) or (refused,)

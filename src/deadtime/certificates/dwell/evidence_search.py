@@ -1,0 +1,253 @@
+"""The search for evidence at one decay: frequencies, program, Riccati equation, check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadtime.certificates.dwell.centre import CentreFloats
+from deadtime.certificates.dwell.centre_response import (
+    ResponseForms,
+    fine_frequencies,
+    frequencies,
+    response,
+)
+from deadtime.certificates.dwell.doubling import solve_riccati
+from deadtime.certificates.dwell.extension import extend
+from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
+from deadtime.certificates.dwell.sways import Sways
+from deadtime.certificates.proof import Check, Evidence, check
+from deadtime.certificates.proof.ellipsoid import Sway
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.transitions import Transition
+
+LEAST_MARGIN = 1e-9
+ROUNDS = 10  # of adding frequencies
+REPAIRS = 4  # of adding steps where a proof failed
+ENOUGH = 0.5  # of the margin: what must be left between the frequencies looked at
+CLEARLY = 0.8  # of the margin, of a rough solution: so that a better one has enough, too
+FREQUENCIES = 40
+INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+MOST_AGES = 40  # of a (mode, age) table that the search looks at
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A solution that holds on the fine grid, with its units and its least margin there.
+
+    A rough one tells that there is a better one.
+    """
+
+    model: CentreFloats
+    units: Units
+    solution: Solution
+    margin: float
+    knots: tuple[int, ...]
+    rho: float
+    rough: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Freedom:
+    """How much freedom the search has.
+
+    Left eigenvectors per mode, pieces of S in age, and directions of the rows told apart.
+    """
+
+    eigenvectors: int
+    segments: int = 1
+    rank: int = 4
+
+
+class EvidenceSearch:
+    """Looks for evidence in one setting; models and samples are kept between decays."""
+
+    def __init__(self, setting: Setting, level: Freedom) -> None:
+        self.setting, self.level = setting, level
+        modes = setting.A.shape[1]
+        self.model = CentreFloats.of(setting, (level.eigenvectors,) * modes, level.rank)
+        last = setting.transitions.last
+        marks = np.linspace(0, last, level.segments + 1).round().astype(int)
+        late = max(setting.mode_lag, setting.lost_samples)
+        told = [late] if 0 < late < last else []
+        knots = sorted({*(int(mark) for mark in marks), *told})
+        self.knots = tuple(knots) if level.eigenvectors else (0,)
+        self.looked_at: set[tuple[Transition, Any, float]] = set()
+        self.sways = Sways(setting.family)
+        self.samples = self._samples()
+        delay = setting.longest_delay
+        self.angles = frequencies(FREQUENCIES, setting.past, setting.step, delay)
+        self.fine = fine_frequencies(setting.past, setting.step, delay)
+
+    def propose(self, rho: float) -> Proposal | None:
+        """A solution with a margin at all frequencies looked at, or None."""
+        return self._propose(rho, roughly=False)
+
+    def glance(self, rho: float) -> Proposal | None:
+        """As `propose`, but a rough one, in a third of the time, where that leaves no doubt.
+
+        In the main thread it is a whole one. What is proposed later is the same after either: the
+        frequencies looked at are left as they were.
+        """
+        angles = self.angles
+        try:
+            return self._propose(rho, roughly=True)
+        finally:
+            self.angles = angles
+
+    def _propose(self, rho: float, roughly: bool) -> Proposal | None:
+        try:
+            return self._proposal(rho, roughly)
+        except np.linalg.LinAlgError:  # the centre has an eigenvalue on |z| = ρ to the last digit
+            return None
+
+    def _proposal(self, rho: float, roughly: bool) -> Proposal | None:
+        fine = response(self.model, self.fine, rho)
+        for _ in range(ROUNDS):
+            chosen = response(self.model, self.angles, rho)
+            units = Units.of(self.model, chosen, self.samples)
+            solved = self._solved(chosen, fine, units, rho, roughly)
+            if solved is None:
+                return None
+            solution, margins = solved
+            if margins.min() > ENOUGH * solution.margin:
+                margin = min(solution.margin, float(margins.min()))
+                place = self.knots, rho
+                return Proposal(self.model, units, solution, margin, *place, solution.rough)
+            lows = (margins <= np.roll(margins, 1)) & (margins <= np.roll(margins, -1))
+            lows[[0, -1]] = True
+            worst = self.fine[lows & (margins < 0.8 * solution.margin)]
+            self.angles = np.unique(np.concatenate((self.angles, worst)))
+        return None
+
+    def _solved(
+        self, chosen: ResponseForms, fine: ResponseForms, units: Units, rho: float, roughly: bool
+    ) -> tuple[Solution, np.ndarray] | None:
+        """A solution with a margin at the chosen frequencies, and its margins at the fine ones."""
+        solution = solve(self.model, chosen, self.samples, units, self.knots, rho, roughly=roughly)
+        if solution is None or solution.margin < LEAST_MARGIN:
+            return None
+        margins = _margins(fine, units, solution)
+        if solution.rough and margins.min() < CLEARLY * solution.margin:
+            return self._solved(chosen, fine, units, rho, roughly=False)
+        return solution, margins
+
+    def prove(self, proposal: Proposal) -> tuple[Evidence | None, Check]:
+        """Evidence from a proposal, and what the check says; steps that fail are added."""
+        outcome = Check(False, "no Lyapunov function was found from the multiplier")
+        if proposal.rough:  # the better one is what it was before anything else was looked at
+            better = EvidenceSearch(self.setting, self.level).propose(proposal.rho)
+            if better is None:
+                return None, outcome
+            proposal = better
+        for _ in range(REPAIRS):
+            evidence = _evidence(proposal)
+            if evidence is None:
+                return None, outcome
+            outcome = check(evidence)
+            if outcome.proven or outcome.failed is None:
+                return evidence, outcome
+            again = self.propose(proposal.rho) if self._add(*outcome.failed) else None
+            if again is None:
+                return None, outcome
+            proposal = again
+        return None, outcome
+
+    def _samples(self) -> list[Sample]:
+        samples: list[Sample] = []
+        steps: dict[Any, list[tuple[np.ndarray, Sway | None]]] = {}
+        kept = _ages_to_visit(self.setting)
+        for transition in self.setting.transitions.all(self.knots):
+            if kept is not None and transition.age not in kept:
+                continue
+            key = transition.mode, transition.after, transition.instants
+            if key not in steps:
+                steps[key] = self._points(transition)
+            samples += [self._sample(transition, *point) for point in steps[key]]
+            if not transition.switches:
+                order = self.setting.family.orders(transition.mode, transition.after)[0]
+                self.looked_at.add((transition, order, 0.0))
+        return samples
+
+    def _add(self, failed: Transition, u: float) -> bool:
+        """Look at a step at the instant u of the period, too; False if that is done already."""
+        family: Any = self.setting.family
+        order, inner = family.place(failed.mode, failed.after, u)
+        key = failed, order, inner if failed.switches else 0.0
+        if key in self.looked_at:
+            return False
+        self.looked_at.add(key)
+        at = np.array([inner])
+        for point in zip(family.corners(order, at), self.sways.at(order, at), strict=True):
+            self.samples.append(self._sample(failed, *point))
+        return True
+
+    def _sample(self, step: Transition, E: np.ndarray, sway: Sway | None) -> Sample:
+        return Sample(step, self.model.delta(E, step.row), sway)
+
+    def _points(self, step: Transition) -> list[tuple[np.ndarray, Sway | None]]:
+        """The plant's rows E, and the ellipsoid there, at some instants of a step's switch."""
+        family: Any = self.setting.family
+        orders, points = family.orders(step.mode, step.after), []
+        instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
+        for order in orders:
+            shares = family.shares(order, step.instants)
+            if shares is not None:
+                at = shares[0] + (shares[1] - shares[0]) * instants
+                points += zip(family.corners(order, at), self.sways.at(order, at), strict=True)
+        return points
+
+
+def _ages_to_visit(setting: Setting) -> set[int] | None:
+    """Ages to look at where the table has very many; None for all."""
+    last = setting.transitions.last
+    if setting.context != "mode_age" or last <= MOST_AGES:
+        return None
+    ends = {age for clock in setting.transitions.clocks for age in (clock.first, clock.last - 1)}
+    return {int(age) for age in np.linspace(0, last, MOST_AGES).round()} | {
+        *(max(age, 0) for age in ends)
+    }
+
+
+def _margins(response: ResponseForms, units: Units, solution: Solution) -> np.ndarray:
+    """The least t of each frequency: eigenvalues of −Y* Π Y against the weight."""
+    Y, weight, rest = units.of_signals(response)
+    form = -(Y.conj().transpose(0, 2, 1) @ (solution.Pi @ Y)) - solution.kappa * rest
+    inverse = np.linalg.inv(np.linalg.cholesky(weight))
+    scaled = inverse @ form @ inverse.conj().transpose(0, 2, 1)
+    return np.linalg.eigvalsh(scaled)[:, 0]
+
+
+def _evidence(proposal: Proposal) -> Evidence | None:
+    """P by the Riccati equation with half of the margin as slack; nothing rounded is trusted."""
+    model, units, rho = proposal.model, proposal.units, proposal.rho
+    setting, channels = model.setting, model.channels
+    d, v = setting.order, len(units.v)
+    scale = 1.0 / np.concatenate((units.v, units.w))
+    Pi = proposal.solution.Pi * scale * scale[:, None]
+    wide = channels.wide
+    form = wide.T @ Pi @ wide
+    weight = np.full(d, setting.step)
+    weight[: setting.states + setting.memory] = 1.0
+    slack = np.concatenate((weight / units.q, 1.0 / units.w**2)) * (0.5 * proposal.margin)
+    form[np.diag_indices_from(form)] += slack
+    form[:d, :d] += (proposal.solution.kappa / units.w[-1] ** 2) * (model.rest.T @ model.rest)
+    P = solve_riccati(model.M / rho, model.B / rho, form[:d, :d], form[d:, d:], form[:d, d:])
+    if P is None:
+        return None
+    psi = units.v[v - len(model.centre.Psi) :]
+    S = proposal.solution.S / psi / psi[:, None]
+    evidence = Evidence(
+        setting,
+        model.centre,
+        P,
+        0.5 * (Pi + Pi.T),
+        0.5 * (S + np.swapaxes(S, -1, -2)),
+        proposal.knots,
+        rho,
+    )
+    if len(model.rest):
+        return extend(evidence, model, 0.5 * slack)
+    return evidence

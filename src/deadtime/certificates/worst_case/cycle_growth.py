@@ -1,0 +1,258 @@
+"""The growth of the sampled loop over a cycle: the spectral radius of one large operator.
+
+The operator takes the lifted state ζ = (x_k, u_{k−W}, …, u_{k−1}) over a cycle. It is applied by
+running the loop, O(K W m²) for K periods, never formed, and its largest eigenvalue is found by
+Arnoldi's method on a power of it that spans several delays, where the eigenvalues lie far apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.feedback import Feedback
+from deadtime.feedback.table import follow, side_by_side
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.spectrum import aged_row
+from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import cuts_of, modes_at
+
+WINDOWS = 3  # of the delay in one application
+TOLERANCE = 1e-9
+MOST_VECTORS = 90
+DENSE = 600  # up to this order all eigenvalues are computed where Arnoldi's method fails
+
+
+class CycleTable(NamedTuple):
+    """What happens in each period of a cycle, for the compiled loop.
+
+    first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
+    rows : (periods,), of the law's table
+    F : (contexts, m, n), G : (contexts, m, taps·m), that table, weighted, the oldest input first
+    weight : w, of one period
+    power : (entries,), w^lag of the first input of every entry
+    others : (entries, m), what those of the others are times that
+    """
+
+    first: np.ndarray
+    entry: np.ndarray
+    Phi: np.ndarray
+    Gamma: np.ndarray
+    lag: np.ndarray
+    rows: np.ndarray
+    F: np.ndarray
+    G: np.ndarray
+    weight: float
+    power: np.ndarray
+    others: np.ndarray
+
+    @property
+    def periods(self) -> int:
+        """The length of the cycle."""
+        return self.rows.size
+
+    def until(self, periods: int) -> CycleTable:
+        """The first periods."""
+        return self._replace(first=self.first[: periods + 1], rows=self.rows[:periods])
+
+
+class Growth(NamedTuple):
+    """The growth rate of a cycle in 1/s, and the eigenvector: ζ at its start (complex)."""
+
+    rate: float
+    vector: np.ndarray
+
+
+class Growing(Protocol):
+    """A loop whose growth along cycles can be told."""
+
+    @property
+    def step(self) -> float:
+        """The period h, seconds."""
+        ...
+
+    def growth(self, cycle: Cycle, tolerance: float = ...) -> Growth | None:
+        """The growth rate of a cycle and the direction that grows; None where it is not found."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """A plant under a law's table, weighted by e^{−shift·t} (immutable).
+
+    Attributes
+    ----------
+    G : (contexts, m, window), window = taps·m
+        The table's taps, weighted, the oldest input first.
+    shift : float
+        1/s; a rate near those that are sought, so that numbers stay near 1.
+    lag : int
+        How many samples ago the mode was that the law is told.
+    """
+
+    plant: SwitchedSystem
+    feedback: Feedback
+    sampled: SampledPlant
+    G: Float[np.ndarray, "context m window"]
+    shift: float
+    lag: int = 0
+
+    @classmethod
+    def of(
+        cls, plant: SwitchedSystem, feedback: Feedback, shift: float, lag: int = 0
+    ) -> SampledLoop:
+        """The loop; without a weight where `shift` is 0."""
+        decay = math.exp(-shift * feedback.step) ** np.arange(1, feedback.taps + 1)
+        weighted = (feedback.input_gain * decay[:, None, None])[:, ::-1]
+        G = np.ascontiguousarray(side_by_side(weighted))
+        return cls(plant, feedback, SampledPlant(plant, feedback.step), G, shift, lag)
+
+    @property
+    def weight(self) -> float:
+        """The weight of one period, e^{−shift h}."""
+        return math.exp(-self.shift * self.step)
+
+    @property
+    def step(self) -> float:
+        """The period h, seconds."""
+        return self.feedback.step
+
+    @property
+    def past(self) -> int:
+        """W, the number of past inputs in ζ."""
+        return max(self.sampled.longest_lag, self.feedback.taps)
+
+    @property
+    def order(self) -> int:
+        """The size of ζ."""
+        return self.plant.states + self.past * self.plant.inputs
+
+    def table(self, cycle: Cycle) -> CycleTable:
+        """The periods of a cycle that has been going on without a beginning."""
+        step, feedback = self.step, self.feedback
+        signal, periods = cycle.signal(step), cycle.periods
+        if cycle.lost:
+            rows = self._rows_with_losses(cycle, signal)
+        elif cycle.constant:
+            rows = np.full(periods, aged_row(feedback, cycle.modes[0]))
+        else:
+            seen = modes_at(signal, np.arange(periods) * step, step)
+            rows = np.roll(feedback.rows(np.tile(seen, 2))[periods:], self.lag)
+        pieces = self.sampled.along(cuts_of(signal, self.sampled), periods)
+        first = pieces.lag[:, :1]
+        power, others = self.weight ** first[:, 0], self.weight ** (pieces.lag - first)
+        law = rows, feedback.state_gain, self.G
+        return CycleTable(*pieces[:5], *law, self.weight, power, others)
+
+    def _rows_with_losses(self, cycle: Cycle, signal: SwitchingSignal) -> np.ndarray:
+        """The rows where samples of the cycle are lost: of the mode told last, and of a loss."""
+        feedback, periods = self.feedback, cycle.periods
+        seen = modes_at(signal, np.arange(periods) * self.step, self.step)
+        lost = np.isin(np.arange(periods), cycle.lost)
+        told = np.where(lost, -1, seen)
+        # The first round tells what the law goes by where the second begins.
+        modes, ages = follow(np.tile(told, 2), np.tile(seen, 2), feedback.ages)
+        rows = feedback.rows_at(modes[periods:], ages[periods:])
+        return rows + lost * (len(feedback.state_gain) // 2)
+
+    def run(self, table: CycleTable, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs
+        (W + samples, m), the W past ones first."""
+        from deadtime.certificates.worst_case.cycle_kernels import forward
+
+        n, m, W = self.plant.states, self.plant.inputs, self.past
+        samples = repeats * table.periods
+        line, states = np.empty((W + samples) * m), np.empty((samples, n))
+        line[: W * m] = z[n:]
+        forward(table, z[:n].copy(), line, states)
+        return states, line.reshape(-1, m)
+
+    def after(self, table: CycleTable, repeats: int, z: np.ndarray) -> np.ndarray:
+        """ζ (order,) after some cycles, weighted."""
+        states, inputs = self.run(table, repeats, z)
+        return np.concatenate((states[-1], inputs[-self.past :].ravel()))
+
+    def before(self, table: CycleTable, y: np.ndarray) -> np.ndarray:
+        """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
+        from deadtime.certificates.worst_case.cycle_kernels import carry_back
+
+        n, held = self.plant.states, self.past * self.plant.inputs
+        line = np.zeros(held + table.periods * self.plant.inputs)
+        line[-held:] = y[n:]
+        p = y[:n].copy()
+        carry_back(table, p, line, np.empty(n))
+        return np.concatenate((p, line[:held]))
+
+    def growth(self, cycle: Cycle, tolerance: float = TOLERANCE) -> Growth | None:
+        """The growth rate of a cycle and the direction that grows; None where it is not found.
+
+        `tolerance` is relative, of the eigenvalue.
+        """
+        table = self.table(cycle)
+        start = np.random.default_rng(0).normal(size=self.order)
+        spanning = max(1, -(-WINDOWS * self.past // table.periods))
+        dominant, repeats = None, 1
+        with np.errstate(over="ignore", invalid="ignore"):
+            for repeats in (spanning, 3 * spanning, 1):
+                apply = partial(self.after, table, repeats)
+                dominant = _largest(apply, start, tolerance)
+                if dominant is not None:
+                    break
+        if dominant is None:
+            dominant, repeats = self._dense(table), 1
+        if dominant is None:
+            return None
+        value, vector = dominant
+        time = repeats * table.periods * self.step
+        rate = math.log(abs(value)) / time if value else -math.inf
+        n, m, W = self.plant.states, self.plant.inputs, self.past
+        back = self.weight ** np.arange(W, 0, -1)  # ũ_{−j} = w^{−j} u_{−j}
+        vector = np.append(vector[:n], vector[n:] * np.repeat(back, m))
+        return Growth(self.shift + rate, vector)
+
+    def _dense(self, table: CycleTable) -> tuple[complex, np.ndarray] | None:
+        """The largest eigenvalue over one cycle and its vector, by computing all of them."""
+        if self.order > DENSE:
+            return None
+        operator = np.array([self.after(table, 1, z) for z in np.eye(self.order)]).T
+        if not np.isfinite(operator).all():
+            return None
+        values, vectors = np.linalg.eig(operator)
+        largest = int(np.argmax(np.abs(values)))
+        return complex(values[largest]), vectors[:, largest]
+
+
+def _largest(
+    apply: Callable[[np.ndarray], np.ndarray], start: np.ndarray, tolerance: float
+) -> tuple[complex, np.ndarray] | None:
+    """The eigenvalue of largest modulus and its eigenvector, by Arnoldi's method."""
+    order = start.size
+    most = min(order, MOST_VECTORS)
+    basis, H = np.zeros((most + 1, order)), np.zeros((most + 1, most))
+    basis[0] = start / np.linalg.norm(start)
+    for j in range(most):
+        image = apply(basis[j])
+        if not np.isfinite(image).all():
+            return None
+        for _ in range(2):
+            part = basis[: j + 1] @ image
+            image = image - part @ basis[: j + 1]
+            H[: j + 1, j] += part
+        H[j + 1, j] = size = float(np.linalg.norm(image))
+        if not np.isfinite(H[: j + 2, j]).all():
+            return None
+        closed = size <= 1e-14 * np.abs(H[: j + 1, : j + 1]).max() or j + 1 == order
+        if closed or j % 4 == 3:
+            values, vectors = np.linalg.eig(H[: j + 1, : j + 1])
+            i = int(np.argmax(np.abs(values)))
+            if closed or size * abs(vectors[-1, i]) <= tolerance * abs(values[i]):
+                return complex(values[i]), vectors[:, i] @ basis[: j + 1]
+        basis[j + 1] = image / size
+    return None

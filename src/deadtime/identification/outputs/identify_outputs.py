@@ -1,0 +1,111 @@
+"""`identify` from outputs alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.estimate import Estimate
+from deadtime.identification.levels import near_zero
+from deadtime.identification.log.logged_modes import fit_switching
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy.noise import estimated_of, start_beside
+from deadtime.identification.outputs.chosen import Chosen, OutputsRequest, chosen_of, worthier
+from deadtime.identification.outputs.doubts import hardly_tells, order_too_high, zeros_in_doubt
+from deadtime.identification.outputs.other_delays import with_others
+from deadtime.identification.outputs.output_orders import order_of, state_names
+from deadtime.identification.parameters import Layout
+from deadtime.identification.uneven import nodes_for
+from deadtime.switching import SemiMarkov
+
+
+class FromOutputs(NamedTuple):
+    """What `Identification.of` takes, and what else there is to say."""
+
+    estimate: Estimate
+    model: SemiMarkov | None
+    why: str
+    C: Float[np.ndarray, "p n"]
+    states: tuple[str, ...]
+    sentences: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def identify_outputs(
+    recording: Recording,
+    order: int | Sequence[int],
+    zeros: bool | None,
+    per_mode: bool,
+    bounds: tuple[float, float],
+    within: bool,
+    progress: Callable[[str], None],
+) -> FromOutputs:
+    """The likeliest plant with so many states of each output."""
+    given = order_of(order, recording.outputs)
+    _require_moving(recording)
+    constant = recording.level is not None
+    layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode, constant)
+    request = OutputsRequest(recording, layout, given, zeros, bounds, within, progress)
+    found, chosen = estimate_from_outputs(request)
+    shape = chosen.shape
+    names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
+    high = order_too_high(request, chosen) if hardly_tells(found, shape) else []
+    found, others = with_others(found)
+    unsure = [] if high or others else zeros_in_doubt(chosen, recording.inputs)
+    said = high or others or unsure
+    doubts = ("a smaller order explains the log better",) if high else ()
+    doubts += ("the log hardly tells on which states inputs act",) if unsure else ()
+    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said), doubts)
+
+
+def _require_moving(recording: Recording) -> None:
+    """Refuse outputs that never move."""
+    every = np.vstack([part.output for part in recording.parts])
+    for name, column in zip(recording.outputs, every.T, strict=True):
+        known = column[np.isfinite(column)]
+        if not known.size or np.ptp(known) == 0.0:
+            raise ArgumentError(
+                f"{name} must move, got {known[0] if known.size else 'nothing'} throughout: leave "
+                "it out by outputs=[…]."
+            )
+
+
+def _about_its_rest(request: OutputsRequest) -> tuple[Chosen, OutputsRequest]:
+    """The likeliest plant that rests at 0, or elsewhere if that is likelier than chance makes it.
+
+    Each is sought by itself: a maximum of the one may lead to a lower one of the other.
+    """
+    if request.layout.constant and not near_zero(request.recording):
+        return chosen_of(request), request
+    layout = replace(request.layout, constant=False)
+    plain = request._replace(recording=request.recording.absolute(), layout=layout)
+    chosen = chosen_of(plain)
+    if not request.layout.constant:
+        return chosen, plain
+    other = chosen_of(request)
+    level = (other.log.free.size - sum(other.added)) - (chosen.log.free.size - sum(chosen.added))
+    other = other._replace(added=(*other.added, level))
+    return (other, request) if worthier(chosen, other) is other else (chosen, plain)
+
+
+def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, Chosen]:
+    """The likeliest plant with the states that were asked for, and how it was chosen."""
+    chosen, request = _about_its_rest(request)
+    recording = request.recording
+    best, scan = chosen.best, chosen.scan
+    nodes = nodes_for(recording.parts, request.layout.split(best.theta[: request.layout.size])[0])
+    log = replace(chosen.log, recording=recording, nodes=nodes)
+    request.progress("looking how well the log tells it")
+    top, window = maximise(log, best.theta)
+    curves = scan.curves * (recording.samples / chosen.log.recording.samples)
+    start = start_beside(log, top, scan.first, curves)
+    try:
+        return estimated_of(log, top, window, start), chosen
+    except ArgumentError as error:
+        raise ArgumentError(" ".join((str(error), *order_too_high(request, chosen)))) from None

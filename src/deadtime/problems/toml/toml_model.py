@@ -1,0 +1,86 @@
+"""Read a TOML file into a pydantic model; every error names the file, the line and the key."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.text_files import read_text
+from deadtime.problems.toml.complaints import complaint, faults
+from deadtime.problems.toml.file_errors import SectionError
+from deadtime.problems.toml.lines import at_line, excess, key_lines, line_of
+
+Model = TypeVar("Model", bound=BaseModel)
+MOST_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class TomlText:
+    """A file as read: where it is, what it says, and how errors about it are raised.
+
+    Attributes
+    ----------
+    source : Path
+    text : str
+    kind : type of ArgumentError
+        What is raised for anything wrong with the file.
+    """
+
+    source: Path
+    text: str
+    kind: type[ArgumentError]
+
+    def complaint(self, error: SectionError) -> ArgumentError:
+        """The error with its line: that of the key it starts with, or of the section."""
+        lines = key_lines(self.text)
+        key = re.split(r"[ \[:]", str(error), maxsplit=1)[0]
+        path = (*error.path, key) if (*error.path, key) in lines else error.path
+        where = f", [{'.'.join(map(str, error.path))}]" if error.path else ""
+        return self.kind(f"{at_line(self.source, line_of(lines, path))}{where}: {error}")
+
+
+def read_toml(
+    source: Path, model: type[Model], kind: type[ArgumentError], hint: str = ""
+) -> tuple[Model, TomlText]:
+    """The checked contents of a TOML file, and its text for later complaints.
+
+    Parameters
+    ----------
+    source : Path
+        The file.
+    model : pydantic model
+        What it may say.
+    kind : type of ArgumentError
+        What to raise if the file is missing, is not TOML, or says something else.
+    hint : str
+        How to come by such a file, for when it cannot be read.
+    """
+    text = read_text(source, MOST_BYTES, kind, hint=hint)
+    if found := excess(text):
+        raise kind(f"{source} {found}.")
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise kind(f"{source} is not valid TOML: {error}.") from None
+    except ValueError:  # of an integer that Python does not convert
+        raise kind(f"{source} holds a number of thousands of digits: shorten it.") from None
+    try:
+        return model.model_validate(data), TomlText(source, text, kind)
+    except ValidationError as error:
+        raise kind(complaint(source, text, error, model, data)) from None
+
+
+def require_valid(model: type[Model], data: Any) -> Model:
+    """The checked model of what a file would say; `SectionError` with the path of keys if not."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        found, more = faults(error, model, data)
+        sentences = " ".join(fault.sentence for fault in found)
+        raise SectionError(sentences + more, found[0].path) from None

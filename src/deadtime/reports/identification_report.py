@@ -1,0 +1,103 @@
+"""The report on an identification: one HTML file, all figures in it."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
+from io import BytesIO
+from os import PathLike
+from typing import TYPE_CHECKING, NamedTuple
+
+from deadtime.base.staging import replacing
+from deadtime.identification import Identification
+from deadtime.identification.results.report_figures import figures_of
+from deadtime.reports.report_folder import render
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HEADINGS = ("", "estimate", "from", "to")
+_NOTHING = 1e-3  # of what noise is less than: that it was taken to be so little says nothing
+
+
+class Picture(NamedTuple):
+    """A figure as a page holds it; image : its PNG as a data address."""
+
+    name: str
+    caption: str
+    image: str
+
+
+def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ...]:
+    """Figures as a page holds them, of (name, caption, figure)."""
+    found = []
+    for name, caption, figure in figures:
+        buffer = BytesIO()
+        figure.savefig(buffer, format="png")
+        data = b64encode(buffer.getvalue()).decode("ascii")
+        found.append(Picture(name, caption, f"data:image/png;base64,{data}"))
+    return tuple(found)
+
+
+def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
+    """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0."""
+    rows = []
+    for name in fit.names:
+        value, (low, high) = fit.estimate(name), fit.interval(name)
+        if low == 0.0 and value < _NOTHING * high:
+            rows.append((name, "not told", "0", f"{high:.2g}"))
+        else:
+            rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))
+    return rows
+
+
+def write_identification(
+    fit: Identification,
+    path: str | PathLike[str],
+    sentences: Sequence[str] = (),
+    title: str = "A plant from a log",
+    command: str = "",
+) -> None:
+    """Write the page on an identification.
+
+    Parameters
+    ----------
+    fit : Identification
+    path : path
+        The file, HTML; nothing else is written.
+    sentences : sequence of str
+        What it opens with; those of the identification by default.
+    title : str
+        Its heading.
+    command : str
+        How to make it again, for its last line.
+
+    Raises
+    ------
+    ArgumentError
+        If the file cannot be written.
+    """
+    text = identification_page(fit, pictures_of(figures_of(fit)), sentences, title, command)
+    with replacing(path, "report") as place:
+        place.write_text(text, encoding="utf-8")
+
+
+def identification_page(
+    fit: Identification,
+    pictures: Sequence[Picture],
+    sentences: Sequence[str],
+    title: str,
+    command: str,
+) -> str:
+    """The page as text; the first picture is the likelihood's."""
+    return render(
+        "identified.html.j2",
+        title=title,
+        fit=fit,
+        sentences=sentences or fit.sentences,
+        first=pictures[0],
+        figures=pictures[1:],
+        headings=HEADINGS,
+        rows=interval_rows(fit),
+        command=command,
+    )

@@ -1,0 +1,394 @@
+"""The digital loop of eight scenarios at once, compiled: see `docs/theory/batch.md`.
+
+All sizes are types (`deadtime.numerics.lanes`), so that one period is straight-line code with
+states, window sums and metrics in registers. Each scenario's transition over a period lies in
+memory and is rewritten where its records say so: when its mode changes, and for a period that a
+switch cuts. A law is factorised rows, dense ones, or a model that moves ahead; what there is none
+of is None, and Numba leaves out what hangs on that alone.
+"""
+
+# Intrinsics take one argument less than the functions that declare them.
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deadtime.numerics.kernels import inner_kernel, kernel
+from deadtime.numerics.lanes import (
+    LANES,
+    block_product,
+    choose,
+    exponent,
+    first_of,
+    gather,
+    larger,
+    load,
+    load_each,
+    mantissa,
+    matrix_product,
+    own_form,
+    own_product,
+    product,
+    same,
+    smaller,
+    spread,
+    squares,
+    store,
+    times,
+    where_larger,
+)
+from deadtime.scenarios.banking import (
+    add_estimates,
+    banked_of,
+    estimate_again,
+    look_at_outputs,
+)
+from deadtime.scenarios.belief_memory import (
+    believe_again,
+    believed_of,
+    mean_dense_row,
+    mean_row,
+    remember_input,
+    remember_input_twice,
+)
+from deadtime.scenarios.hearing import (
+    add_noise,
+    command,
+    go_on,
+    hear,
+    hear_modes,
+    hear_rows,
+    recent_of,
+    see,
+    told_rows,
+)
+from deadtime.scenarios.lane_types import LoopSizes, PlantLanes, RunLanes
+from deadtime.scenarios.law_rows import choose_rows, refill, sum_dense, window_of
+from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, sum_up, turn
+from deadtime.scenarios.remembering import (
+    correct,
+    follow_modes,
+    follow_outputs,
+    kept_of,
+    predict,
+    remembered,
+    sum_up_errors,
+)
+
+FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
+OUTSIDE = 0.02**2
+_LOG_2 = math.log(2.0)
+_NEVER = np.int64(2**62)
+_ONE = (0.0,)
+_GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
+
+
+class LaneScratch(NamedTuple):
+    """Memory of eight scenarios, made before the loop: what makes arrays is dear to compile.
+
+    figures : of all scenarios, by groups of eight, FIGURES + 2 vectors each
+    ring : inputs, of `period` samples;  own : maps;  xs : x₀;  carry : of factorised rows
+    mode, its number as one that `choose` reads, when it began
+    at, stop, coming : the next record, the end of records, 8·period + place of the next one
+    acting : where in `ring` the inputs that act lie, lag by lag
+    """
+
+    figures: np.ndarray
+    ring: np.ndarray
+    own: np.ndarray
+    xs: np.ndarray
+    carry: np.ndarray
+    number: np.ndarray
+    mode: np.ndarray
+    began: np.ndarray
+    at: np.ndarray
+    stop: np.ndarray
+    coming: np.ndarray
+    acting: np.ndarray
+
+
+def work_of(
+    shape: LoopSizes, plant: PlantLanes, run: RunLanes, taps: int, carry: int, scenarios: int
+) -> LaneScratch:
+    """Room for a loop whose law reads `taps` inputs and carries so many vectors."""
+    n, m, wide = shape.x, shape.u, shape.z
+    # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
+    period = min(max(int(plant.lags[0]), taps), run.samples) + 1
+    figures = -(-scenarios // LANES) * (FIGURES + 2)
+    sizes = figures, period * m, n * wide + wide * (wide + 1) // 2, n, carry, 1
+    vectors = [np.empty(size * LANES) for size in sizes]
+    lanes = [np.empty(LANES, np.int64) for _ in range(5)]
+    return LaneScratch(*vectors, *lanes, np.empty(plant.lags.size, np.int64))
+
+
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True, _nrt=False)
+def _begin(n, m, work, plant, run, start, count):
+    """Fill the memory as it is at time 0; sizes are numbers here, so that all laws share it."""
+    size = work.ring.size
+    period = size // (m * LANES)
+    for i in range(size):
+        work.ring[i] = 0.0
+    for i in range(work.carry.size):
+        work.carry[i] = 0.0
+    for p in range(plant.lags.size):
+        work.acting[p] = (period - min(plant.lags[p], run.samples)) % period * m * LANES
+    for lane in range(LANES):
+        scenario = start + min(lane, count - 1)
+        record = plant.first[scenario]
+        work.at[lane], work.stop[lane] = record, plant.first[scenario + 1]
+        work.mode[lane] = work.number[lane] = plant.mode[record]
+        work.began[lane], work.coming[lane] = -plant.age[scenario], lane
+        for i in range(n):
+            work.xs[i * LANES + lane] = run.x0[i]
+
+
+@inner_kernel
+def _switch(plant, work, k, soon):
+    """Apply the records of period k; which comes next, or a number that no period reaches."""
+    size = work.own.size // LANES
+    while soon // LANES == k:
+        lane = soon % LANES
+        record = work.at[lane]
+        work.at[lane] += 1
+        if plant.mode[record] != work.mode[lane]:
+            work.mode[lane], work.began[lane] = plant.mode[record], k
+            work.number[lane] = plant.mode[record]
+        for i in range(size):
+            work.own[i * LANES + lane] = plant.maps[plant.map[record], i]
+        work.coming[lane] = _NEVER
+        if work.at[lane] < work.stop[lane]:
+            work.coming[lane] = np.int64(plant.step[work.at[lane]]) * LANES + lane
+        soon = _NEVER
+        for other in range(LANES):
+            soon = min(soon, work.coming[other])
+    return soon
+
+
+@inner_kernel
+def _clip(shape, clip, u, before):
+    """The input after the actuators, the one before given."""
+    m, one = len(shape.u), same(1.0, _ONE)
+    for a in range(clip.rate.size):
+        base = times(same(clip.rate[a], shape.u), before, same(0.0, shape.u))
+        low = product(clip.low, a * m, one, base)
+        u = smaller(larger(u, low), product(clip.high, a * m, one, base))
+    return u
+
+
+@inner_kernel
+def _turn_around(places, m, size):
+    """The places of the next inputs in a ring."""
+    for p in range(places.size):
+        after = places[p] + m * LANES
+        places[p] = 0 if after == size else after
+
+
+# One loop, one function: a second one, called from here, would be optimised by itself and again
+# where it is inlined, in twice the time of compiling.
+@kernel(eager=True, nogil=True)
+def run_scenarios(
+    shape, factored, dense, model, memory, belief, bank, taps, plant, run, clip, relayed, sight,
+    force, start, count, path, keep, work, ahead,
+):  # fmt: skip
+    """Run the scenarios start, …, start + count − 1; their figures are in `work`.
+
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
+    it remembers, `belief` what its rows are weighed by (`feedback.belief.Belief`), and `bank` what
+    it makes of outputs meanwhile. These may be None, and so may `clip`, `relayed` and `sight`, what
+    the law hears (`layout.Hearing`), and `force`, what the plant feels (`forces`). `path`, unless
+    it is empty, gets x and u of every sample from `keep` on. The last scenario fills the last group
+    of eight.
+    `ahead` is the memory of a model, None without one.
+    """
+    n, m, wide = len(shape.x), len(shape.u), len(shape.z)
+    ring, own, carry, sizes = work.ring, work.own, work.carry, len(shape.rows)
+    period = ring.size // (m * LANES)
+    none, one = same(0.0, _ONE), same(1.0, _ONE)
+    small = same(OUTSIDE, _ONE)
+    for first in range(0, count, LANES):
+        begin, few = start + first, min(LANES, count - first)
+        _begin(n, m, work, plant, run, begin, few)
+        x, u, asked = load(work.xs, 0, shape.x), same(0.0, shape.u), same(0.0, shape.u)
+        ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
+        # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
+        P, Q, EP, EQ = one, one, none, none
+        felt, y, z = same(0.0, shape.force), same(0.0, shape.output), same(0.0, shape.kept)
+        if memory is not None:
+            kept = kept_of(shape, memory, run.samples, period)
+        # A plain 0 is a type of its own, for which what is called would be compiled once more.
+        soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+        older = period - min(taps, run.samples)
+        if factored is not None:
+            b = same(0.0, shape.b)
+        if dense is not None:
+            window, places = window_of(shape, dense), m * np.arange(LANES)
+            width = window.line.size // LANES
+        if model is not None:
+            enters = look_ahead(shape, model, ahead, begin, few, period)
+            r = model.length
+        if belief is not None:
+            mind = believed_of(shape, belief, dense)
+            nothing_lost = np.zeros(LANES)
+        if bank is not None:
+            banked = banked_of(shape, bank, mind.room)
+        if relayed is not None:
+            recent = recent_of(shape, relayed, sight)
+            # Asked here, for what ends within a branch is counted by Numba in every period.
+            late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
+            by_told = relayed.row.size > 0
+        for k in range(run.samples):
+            if soon // LANES == k:
+                soon = _switch(plant, work, k, soon)
+            norm = squares(x, none)
+            peak = larger(norm, peak)
+            last = where_larger(norm, times(small, peak, none), float(k), last)
+            if k >= run.late:
+                least = smaller(norm, least)
+                P, EP = times(P, mantissa(norm), none), times(one, exponent(norm), EP)
+                Q, EQ = times(Q, P, none), times(one, EP, EQ)
+                if (k - run.late) % _GROUP == _GROUP - 1:
+                    EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
+                    P, Q = mantissa(P), mantissa(Q)
+            before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
+            if memory is not None:
+                if k > 0:
+                    predict(shape, kept, ring)
+                    _turn_around(kept.acting, m, ring.size)
+                follow_outputs(memory, kept, work.mode)
+                y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
+            if bank is not None:
+                y = look_at_outputs(shape, bank, banked, work.mode, x)
+            seen = first_of(y, x, x, shape.seen)
+            if relayed is not None:
+                at = first * run.samples + k * LANES
+                if sight is not None:
+                    there = see(shape, relayed, sight, recent, x, at)
+                    if memory is not None:
+                        y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
+                    if bank is not None:
+                        y = look_at_outputs(shape, bank, banked, work.mode, there)
+                    seen = first_of(y, there, there, shape.seen)
+                elif late:
+                    seen = hear(shape, relayed, recent, seen, at)
+                if noisy:
+                    seen = add_noise(shape, relayed, seen, at)
+                if by_told:
+                    hear_rows(relayed, recent, at)
+            if memory is not None:
+                lost, told = none, work.mode
+                if relayed is not None:
+                    lost = load(recent.lost, 0, _ONE)
+                    if relayed.told.size > 0:
+                        hear_modes(relayed, kept.told, at)
+                        told = kept.told
+                follow_modes(memory, kept, told)
+                heard = first_of(seen, seen, seen, shape.output)
+                heard = correct(shape, memory, kept, heard, lost)
+                if clip is not None:
+                    store(kept.before, 0, before)
+                sum_up_errors(shape, memory, kept, heard, k, clip is not None)
+                z = remembered(shape, memory, kept, k)
+            known = first_of(z, seen, seen, shape.known)
+            if belief is not None:
+                missing = nothing_lost
+                if relayed is not None:
+                    missing = recent.lost
+                if bank is not None:
+                    estimate_again(shape, bank, mind, banked, seen, missing, k)
+                else:
+                    believe_again(belief, mind, seen, missing, k)
+            if model is not None:
+                if enters // LANES == k:
+                    enters = turn(model, ahead, k, enters)
+                if r == model.length:
+                    sum_up(shape, model.length, ahead)
+                    r = np.int64(0)
+                u = foresee(shape, model.length, ahead, r, known, before)
+            if factored is not None:
+                if r == factored.length:
+                    refill(shape, factored, ring, period, now, carry)
+                    b, r = same(0.0, shape.b), np.int64(0)
+                sums = load(carry, r * sizes * LANES, shape.rows)
+                sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
+                sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
+                if belief is not None:
+                    u = mean_row(shape, mind, sums)
+                else:
+                    number = load(work.number, 0, _ONE)
+                    if relayed is not None:  # noqa: SIM102
+                        if by_told:
+                            number = load(recent.number, 0, _ONE)
+                    u = choose(sums, number, shape.u)
+            if dense is not None:
+                if belief is not None:
+                    u = mean_dense_row(shape, mind, dense, window, place, known, before)
+                else:
+                    choose_rows(dense, work, window, k)
+                    if relayed is not None:  # noqa: SIM102
+                        if by_told:
+                            told_rows(recent, window.row)
+                    sum_dense(shape, dense, window, place)
+                    heads = gather(dense.head, window.head, shape.head)
+                    sums = gather(window.sums, places, shape.u)
+                    u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
+            if memory is not None:
+                store(kept.asked, 0, u)
+            elif bank is not None:
+                u = add_estimates(shape, banked, u)
+            elif relayed is not None:
+                u = command(shape, recent, u, asked)
+                asked = u
+            if clip is not None:
+                u = _clip(shape, clip, u, before)
+            store(ring, now * m * LANES, u)
+            if bank is not None:
+                remember_input_twice(mind, u)
+            elif belief is not None:
+                remember_input(mind, u)
+            if model is not None:  # noqa: SIM102
+                if model.length > 0:
+                    enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
+                    r += 1
+                    _turn_around(ahead.acting, m, ring.size)
+            if factored is not None:
+                entered = product(factored.enter, 0, u, same(0.0, shape.b))
+                b = block_product(factored.transition, 0, b, entered, shape.block)
+                r += 1
+            if dense is not None:
+                place = dense.taps - 1 if place == 0 else place - 1
+                spread(window.line, place * m, width, u)
+                spread(window.line, (place + dense.taps) * m, width, u)
+            if path.size and k >= keep:
+                at = (first * (run.samples - keep) + (k - keep) * LANES) * (n + m)
+                store(path, at, x)
+                store(path, at + n * LANES, u)
+            acting = load_each(ring, work.acting, shape.u, shape.acting)
+            if force is not None:
+                at = (first * run.samples + k * LANES) * len(shape.force)
+                felt = load(force, at, shape.force)
+            if sight is not None:
+                go_on(shape, relayed, recent, first_of(acting, felt, felt, shape.driving))
+            moved = first_of(x, acting, felt, shape.z)
+            ise = own_form(own, n * wide * LANES, moved, ise)
+            x = own_product(own, 0, moved, same(0.0, shape.x))
+            weight = run.rest if k == run.samples - 1 else 1.0
+            weighed = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
+            energy = times(same(weight, _ONE), squares(weighed, none), energy)
+            now = 0 if now + 1 == period else now + 1
+            _turn_around(work.acting, m, ring.size)
+            older = 0 if older + 1 == period else older + 1
+        figures = ise, energy, peak, last, least, P, Q, squares(x, none), EP, EQ
+        at = first * (FIGURES + 2)
+        for f, figure in enumerate(figures):
+            store(work.figures, at + f * LANES, figure)
+        for lane in range(at, at + LANES):
+            for f in (5, 6):
+                product_so_far, exponents = (
+                    work.figures[lane + f * LANES],
+                    work.figures[lane + (f + 3) * LANES],
+                )
+                work.figures[lane + f * LANES] = math.log(product_so_far) + exponents * _LOG_2

@@ -1,0 +1,216 @@
+"""What the compiled loop of `scenarios.lane_loop` is given: sizes as types, law, plant and run."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadtime.feedback.bank import BankForm
+
+KINDS = {"none": 0, "mode": 1, "mode_age": 2}  # what a table's rows go by
+
+
+@dataclass(frozen=True)
+class LoopSizes:
+    """The sizes of a loop, which compiled code knows as types: the lengths of tuples.
+
+    x : states;  u : inputs;  both : states and the inputs of one sample;  pair : two inputs
+    acting : the inputs that act over a period;  driving : these and the forces;  z : and the state
+    b : the window of factorised rows;  block : a block of its transition
+    rows : the inputs that all its rows ask for
+    force : all forces of a period
+    seen : what is measured;  known : what the law's rows are multiplied with
+    kept : that of a law with a memory, zeros of one with a bank, and of it the `estimate`, the
+        `sums` and what is `tracked`;  output : what it measures;  reaching, watched : `acting` and
+        `z` of its model
+    estimates, outputs, two_sums : two of each
+    head : m (n + m), for the heads of dense rows
+    square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
+    """
+
+    x: int
+    u: int
+    both: int
+    acting: int
+    driving: int
+    z: int
+    pair: int
+    force: int = 0
+    seen: int = 0
+    known: int = 0
+    kept: int = 0
+    estimate: int = 0
+    estimates: int = 0
+    sums: int = 0
+    two_sums: int = 0
+    tracked: int = 0
+    output: int = 0
+    outputs: int = 0
+    reaching: int = 0
+    watched: int = 0
+    b: int = 0
+    block: int = 0
+    rows: int = 0
+    head: int = 0
+    square: int = 0
+    entering: int = 0
+    model: int = 0
+
+    @cached_property
+    def _numba_type_(self) -> Any:
+        from deadtime.numerics.lanes.code import LaneSizes
+
+        return LaneSizes(asdict(self))
+
+
+class Factored(NamedTuple):
+    """Factorised rows, the row a mode's where there are several; `length` is the window.
+
+    state (rows, m, n), out (rows, m, q), last (rows, m, m), transition (q, block), enter (q, m),
+    ahead (length, q, m) and behind (length, rows, m, q), flat.
+    """
+
+    length: int
+    state: np.ndarray
+    out: np.ndarray
+    last: np.ndarray
+    transition: np.ndarray
+    enter: np.ndarray
+    ahead: np.ndarray
+    behind: np.ndarray
+
+
+class Dense(NamedTuple):
+    """Dense rows of `taps` inputs.
+
+    `head` (rows, m, n + m): what x and the latest input, and `rest` (rows, m, width): what the
+    others, the latest first, are multiplied by, padded. `kind` 0 one row, 1 a row per mode, 2 per
+    mode and age.
+    """
+
+    taps: int
+    head: np.ndarray
+    rest: np.ndarray
+    width: int
+    kind: int
+    ages: int
+
+
+class MemoryLanes(NamedTuple):
+    """What moves the z of a law that remembers (`feedback.memory.Memory`).
+
+    matrices : (modes, size), of each mode one after the other, flat: the map of its estimate over a
+        period, −C (`at_output`), the observer's gain (`at_gain`), how the input answers q
+        (`at_push`)
+    outputs : (modes, p n), the C of the plant
+    lags : of the inputs that the map takes, oldest first
+    start : the first estimate;  tracked (r, p), reference (samples, r), flat
+    sums : the entries of q;  step : seconds
+    """
+
+    matrices: np.ndarray
+    at_output: int
+    at_gain: int
+    at_push: int
+    outputs: np.ndarray
+    lags: np.ndarray
+    start: np.ndarray
+    tracked: np.ndarray
+    tracked_count: int
+    reference: np.ndarray
+    sums: int
+    step: float
+
+
+class BankLanes(NamedTuple):
+    """The filters of a law that weighs its rows by a belief from outputs (`feedback.bank`).
+
+    form : BankForm
+    outputs : (modes, p n), the C of the plant
+    gains : (rows, m, n), what each row makes of the estimate of its mode
+    """
+
+    form: BankForm
+    outputs: np.ndarray
+    gains: np.ndarray
+
+
+class PlantLanes(NamedTuple):
+    """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals laid on periods.
+
+    See `records.Laid`.
+    """
+
+    lags: np.ndarray
+    maps: np.ndarray
+    first: np.ndarray
+    step: np.ndarray
+    mode: np.ndarray
+    map: np.ndarray
+    age: np.ndarray
+
+
+class RunLanes(NamedTuple):
+    """samples, the weight of the last one's input, where the late half begins, x0, root.
+
+    Energy is |root u|², root (m, m) flat, or |u|² where that is empty.
+    """
+
+    samples: int
+    rest: float
+    late: int
+    x0: np.ndarray
+    root: np.ndarray
+
+
+class ClipLanes(NamedTuple):
+    """Actuator a clips to [low[a], high[a]], relative to the input before where `rate[a]`."""
+
+    rate: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+class Relayed(NamedTuple):
+    """What sensors tell a law in every scenario, by groups of eight that lie side by side, flat.
+
+    lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
+        was began, −1 for nothing: the last command is held; empty where every sample is heard at
+        once
+    reach : the longest of them
+    noise : (group, sample, n, lane), what was added to it; empty for nothing
+    row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
+    told : (group, sample, lane), the mode that a memory goes by; empty where that is the plant's
+    """
+
+    lag: np.ndarray
+    reach: int
+    noise: np.ndarray
+    row: np.ndarray
+    told: np.ndarray
+
+
+class SightLanes(NamedTuple):
+    """Measurements within periods: from z, x and what acts in a period, to what is measured there.
+
+    series : (row, degree·n·z), Σ_d M_d δ^d, M_d (n, z);  cuts : (row, n·z), one M each
+    row : (group, sample, lane), flat: a row of `series`, or beyond them one of `cuts`
+    place : (group, sample, lane), flat: δ
+    news : (group, sample), flat: whether a scenario's row is another one than before
+    """
+
+    series: np.ndarray
+    cuts: np.ndarray
+    row: np.ndarray
+    place: np.ndarray
+    news: np.ndarray
+
+
+class Hearing(NamedTuple):
+    """What a law hears, None for all of it; `sight` is None where all is measured at samples."""
+
+    relayed: Relayed | None = None
+    sight: SightLanes | None = None

@@ -1,0 +1,133 @@
+"""What an engine measures along each scenario, and the metrics that follow from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.scenarios.batch_loop import Loop
+
+_LIMIT, _TINY = 1e200, 1e-290  # of |x|²
+
+
+class ScenarioSums(NamedTuple):
+    """Sums along each scenario.
+
+    ise ∫|x|² and energy Σ|u|², the last one weighted by what is left of the horizon; peak and
+    final are |x|², over the samples t_0, …, t_K and at the horizon; outside is the last sample
+    with |x| above 2 % of the peak so far, −1 if there is none; over the samples of the second
+    half, least is the smallest |x|², log_sum Σ log|x|² and log_double Σ_k Σ_{j ≤ k} log|x_j|².
+    """
+
+    ise: Float[np.ndarray, " scenario"]
+    energy: Float[np.ndarray, " scenario"]
+    peak: Float[np.ndarray, " scenario"]
+    outside: Float[np.ndarray, " scenario"]
+    least: Float[np.ndarray, " scenario"]
+    log_sum: Float[np.ndarray, " scenario"]
+    log_double: Float[np.ndarray, " scenario"]
+    final: Float[np.ndarray, " scenario"]
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """States and inputs at the samples.
+
+    Attributes
+    ----------
+    laid : (group, sample, n + m, lane)
+        x and u of all scenarios, eight side by side, the last of all filling the rest.
+    scenarios, states : int
+    """
+
+    laid: Float[np.ndarray, "group sample size lane"]
+    scenarios: int
+    states: int
+
+    @property
+    def x(self) -> Float[np.ndarray, "scenario n sample"]:
+        return self._each(self.laid[:, :, : self.states])
+
+    @property
+    def u(self) -> Float[np.ndarray, "scenario m sample"]:
+        return self._each(self.laid[:, :, self.states :])
+
+    def _each(self, part: np.ndarray) -> np.ndarray:
+        groups, samples, size, lanes = part.shape
+        each = part.transpose(0, 3, 2, 1).reshape(groups * lanes, size, samples)
+        return each[: self.scenarios]
+
+
+@np.errstate(all="ignore")  # of a scenario that diverges, which is run again
+def metrics_of(
+    loop: Loop,
+    figures: ScenarioSums,
+    weighed: ScenarioSums | None = None,
+    late: Float[np.ndarray, "scenario time"] | None = None,
+) -> dict[str, Float[np.ndarray, " scenario"]]:
+    """The metrics of `Trajectory.metrics`, in its order.
+
+    `weighed` are the figures of the cost; `late` is |x|² at `Loop.late_times`, where there are any.
+
+    The peak of |x| so far never falls, and is the peak itself from where it is reached on; so the
+    last sample above 2 % of the peak so far is the last one above 2 % of the peak.
+    """
+    step = loop.step
+    peak = np.maximum(figures.peak, figures.final)
+    parts = figures.ise, step * figures.energy
+    cost = parts if weighed is None else (weighed.ise, step * weighed.energy)
+    at_end = figures.final > 0.02**2 * peak
+    time = step * (figures.outside + 1.0)
+    time = np.where(figures.outside == loop.whole, loop.horizon, time)
+    return {
+        "ise": parts[0],
+        "energy": parts[1],
+        "cost": cost[0] + cost[1],
+        "peak": np.sqrt(peak),
+        "settling_time": np.where(at_end, np.inf, time),
+        "decay_rate": _decay_rate(loop, figures) if late is None else _slope(loop, late),
+        "final_norm": np.sqrt(figures.final),
+    }
+
+
+def _decay_rate(loop: Loop, figures: ScenarioSums) -> Float[np.ndarray, " scenario"]:
+    """Minus the least-squares slope of log|x| over the samples of the second half, and its end.
+
+    With j = k − k₀ counting c samples from k₀ on, Σ j L_j = c Σ L_j − Σ_k Σ_{j ≤ k} L_j.
+    """
+    count = loop.whole + 1 - loop.late
+    j = np.arange(count)
+    moment = count * figures.log_sum - figures.log_double
+    total, places, squares = figures.log_sum, float(j.sum()), float((j * j).sum())
+    if loop.rest > 0.0:
+        place = loop.horizon / loop.step - loop.late
+        last = np.log(np.maximum(figures.final, np.finfo(float).tiny))
+        moment, total = moment + place * last, total + last
+        places, squares, count = places + place, squares + place * place, count + 1
+    slope = (moment - places / count * total) / (squares - places * places / count)
+    return -0.5 * slope / loop.step
+
+
+def _slope(loop: Loop, late: Float[np.ndarray, "scenario time"]) -> Float[np.ndarray, " scenario"]:
+    """Minus the slope of log|x| fitted to the instants `Loop.late_times`; `late` is |x|² there."""
+    assert loop.late_times is not None
+    place = loop.late_times / loop.horizon - 0.75
+    weights = -0.5 * place / (place @ place * loop.horizon)
+    return sum((w * log for w, log in zip(weights, np.log(late.T), strict=True)), start=np.zeros(1))
+
+
+def needs_own_run(
+    figures: ScenarioSums, late: Float[np.ndarray, "scenario time"] | None = None
+) -> Bool[np.ndarray, " scenario"]:
+    """Scenarios that diverge or vanish, `late` as in `metrics_of`: `simulate` runs them."""
+    peak = np.maximum(figures.peak, figures.final)
+    least = np.minimum(figures.least, figures.final)
+    if late is not None:
+        least = np.minimum(least, late.min(axis=1))
+    fine = (peak <= _LIMIT) & (least >= _TINY)
+    for figure in (figures.ise, figures.energy, figures.log_sum, figures.log_double):
+        fine &= np.isfinite(figure)
+    return ~fine

@@ -1,0 +1,186 @@
+"""What cells cost, and how they are put together into blocks, the pieces of work and of storage."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import read_only
+from deadtime.base.errors import DeadtimeError
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
+from deadtime.feedback.memory import WithMemory
+from deadtime.imperfections import Disturbance, Relaying, TimingImperfection
+from deadtime.imperfections.array_kinds import is_batched
+from deadtime.plant import Window
+from deadtime.plant.weight import PLAIN, text_of
+from deadtime.scenarios.sweeps.study import Loop, Study
+from deadtime.switching import SwitchingSignal
+
+# Seconds on one core of the machine of benchmarks/README.md: a period of a scenario under one law …
+_FACTORED = 3e-9  # … whose row is factorised,
+_TAP = 1.5e-10  # … for every past input of a dense row,
+_FORESEEN = 1.2e-8  # … of a law that knows the signal,
+_HEARD = 2e-8  # … where sensors are imperfect,
+_FELT = 5e-8  # … for each disturbance,
+_KEPT = 3e-8  # … of a law that remembers,
+_SEEN = 1e-7  # … where measurements lie within periods,
+_ALONE = 2e-6  # … run by `simulate`,
+_CALLED = 2.5e-5  # … sample by sample.
+_CELL = 0.01  # plant, laws and tables of a cell
+_SHORTEST, _LONGEST, _PIECES = 1.0, 20.0, 20_000  # seconds of a block, and how many there should be
+_BYTES = 2.0**26  # of a chunk
+_LOOKED_AT = 64  # cells whose cost is estimated; the others follow from their places
+
+
+@dataclass(frozen=True)
+class BlockLayout:
+    """How the grid is cut into blocks of neighbouring cells.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Of the grid.
+    block : tuple of int
+        Of a block; those at the far ends may be smaller.
+    """
+
+    shape: tuple[int, ...]
+    block: tuple[int, ...]
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Blocks along each axis."""
+        pairs = zip(self.shape, self.block, strict=True)
+        return tuple(-(-size // width) for size, width in pairs)
+
+    @property
+    def size(self) -> int:
+        """Number of blocks."""
+        return math.prod(self.counts)
+
+    def slices(self, number: int) -> tuple[slice, ...]:
+        """Which cells a block holds, along each axis."""
+        where = np.unravel_index(number, self.counts) if self.counts else ()
+        return tuple(
+            slice(int(i) * width, min((int(i) + 1) * width, size))
+            for i, width, size in zip(where, self.block, self.shape, strict=True)
+        )
+
+    def cells(self, number: int) -> Iterator[tuple[int, ...]]:
+        """Places of a block's cells, in the order of arrays."""
+        return itertools.product(*(range(s.start, s.stop) for s in self.slices(number)))
+
+
+def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> BlockLayout:
+    """Blocks of about a second of work: the same for every number of workers.
+
+    Where that would make more than some 20,000, blocks are larger, up to 20 s. The last axes are
+    filled first, so that a block's cells are neighbours in the arrays.
+
+    Examples
+    --------
+    >>> Layout((4, 5, 6), (1, 2, 6)).counts, Layout((4, 5, 6), (1, 2, 6)).slices(2)
+    ((4, 3, 1), (slice(0, 1, None), slice(4, 5, None), slice(0, 6, None)))
+    """
+    target = float(np.clip(costs.sum() / _PIECES, _SHORTEST, _LONGEST))
+    cells = target / float(costs.mean())
+    cells = min(cells, _BYTES / (8.0 * len(study.laws) * study.scenarios))
+    block: list[int] = []
+    for size in reversed(study.shape):
+        room = max(1, math.floor(cells))
+        block.append(math.ceil(size / math.ceil(size / room)))
+        cells /= block[-1]
+    return BlockLayout(study.shape, tuple(reversed(block)))
+
+
+@lru_cache(4)
+def costs_of(study: Study) -> Float[np.ndarray, ...]:
+    """Estimated seconds of every cell on one core, estimated once for a study.
+
+    Of a large grid some cells are looked at, along each axis by itself, and the others' costs are
+    products of what the axes do; NaN nowhere: a cell that cannot be built costs next to nothing.
+    """
+    if study.size <= _LOOKED_AT:
+        found = [_cost(study, index) for index in np.ndindex(study.shape)]
+        return read_only(np.array(found).reshape(study.shape))
+    middle = tuple(size // 2 for size in study.shape)
+    base = _cost(study, middle)
+    whole = np.full(study.shape, base)
+    for axis, size in enumerate(study.shape):
+        places = np.unique(np.linspace(0, size - 1, min(size, 8)).round().astype(int))
+        seen = [_cost(study, (*middle[:axis], int(i), *middle[axis + 1 :])) for i in places]
+        along = np.interp(np.arange(size), places, seen) / base
+        whole *= along.reshape([-1 if i == axis else 1 for i in range(len(study.shape))])
+    return read_only(whole)
+
+
+def _cost(study: Study, index: tuple[int, ...]) -> float:
+    try:
+        loop = study.loop(study.cell(index))
+    except DeadtimeError:
+        return _CELL
+    periods = study.scenarios * loop.horizon / loop.step
+    return _CELL + periods * sum(_of_law(loop, law) for law in loop.laws.values())
+
+
+def _of_law(loop: Loop, law: Law) -> float:
+    """Seconds of a period of a scenario."""
+    if not isinstance(law, TableLaw | WithMemory):
+        return _CALLED
+    if not all(map(is_batched, loop.imperfections)):
+        return _ALONE
+    heard = _FELT * sum(isinstance(one, Disturbance) for one in loop.imperfections)
+    for kind, cost in ((Relaying, _HEARD), (TimingImperfection, _SEEN)):
+        if any(isinstance(one, kind) for one in loop.imperfections):
+            heard += cost
+    if isinstance(law, WithMemory):
+        return _ALONE if law.foresees else heard + _KEPT
+    taps = Window.of(law.plant.longest_delay, loop.step).count
+    size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
+    if law.foresees:
+        return heard + size * _FORESEEN
+    try:
+        table = law.digital(loop.step, SwitchingSignal.constant(0), 1)
+    except DeadtimeError:
+        return 0.0
+    return heard + size * (_FACTORED if table.factor is not None else _FACTORED + _TAP * taps)
+
+
+def example_loop(study: Study, tries: int = 20) -> Loop | None:
+    """The first loop of the grid that can be built, if one of the first few can."""
+    for cell in itertools.islice(study.cells(), tries):
+        try:
+            return study.loop(cell)
+        except DeadtimeError:
+            continue
+    return None
+
+
+def facts_of(study: Study) -> dict[str, Any]:
+    """What the store's attributes say about loops: the oracle's name, |x(0)|, and the cost."""
+    loop = example_loop(study)
+    if loop is None:
+        return {"oracle": "", "start": float("nan")}
+    oracles = [name for name in study.laws if name in loop.laws and loop.laws[name].foresees]
+    start = float(np.linalg.norm(loop.x0))
+    return {"oracle": oracles[0] if oracles else "", "start": start, **_cost_of(study, loop)}
+
+
+def _cost_of(study: Study, first: Loop) -> dict[str, str]:
+    """What the cost is, where it is not the usual one: cells may weigh differently."""
+    try:
+        last = study.loop(study.cell(tuple(size - 1 for size in study.shape)))
+    except DeadtimeError:
+        last = first
+    texts = {text_of(loop.weight) for loop in (first, last)}
+    if len(texts) > 1:
+        return {"cost": "∫xᵀQx + uᵀRu, Q and R by cell"}
+    return {} if texts == {PLAIN} else {"cost": texts.pop()}

@@ -1,0 +1,254 @@
+"""The compiled inner loops of the digital simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.estimation.belief_kernel import believe
+from deadtime.estimation.observer_kernel import remember
+from deadtime.numerics.exponential import advance
+from deadtime.numerics.kernels import kernel
+from deadtime.plant.cut_pieces import up_to
+from deadtime.simulation.loop_arrays import LIMIT
+from deadtime.simulation.plain_loop import bare_loop, is_bare
+from deadtime.simulation.preview_loop import foresee
+
+_LONG = (
+    400_000  # numbers of a run, some 14 a period, that Python's loop takes about two seconds for
+)
+
+
+@kernel
+def _dot(a, b):
+    """Σ a_i b_i in four sums, so that it vectorises, in one order wherever it is run."""
+    first = second = third = fourth = 0.0
+    whole = a.size - a.size % 4
+    for i in range(0, whole, 4):
+        first += a[i] * b[i]
+        second += a[i + 1] * b[i + 1]
+        third += a[i + 2] * b[i + 2]
+        fourth += a[i + 3] * b[i + 3]
+    total = (first + second) + (third + fourth)
+    for i in range(whole, a.size):
+        total += a[i] * b[i]
+    return total
+
+
+@kernel
+def _row_dot(A, c, i, b):
+    """`_dot` of A[c, i] and b, for short rows: a slice costs as much as 20 terms."""
+    first = second = third = fourth = 0.0
+    whole = b.size - b.size % 4
+    for j in range(0, whole, 4):
+        first += A[c, i, j] * b[j]
+        second += A[c, i, j + 1] * b[j + 1]
+        third += A[c, i, j + 2] * b[j + 2]
+        fourth += A[c, i, j + 3] * b[j + 3]
+    total = (first + second) + (third + fourth)
+    for j in range(whole, b.size):
+        total += A[c, i, j] * b[j]
+    return total
+
+
+@kernel
+def _mean_row(rows, weight, recent, known, answer):
+    """The answers of all rows, each by its weight."""
+    for i in range(answer.size):
+        answer[i] = 0.0
+    for c in range(weight.size):
+        if weight[c] > 0.0:
+            for i in range(answer.size):
+                own = _row_dot(rows.F, c, i, known)
+                answer[i] += weight[c] * (_dot(rows.G[c, i], recent) + own)
+
+
+@kernel
+def _within_limit(path, q):
+    """Whether |x| ≤ LIMIT at the start of piece q (false when x is not a number)."""
+    square = 0.0
+    for i in range(path.shape[1]):
+        square += (path[q, i] / LIMIT) ** 2
+    return square <= 1.0
+
+
+@kernel
+def _finite(a):
+    """Whether all are finite."""
+    finite = True
+    for i in range(a.size):
+        finite &= np.isfinite(a[i])
+    return finite
+
+
+# A call that hands over a tuple of arrays, or many of them, costs as much as 50 terms.
+@kernel(forceinline=True)
+def _apply(answer, held, at, asked, inputs, low, high, relative):
+    """Ask for the answer, or for what was asked for before, and give the plant what limits leave.
+
+    Limits follow one after the other; relative ones count from what was applied before.
+    """
+    for i in range(answer.size):
+        u = asked[at - 1, i] if held else answer[i]
+        asked[at, i] = u
+        before = inputs[at - 1, i]
+        for j in range(relative.size):
+            base = before if relative[j] else 0.0
+            u = np.minimum(np.maximum(u, base + low[j, i]), base + high[j, i])
+        inputs[at, i] = u
+
+
+@kernel
+def _go_on(table, sight, k, x, inputs, past, result):
+    """x further on in its piece, to where it is measured, under what acts there and the force."""
+    q, way, now = sight.piece[k], sight.way[k], past + sight.step[k]
+    e, m = table.entry[q], inputs.shape[1]
+    acting = np.empty(sight.Gamma.shape[2])
+    for i in range(acting.size):
+        acting[i] = inputs[now - table.lag[e, i], i] if i < m else sight.force[q, i - m]
+    advance(sight.Phi[way], sight.Gamma[way], x, acting, result)
+
+
+@kernel(forceinline=True)
+def _see(sight, k, x, measured, seen):
+    """What is measured of x, or nothing."""
+    for i in range(seen.size):
+        if sight.piece[k] < 0:
+            seen[i] = np.nan
+        elif sight.C.shape[1]:
+            seen[i] = _row_dot(sight.C, sight.mode[k], i, x)
+        else:
+            seen[i] = x[i]
+        if sight.noise.size:
+            seen[i] += sight.noise[k, i]
+        measured[k, i] = seen[i]
+
+
+@kernel
+def _move(Phi, Gamma, e, path, q, acting):
+    """x at the end of piece q, of entry e: `advance` from row to row."""
+    for i in range(path.shape[1]):
+        total = 0.0
+        for j in range(path.shape[1]):
+            total += Phi[e, i, j] * path[q, j]
+        for j in range(acting.size):
+            total += Gamma[e, i, j] * acting[j]
+        path[q + 1, i] = total
+
+
+def _in_python(table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0):
+    """`closed_loop` where it is not compiled: over lists where these will do."""
+    simple = memory is None and belief is None and foreseen is None
+    if simple and is_bare(table, line, sight, clip, shift):
+        return bare_loop(table, rows, line, x0)
+    parts = table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0
+    return closed_loop.function(*parts)
+
+
+@kernel(plain=_in_python, large=_LONG)
+def closed_loop(table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0):
+    """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
+
+    `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`,
+    `belief` and `state` of `deadtime.feedback.belief`, `foreseen` one of its file in place of rows,
+    or None each; the others are of `deadtime.simulation`, too: `rows` and `line` of `digital`,
+    `sight` of its file, `clip` of `compiled`; `shift` (pieces, n), or empty, is what disturbances
+    add. Returns (samples, path): how many samples were kept before |x| left the limit, and x at the
+    start of every piece that was run and at the end of the last.
+    """
+    first, entry, Phi, Gamma, lag = table.first, table.entry, table.Phi, table.Gamma, table.lag
+    inputs, asked, told, flat = line.inputs, line.asked, line.told, line.told.reshape(-1)
+    F, G, row, measured = rows.F, rows.G, rows.row, line.measured
+    piece, way = sight.piece, sight.way
+    low, high, relative = clip.low, clip.high, clip.relative
+    n, m, window, past, samples = x0.size, inputs.shape[1], G.shape[2], line.past, row.size
+    spare, seen = np.empty(n), np.empty(measured.shape[1])
+    known = seen if memory is None else np.empty(line.estimates.shape[1])
+    acting, answer = np.empty(m), np.zeros(m)
+    path = np.empty((entry.size + 1, n))
+    for i in range(n):
+        path[0, i] = x0[i]
+    for k in range(first.size - 1):
+        if k < samples and k > 0 and not _within_limit(path, first[k]):
+            samples = k
+        if k < samples:
+            at, q = past + k, piece[k]
+            for i in range(n):
+                spare[i] = path[max(q, 0), i]
+            if way[k] >= 0:
+                _go_on(table, sight, k, path[q], inputs, past, spare)
+            _see(sight, k, spare, measured, seen)
+            if memory is not None:
+                remember(memory, rows.mode, k, told, past, seen, answer, line.estimates)
+                for i in range(known.size):
+                    known[i] = line.estimates[k, i]
+            recent = flat[at * m - window : at * m]
+            if foreseen is not None:
+                foresee(foreseen, k, past, told, known, answer)
+            elif belief is not None:
+                believe(belief, state, k, past, told, measured)
+                _mean_row(rows, state.weight, recent, known, answer)
+            else:
+                for i in range(m):
+                    own = _row_dot(F, row[k], i, known)
+                    answer[i] = _dot(G[row[k], i], recent) + own
+            held = not (_finite(seen) or _finite(answer))
+            _apply(answer, held, at, asked, inputs, low, high, relative)
+        for q in range(first[k], first[k + 1]):
+            e = entry[q]
+            for i in range(m):
+                sample = k - lag[e, i]
+                if sample >= samples:
+                    return samples, path[: q + 1]
+                acting[i] = inputs[past + sample, i]
+            _move(Phi, Gamma, e, path, q, acting)
+            if shift.size:
+                for i in range(n):
+                    path[q + 1, i] += shift[q, i]
+    return samples, path
+
+
+@kernel
+def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
+    """x at the instants t_k + offset, k = `step`; acting[q] is held over piece q."""
+    result = np.empty((step.size, A.shape[1]))
+    for i in range(step.size):
+        q = table.first[step[i]]
+        last = min(table.first[step[i] + 1], path.shape[0]) - 1
+        while q < last and table.start[table.entry[q + 1]] <= offset[i]:
+            q += 1
+        Phi, Gamma = up_to(A, B, table, cut_offset, cut_mode, table.entry[q], offset[i])
+        advance(Phi, Gamma, path[q], acting[q], result[i])
+    return result
+
+
+def _forms_at_once(
+    M: np.ndarray, entry: np.ndarray, pieces: int, path: np.ndarray, acting: np.ndarray
+) -> float:
+    """`form_integral` by NumPy: the sums of `_dot` for all pieces, then one after the other."""
+    z = np.hstack((path[:pieces], acting[:pieces]))
+    forms, size = M[entry[:pieces]], z.shape[1]
+    whole = size - size % 4
+    sums = np.zeros((4, pieces, size))
+    for i in range(whole):
+        sums[i % 4] += forms[:, :, i] * z[:, i, None]
+    total = (sums[0] + sums[1]) + (sums[2] + sums[3])
+    for i in range(whole, size):
+        total += forms[:, :, i] * z[:, i, None]
+    return np.add.accumulate(np.append(0.0, z * total))[-1]
+
+
+@kernel(plain=_forms_at_once, large=_LONG)
+def form_integral(M, entry, pieces, path, acting):
+    """The sum of the forms M of the entries over the first pieces."""
+    n, m = path.shape[1], acting.shape[1]
+    total = 0.0
+    z = np.empty(n + m)
+    for q in range(pieces):
+        for i in range(n):
+            z[i] = path[q, i]
+        for i in range(m):
+            z[n + i] = acting[q, i]
+        form = M[entry[q]]
+        for i in range(n + m):
+            total += z[i] * _dot(form[i], z)
+    return total

@@ -1,0 +1,223 @@
+"""What a digital run leaves behind: enough to evaluate it exactly at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import read_only
+from deadtime.base.frozen import Frozen
+from deadtime.plant import SampledPlant, SwitchedSystem, Weight
+from deadtime.plant.pieces import PieceTable
+from deadtime.plant.steps import TOLERANCE, Cuts, snap_all
+from deadtime.simulation.slides import Slides
+
+
+@dataclass(frozen=True, eq=False)
+class DigitalRecord(Frozen):
+    """One digital run: the plant, how its time was cut, and the states and inputs on the grid.
+
+    Attributes
+    ----------
+    table : PieceTable
+        The pieces of the run and on, until the first input that is not known.
+    path : (pieces + 1, n)
+        x at the start of every piece, and at the end of the last.
+    inputs : (past + samples, m)
+        Held inputs; u_k is inputs[past + k], the first `past` rows are the history.
+    samples : int
+        Samples 0, …, samples − 1 belong to the run.
+    forces : (pieces, f) or None
+        What disturbances hold over each piece.
+    slides : Slides or None
+        The steps in which the plant slid along a boundary, if it did.
+    through : (modes, n, f) or None
+        How the forces act on dx/dt in every mode.
+    """
+
+    sampled: SampledPlant
+    cuts: Cuts
+    table: PieceTable
+    path: Float[np.ndarray, "start n"]
+    inputs: Float[np.ndarray, "held m"]
+    past: int
+    samples: int
+    forces: Float[np.ndarray, "piece f"] | None = None
+    slides: Slides | None = None
+    through: Float[np.ndarray, "mode n f"] | None = None
+    held: ClassVar[bool] = True
+
+    @property
+    def plant(self) -> SwitchedSystem:
+        """The plant that was run."""
+        return self.sampled.plant
+
+    @property
+    def step(self) -> float:
+        """The sampling period, seconds."""
+        return self.sampled.step
+
+    @property
+    def last(self) -> float:
+        """Up to when x is known, seconds: on past the run's end while all inputs are."""
+        table, q = self.table, self.path.shape[0] - 1
+        start = table.start[table.entry[q]] if q < table.entry.size else 0.0
+        return float((np.searchsorted(table.first, q, "right") - 1) * self.step + start)
+
+    @property
+    def slack(self) -> float:
+        """Seconds before a switch within which a time counts as at it."""
+        return TOLERANCE * self.step
+
+    @cached_property
+    def states(self) -> Float[np.ndarray, "grid n"]:
+        """x(t_k), on past the run's end while inputs are in flight."""
+        first = self.table.first
+        return read_only(self.path[first[: np.searchsorted(first, self.path.shape[0])]])
+
+    @cached_property
+    def driving_inputs(self) -> tuple[np.ndarray, np.ndarray]:
+        """B (modes, n, q) and what acts through it, u and the forces, (pieces, q)."""
+        B, pieces = self.plant.B, self.path.shape[0]
+        # The last piece may have begun only: it acts on nothing where an input is missing.
+        sample = self.past + self.table.sample[:pieces]
+        known = np.minimum(sample, self.inputs.shape[0] - 1)
+        acting = np.where(sample == known, self.inputs[known, np.arange(B.shape[2])], 0.0)
+        if self.forces is None or self.through is None:
+            return B, read_only(acting)
+        forced = read_only(np.concatenate((B, self.through), axis=2))
+        return forced, read_only(np.hstack((acting, self.forces[: acting.shape[0]])))
+
+    def grid(self, end: float) -> Float[np.ndarray, " T"]:
+        """The samples, and the end of the run when that is no sample."""
+        time = np.arange(self.samples) * self.step
+        return time if end - time[-1] <= 1e-9 * self.step else np.append(time, end)
+
+    def history(self, end: float) -> Float[np.ndarray, "m N"]:
+        """The inputs in flight at the last sample, oldest first."""
+        last = self.past + self.samples - 1
+        return self.inputs[last - self.past : last].T.copy()
+
+    def locate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Step index and offset of each time, snapped to the samples."""
+        ratio = snap_all(times / self.step)
+        step = np.floor(ratio)
+        offset = np.where(ratio == step, 0.0, times - step * self.step)
+        return step.astype(np.int64), offset
+
+    def states_at(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
+        """x at any times from 0 to the end of the run plus the delay."""
+        if self._at_samples(times):
+            return self.states[: times.size]
+        return self._propagate(times)
+
+    def ahead_of(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
+        """x a delay after any times from 0 to the end of the run."""
+        if self._at_samples(times):
+            return self.path[self._arrivals[: times.size]]
+        return self._propagate(times + self.sampled.window.delay)
+
+    @cached_property
+    def _arrivals(self) -> np.ndarray:
+        """The pieces in which the inputs of the run's samples begin to act."""
+        sample = self.table.sample[:, 0]
+        return read_only(np.searchsorted(sample, np.arange(self.samples)))
+
+    def _at_samples(self, times: np.ndarray) -> bool:
+        """Whether the times are the run's first samples, which are stored."""
+        return times.size <= self.samples and np.array_equal(
+            times, np.arange(times.size) * self.step
+        )
+
+    def _propagate(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
+        from deadtime.simulation.digital_kernel import states_at
+
+        step, offset = self.locate(times)
+        B, acting = self.driving_inputs
+        result = states_at(
+            self.plant.A,
+            B,
+            self.table,
+            self.cuts.offset,
+            self.cuts.mode,
+            step,
+            offset,
+            self.path,
+            acting,
+        )
+        if self.slides is not None:
+            for i in np.flatnonzero(np.isin(step, list(self.slides.steps))):
+                result[i] = self.slides.state_at(int(step[i]), float(offset[i]))
+        return result
+
+    def inputs_at(self, times: np.ndarray) -> Float[np.ndarray, "time m"]:
+        """u(t), held, at any times from 0 to the end of the run."""
+        step, _ = self.locate(times)
+        return self.inputs[self.past + step]
+
+    def integrals(self, end: float, weight: Weight | None = None) -> tuple[float, float]:
+        """∫xᵀQx and ∫uᵀRu over [0, end], exact."""
+        step, rest = (part[0] for part in self.locate(np.array([end])))
+        R = None if weight is None else weight.R
+        Q = self.plant.identity if weight is None else weight.Q
+        states = self._whole_steps(int(step), Q)
+        held = self.inputs[self.past : self.past + step]
+        inputs = self.step * float(np.vdot(held, held if R is None else held @ R))
+        if rest > 0.0:
+            u = self.inputs[self.past + step]
+            inputs += rest * float(u @ u if R is None else u @ R @ u)
+            states += self._within_step(int(step), float(rest), Q)
+        return states, inputs
+
+    def _pieces(self, k: int) -> slice:
+        """The pieces of a period."""
+        return slice(self.table.first[k], self.table.first[k + 1])
+
+    def _whole_steps(self, steps: int, Q: np.ndarray) -> float:
+        """∫xᵀQx over the steps 0, …, steps − 1."""
+        from deadtime.plant.cut_pieces import gramians
+        from deadtime.simulation.digital_kernel import form_integral
+
+        table, (B, acting) = self.table, self.driving_inputs
+        if self.forces is None:
+            M = self.sampled.gramians_along(self.cuts, table.first.size - 1, Q)
+        else:
+            M = gramians(self.plant.A, B, table, self.cuts.offset, self.cuts.mode, Q)
+        pieces = int(table.first[steps])
+        if self.slides is None:
+            return form_integral(M, table.entry, pieces, self.path, acting)
+        slid = [k for k in self.slides.steps if k < steps]
+        # Nothing moves in these steps as far as the quadratic forms go.
+        path, acting = self.path.copy(), acting.copy()
+        for k in slid:
+            path[self._pieces(k)] = acting[self._pieces(k)] = 0.0
+        still = read_only(path), read_only(acting)
+        forms = float(form_integral(M, table.entry, pieces, *still))
+        return forms + sum(self._within_slide(k, self.step, Q) for k in slid)
+
+    def _within_slide(self, k: int, end: float, Q: np.ndarray) -> float:
+        """`_within_step`, of a step that slides."""
+        assert self.slides is not None
+        rate = float(np.abs(self.plant.A).sum(axis=2).max())
+        return self.slides.form_integral(k, end, rate, Q)
+
+    def _within_step(self, k: int, end: float, Q: np.ndarray) -> float:
+        """∫xᵀQx over [t_k, t_k + end], end < h."""
+        from deadtime.plant.cut_pieces import gramian_up_to
+
+        if self.slides is not None and k in self.slides.steps:
+            return self._within_slide(k, end, Q)
+        table, cuts, (B, acting) = self.table, self.cuts, self.driving_inputs
+        total = 0.0
+        for q in range(table.first[k], table.first[k + 1]):
+            e = table.entry[q]
+            if table.start[e] < end:
+                until = min(end, table.stop[e])
+                M = gramian_up_to(self.plant.A, B, table, cuts.offset, cuts.mode, e, until, Q)
+                z = np.concatenate((self.path[q], acting[q]))
+                total += float(z @ M @ z)
+        return total
