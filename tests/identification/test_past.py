@@ -67,3 +67,11 @@ def test_outputs_that_grow_without_measure_tell_no_plant():
         part = Part(t, y, u, np.zeros(40, np.int64))
         A = chains_by_past((part,), Embedding((1,), True, np.ones(1)), np.ones(1), H, 2, 1, 1)
         assert (A is not None) == plant
+
+
+def test_logs_shorter_than_their_lags_have_no_past():
+    part = Part(0.1 * np.arange(9), np.zeros((9, 1)), np.zeros((9, 2)), np.zeros(9, np.int64))
+    assert (
+        chains_by_past((part,), Embedding((2,), False, np.ones(1)), np.ones(1), 0.1, 8, 1, 2)
+        is None
+    )

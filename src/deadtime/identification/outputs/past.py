@@ -75,7 +75,8 @@ def _rows(
     k = np.arange(before + lag, len(part.output) - apart)
     z = [part.output[k - a * apart, j] for j, n in enumerate(shape.order) for a in range(n)]
     y, z = part.output[k + apart], np.column_stack(z)
-    u = part.input[k[:, None] + apart - 1 - np.arange(before + apart + lag)].reshape(k.size, -1)
+    lags = np.arange(before + apart + lag)
+    u = part.input[k[:, None] + apart - 1 - lags].reshape(k.size, lags.size * part.input.shape[1])
     u = np.hstack((u, np.ones((k.size, 1))))
     changes = np.concatenate(([0], np.cumsum(part.mode[1:] != part.mode[:-1])))
     own = np.isfinite(np.hstack((y, z, u))).all(axis=1)
