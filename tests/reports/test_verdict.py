@@ -23,7 +23,7 @@ def test_paper_verdict_has_five_sentences_in_order():
     assert first.startswith("The averaged law works on a signal with 41 switches in 15 s")
     assert second == (
         "Yet the same loop is unstable if it stops switching: held in mode 0 it grows at "
-        "+0.13 /s, held in mode 1 at +0.28 /s."
+        "+0.128 /s, held in mode 1 at +0.282 /s."
     )
     assert third.startswith("Ignoring the delay fails")
     assert fourth.startswith("Predicting as if the plant stayed in one mode costs")
@@ -80,7 +80,7 @@ def test_a_single_mode_is_not_said_to_switch():
     ("second", "said"),
     [
         (-2.0, "held in mode 0 and in mode 1 it neither grows nor decays."),
-        (0.5, "unstable without switching, too: held in mode 1 it grows at +0.50 /s (in the other "
+        (0.5, "unstable without switching, too: held in mode 1 it grows at +0.500 /s (in the other "
          "modes it does not grow)."),
     ],
 )  # fmt: skip
