@@ -21,7 +21,6 @@ from deadtime.base.wording import amount, as_rate
 from deadtime.estimation import kalman
 from deadtime.gains import lqr
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import finite_discretisation
 
 if TYPE_CHECKING:
     from deadtime.identification.identification import Identification
@@ -40,7 +39,7 @@ def filter_noise(fit: Identification) -> tuple[Float[np.ndarray, "n n"], str]:
     if shape is None or not fit.noise.all():
         return W, ""
     ends = np.array([fit.interval(f"disturbance[0][{a},{a}]") for a in range(len(W))])
-    pace = loop_pace(fit.plant, fit.step)
+    pace = _loop_pace(fit.plant)
     if pace is None or ends[:, 0].all() or not np.isfinite(ends).all():
         return W, ""
     likeliest = _decay(fit, W)
@@ -62,15 +61,13 @@ def filter_noise(fit: Identification) -> tuple[Float[np.ndarray, "n n"], str]:
     return W, ""
 
 
-def loop_pace(plant: SwitchedSystem, step: float) -> float | None:
-    """How fast the slowest mode's loop decays under the file's gains, 1/s; None without gains."""
+def _loop_pace(plant: SwitchedSystem) -> float | None:
+    """How fast the slowest mode decays under the file's gains, 1/s; None where there are none."""
     try:
         gains = lqr(plant, np.eye(plant.states), np.eye(plant.inputs))
     except ArgumentError:
         return None
-    held = (finite_discretisation(A, B, step) for A, B in zip(plant.A, plant.B, strict=True))
-    each = [Phi + Gamma @ K for (Phi, Gamma), K in zip(held, gains, strict=True)]
-    return -float(np.log(np.abs(np.linalg.eigvals(np.stack(each))).max()) / step)
+    return -float(np.linalg.eigvals(plant.A + plant.B @ gains).real.max())
 
 
 def _decay(fit: Identification, W: np.ndarray) -> float:
