@@ -38,26 +38,24 @@ def filter_noise(fit: Identification) -> tuple[Float[np.ndarray, "n n"], str]:
     W, shape = fit.disturbance[0], fit._found.of_outputs and fit._found.of_outputs.embedding
     if shape is None or not fit.noise.all():
         return W, ""
-    ends = np.array([fit.interval(f"disturbance[0][{a},{a}]") for a in range(len(W))])
+    ends = np.array([fit.interval(f"disturbance[0][{a},{a}]") for a in shape.last])
     pace = _loop_pace(fit.plant)
     if pace is None or ends[:, 0].all() or not np.isfinite(ends).all():
         return W, ""
-    likeliest = _decay(fit, W)
-    if likeliest >= pace:
-        return W, ""
     for factors in range(_MOST):
         raised = W.copy()
-        raised[shape.last, shape.last] = 4.0**factors * ends[shape.last, 1]
+        raised[shape.last, shape.last] = 4.0**factors * ends[:, 1]
         decay = _decay(fit, raised)
-        if decay >= pace:
-            each = zip(shape.last, np.diag(raised)[shape.last], strict=True)
-            values = ", ".join(f"{amount(value)} for {fit.states[a]}" for a, value in each)
-            return raised, (
-                "The log does not tell the disturbance from none. An observer designed on its "
-                f"likeliest intensity would be slow (error {as_rate(-likeliest)} /s), so that the "
-                f"file's is designed on {values}: its error ({as_rate(-decay)} /s) decays at least "
-                f"as fast as the loop ({as_rate(-pace)} /s)."
-            )
+        if decay < pace:
+            continue
+        each = zip(shape.last, np.diag(raised)[shape.last], strict=True)
+        values = ", ".join(f"{amount(value)} for {fit.states[a]}" for a, value in each)
+        return raised, (
+            "The log does not tell the disturbance from none. An observer designed on its "
+            f"likeliest intensity has an error that decays at {as_rate(-_decay(fit, W))} /s, so that the "
+            f"file's is designed on {values}: {as_rate(-decay)} /s, at least as fast as the loop, "
+            f"{as_rate(-pace)} /s."
+        )
     return W, ""
 
 
