@@ -50,11 +50,11 @@ def filter_noise(fit: Identification) -> tuple[Float[np.ndarray, "n n"], str]:
             continue
         each = zip(shape.last, np.diag(raised)[shape.last], strict=True)
         values = ", ".join(f"{amount(value)} for {fit.states[a]}" for a, value in each)
+        likeliest, here, loop = (as_rate(-rate) for rate in (_decay(fit, W), decay, pace))
         return raised, (
             "The log does not tell the disturbance from none. An observer designed on its "
-            f"likeliest intensity has an error that decays at {as_rate(-_decay(fit, W))} /s, so that the "
-            f"file's is designed on {values}: {as_rate(-decay)} /s, at least as fast as the loop, "
-            f"{as_rate(-pace)} /s."
+            f"likeliest intensity has an error that decays at {likeliest} /s, so that the file's is "
+            f"designed on {values}: {here} /s, at least as fast as the loop, {loop} /s."
         )
     return W, ""
 
