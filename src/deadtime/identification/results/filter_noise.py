@@ -53,8 +53,8 @@ def filter_noise(fit: Identification) -> tuple[Float[np.ndarray, "n n"], str]:
         likeliest, here, loop = (as_rate(-rate) for rate in (_decay(fit, W), decay, pace))
         return raised, (
             "The log does not tell the disturbance from none. An observer designed on its "
-            f"likeliest intensity has an error that decays at {likeliest} /s, so that the file's is "
-            f"designed on {values}: {here} /s, at least as fast as the loop, {loop} /s."
+            f"likeliest intensity has an error that decays at {likeliest} /s, so that the file's "
+            f"is designed on {values}: {here} /s, at least as fast as the loop, {loop} /s."
         )
     return W, ""
 
