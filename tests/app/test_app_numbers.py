@@ -352,5 +352,5 @@ def test_the_seed_draws_another_signal_and_the_file_is_a_click_away(own):
 
 def test_the_verdict_names_the_growth_of_every_mode_for_ever():
     page = Page(open_named("paper"), None)
-    assert "mode 0 +0.13 /s, mode 1 +0.28 /s" in page.actions.verdict.object
+    assert "mode 0 +0.128 /s, mode 1 +0.282 /s" in page.actions.verdict.object
     assert "<b>unstable</b>" in page.actions.verdict.object

@@ -151,7 +151,7 @@ def test_problems_are_opened_one_after_another_without_a_fault(page):
 
 def test_the_worst_signal_is_found_and_watched(page):
     page.get_by_role("button", name="Worst signal").click()
-    until(lambda: "the worst found for averaged (+0.28 /s)" in drawn(page), 120.0)
+    until(lambda: "the worst found for averaged (+0.282 /s)" in drawn(page), 120.0)
     page.get_by_role("button", name="Watch").click()
     page.wait_for_timeout(1500)
     SHOTS.mkdir(exist_ok=True)

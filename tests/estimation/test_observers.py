@@ -109,6 +109,49 @@ def test_the_kalman_filter_solves_its_riccati_equation():
         plants.close(Phi @ after @ Phi.T + Q, P, 1e-10)
 
 
+def doubled(Phi, C, Q, R):
+    """The steady covariance by the doubling algorithm, which has no eigenvalues to sort."""
+    A, G, H = Phi.T, C.T @ np.linalg.solve(R, C), Q
+    for _ in range(40):
+        inner = np.linalg.inv(np.eye(len(A)) + G @ H)
+        A, G, H = A @ inner @ A, G + A @ inner @ G @ A.T, H + A.T @ H @ inner @ A
+    return H
+
+
+TANKS = dt.SwitchedSystem([[[0.0, 1.0], [-0.125, -0.75]]], [[[0.0], [0.075]]], 1.1)
+CART = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -0.5]]], [[[0.0], [1.0]]], 0.73)
+CHAIN = dt.SwitchedSystem([np.diag([1.0, 2.0], 1) - 0.01 * np.eye(3)], [np.eye(3)[:, 2:]], 0.5)
+
+
+@pytest.mark.parametrize("ratio", [1e-14, 1e-8, 1.0, 1e6])
+@pytest.mark.parametrize("units", [(1.0, 1.0, 1.0), (1e5, 1e-3, 1.0), (1e-6, 1.0, 1e4)])
+@pytest.mark.parametrize("plant", [TANKS, CART, CHAIN], ids=["tanks", "cart", "chain"])
+def test_neither_units_nor_small_noises_keep_a_kalman_filter_from_its_gain(plant, units, ratio):
+    n, unit, noise = plant.states, np.array(units[: plant.states]), 1e-4
+    process = ratio * noise * np.diag([1.0, 0.01, 0.3][:n])
+    outputs = np.eye(n)[:1]
+    found = dt.kalman(
+        dt.SwitchedSystem(plant.A / unit[:, None] * unit, plant.B / unit[:, None], plant.delay),
+        outputs * unit,
+        process / np.outer(unit, unit),
+        [[noise]],
+        STEP,
+    )
+    Phi = plants.held(plant.A[0], plant.B[0], STEP)[0]
+    Q = plants.gramian_by_quadrature(plant.A[0], process, STEP)
+    P = doubled(Phi, outputs, Q, np.array([[noise]]))
+    deviations = np.sqrt(np.diag(P))
+    wrong = found.prior[0] * np.outer(unit, unit) - P
+    assert np.abs(wrong / np.outer(deviations, deviations)).max() < 1e-7
+    assert found.rates[0] < 0.0
+
+
+def test_a_filter_may_serve_a_plant_that_nothing_disturbs_and_that_decays():
+    observer = dt.kalman(TANKS, [[1.0, 0.0]], np.zeros((2, 2)), [[1.0]], STEP)
+    assert not observer.gain.any()
+    assert observer.rates[0] == pytest.approx(-0.25, abs=1e-9)
+
+
 def steady_covariance(observer, i, gain):
     """Of x − x̂ under any gain, by a Lyapunov equation."""
     A = observer.plant.A[i]

@@ -132,3 +132,34 @@ def test_a_force_that_comes_after_the_end_moves_nothing():
     late = [StepDisturbance([0.5], start=20.0)]
     with pytest.raises(dt.ArgumentError, match="x0 must not be 0, from where nothing moves"):
         dt.robustness(SCALAR, HELD, SWITCHED, [0.0], 8.0, 0.05, scenarios=1, imperfections=late)
+
+
+@pytest.mark.parametrize("push", [Noise(0.05), StepDisturbance([1e-4])], ids=["noise", "force"])
+@pytest.mark.parametrize("horizon", [200.0, 358.0, 700.0])
+def test_late_samples_are_tolerated_where_the_run_ends_before_the_slow_loop_settles(horizon, push):
+    """x' = −a x + b u with a gain so small that the loop is stable whatever the delay."""
+    plant = dt.SwitchedSystem([[[-0.0083]]], [[[0.0067]]], 17.8)
+    law = dt.AveragedPredictor(plant, [[[-0.35]]])
+    always = dt.SwitchingSignal.constant(0)
+    result = dt.robustness(
+        plant, law, always, [8.0], horizon, 2.0, scenarios=1, imperfections=[push]
+    )
+    assert result.late.failed is None
+    assert result.late.tolerated == horizon / 2.0 // 4
+    assert not result.late.lost.any()
+    assert result.late.message.endswith("and more was not tried")
+
+
+def test_a_slow_loop_that_grows_when_samples_are_late_is_lost_all_the_same():
+    plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], 1.0)
+    law = dt.AveragedPredictor(plant, [[[-0.5]]])
+    always = dt.SwitchingSignal.constant(0)
+    result = dt.robustness(
+        plant, law, always, [8.0], 80.0, 0.5, scenarios=1, imperfections=[Noise(1e-3)]
+    )
+    assert result.late.failed is not None
+    longer = Setting(plant, law, always, np.array([8.0]), 400.0, 0.5, 1, 0, (Noise(1e-3),))
+    assert ends(longer, (int(result.late.tolerated) - 1, int(result.late.failed) + 1)) == [
+        KEPT,
+        LOST,
+    ]

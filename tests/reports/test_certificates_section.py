@@ -106,7 +106,7 @@ def test_laws_that_are_refuted_get_a_figure_of_their_witness(made_up):
         "witness-mean",
         "certificates-reach",
     ]
-    assert section.rows[0] == ("averaged", "no", "–", "witness", "+0.28", "none")
+    assert section.rows[0] == ("averaged", "no", "–", "witness", "+0.280", "none")
     assert ("oracle", "no answer", "–", "–", "–", "–") in section.rows
     assert section.sentences[0] == "averaged: Not stable: mode 1 for ever."
     assert section.sentences[-1].startswith(
@@ -118,7 +118,7 @@ def test_laws_that_are_refuted_get_a_figure_of_their_witness(made_up):
 def test_a_proof_is_stated_and_needs_no_figure_of_a_witness(made_up):
     section = certificates_section(compare(closer(0.5)))
     assert [name for name, _, _ in section.figures] == ["certificates-reach"]
-    assert section.rows == [("averaged", "yes", "0.3", "yes", "−0.40", "none")]
+    assert section.rows == [("averaged", "yes", "0.3", "yes", "−0.400", "none")]
     assert section.statement == ("For every signal.",)
     assert section.statement_of in {row[0] for row in section.rows if row[3] == "yes"}
 

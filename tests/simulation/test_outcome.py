@@ -131,3 +131,44 @@ def test_robustness_does_not_lose_what_is_only_pushed(kind):
     assert result.late.tolerated is not None
     assert result.late.tolerated >= 1.0
     assert not any("lost as they are" in sentence for sentence in result.sentences)
+
+
+def slow(rate, horizon, push):
+    """A plant that decays by itself, under gains of 0, from x = 8."""
+    plant = dt.SwitchedSystem([[[-rate]]], [[[1.0]]], 17.8)
+    law = dt.AveragedPredictor(plant, [[[0.0]]])
+    changes = {"signal": dt.SwitchingSignal.constant(0), "horizon": horizon, "step": 2.0}
+    given = problem([8.0], plant, law, laws={"lead": law}, imperfections=push, **changes)
+    return compare(given)
+
+
+RANDOM = [Noise(0.05), WhiteDisturbance(1e-8), ColouredDisturbance(1e-4, 5.0, [1.0])]
+
+
+@pytest.mark.parametrize("push", RANDOM, ids=["noise", "white", "coloured"])
+@pytest.mark.parametrize(("rate", "horizon"), [(0.009, 420.0), (0.02, 188.0), (0.002, 600.0)])
+def test_a_slow_loop_that_noise_alone_pushes_is_said_to_fall_and_not_to_have_settled(
+    rate, horizon, push
+):
+    result = slow(rate, horizon, (push,))
+    found = result.outcomes["lead"]
+    assert found.final == pytest.approx(8.0 * np.exp(-rate * horizon), rel=0.02)
+    assert (found.kind, found.settling, found.rest) == ("falls", np.inf, None)
+    assert found.sentence.endswith("and has not settled when the run ends")
+    assert "holds" not in " ".join(verdict(result))
+
+
+@pytest.mark.parametrize(("rate", "force"), [(0.009, 0.02), (0.02, 0.05), (0.05, -0.3)])
+def test_a_force_is_said_to_hold_x_once_the_loop_has_come_to_rest_there(rate, force):
+    push = (StepDisturbance([force]),)
+    there = slow(rate, 5.0 / rate, push).outcomes["lead"]
+    assert there.kind == "settles"
+    assert there.rest == pytest.approx([force / rate], rel=0.05)
+    assert "where a force or a reference holds it" in there.sentence
+    on_its_way = slow(rate, 2.0 / rate, push).outcomes["lead"]
+    assert (on_its_way.kind, on_its_way.rest) == ("bounded", None)
+
+
+def test_what_has_settled_without_a_force_is_said_to_fall():
+    found = slow(0.02, 400.0, (Noise(0.05),)).outcomes["lead"]
+    assert (found.kind, found.sentence) == ("falls", "|x| falls from 8.00 to 0.00268")

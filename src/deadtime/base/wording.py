@@ -117,17 +117,6 @@ def sentence_of(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def as_rate(value: float) -> str:
-    """A rate with its sign and two decimals.
-
-    Examples
-    --------
-    >>> as_rate(-0.5)
-    '−0.50'
-    """
-    return f"{value:+.2f}".replace("-", "−")
-
-
 def compact(value: float) -> str:
     """A positive number for tables, at most seven characters.
 
@@ -140,6 +129,18 @@ def compact(value: float) -> str:
         return amount(value)
     mantissa, exponent = f"{value:.1e}".split("e")
     return f"{mantissa}e{int(exponent)}"
+
+
+def as_rate(value: float) -> str:
+    """A rate with its sign, to three digits.
+
+    Examples
+    --------
+    >>> as_rate(-0.5), as_rate(-0.00903), as_rate(12.345), as_rate(0.0)
+    ('−0.500', '−0.00903', '+12.3', '0')
+    """
+    sign = "−" if value < 0.0 else "+" if value > 0.0 else ""
+    return f"{sign}{compact(abs(value))}"
 
 
 def number_of(number: int, noun: str) -> str:

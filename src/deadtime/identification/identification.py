@@ -103,7 +103,7 @@ class Identification(Frozen):
         """What there is to hand over of an estimate; `why` there is no switching model."""
         Unknowns(found, recording.step).require_inside()
         rest = rest_of(found, np.linalg.pinv(C))
-        return cls(
+        fit = cls(
             found.plant,
             found.log.layout.spread(found.intervals),
             recording.step,
@@ -123,6 +123,8 @@ class Identification(Frozen):
             _rest=rest,
             doubts=doubts_of(found, recording),
         )
+        raised = fit._filter_noise[1]
+        return replace(fit, sentences=(*fit.sentences, raised)) if raised else fit
 
     @classmethod
     def of_hidden(
@@ -170,6 +172,13 @@ class Identification(Frozen):
         """The plant with the covariance of all its entries and delays: to draw, and corners."""
         _, own = self._found.log.layout.without_constant()
         return UncertainPlant(self.plant, self._found.spread.covariance[np.ix_(own, own)])
+
+    @cached_property
+    def _filter_noise(self) -> tuple[Float[np.ndarray, "n n"], str]:
+        """W of the saved file's observer, and why it is not `disturbance`; "" where it is."""
+        from deadtime.identification.results.filter_noise import filter_noise
+
+        return filter_noise(self)
 
     @property
     def message(self) -> str:

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 
+from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import amount, as_rate, compact, sentence_of
+from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.laws import (
     DelayedStateFeedback,
@@ -24,7 +26,8 @@ from deadtime.reports.tables.tracking import NEVER
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
-from deadtime.spectrum import least_growth
+from deadtime.spectrum import growth_rate, least_growth
+from deadtime.spectrum.affordable import why_left_out
 
 _SAME = 1e-9  # costs that differ by less, relative, differ by round-off
 
@@ -42,7 +45,7 @@ def verdict(result: Comparison) -> list[str]:
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
     sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
-    sentences += _imperfections(result) + _observer_reads_mode(result)
+    sentences += _imperfections(result) + _observer_reads_mode(result) + _slow_observer(result)
     sentences += _cost(result) + _best_follower(result)
     early = [name for name, run in result.runs.items() if _ends_early(result, run)]
     if early:
@@ -126,6 +129,29 @@ def _observer_reads_mode(result: Comparison) -> list[str]:
         f"The observer needs the mode at every sample, although {', '.join(names[:-1] or names)}"
         f"{last} {'do' if last else 'does'} not. Where the mode is not measured, [observer] "
         'model = "mean" needs none.'
+    ]
+
+
+def _slow_observer(result: Comparison) -> list[str]:
+    """That the first law waits for its observer, whose error lasts twice as long as the loop."""
+    law, step = result.problem.laws[result.lead], result.problem.step
+    if not isinstance(law, OutputFeedback):
+        return []
+    inner = law.law
+    if why_left_out("growth rate", inner.plant, inner, step):
+        return []
+    try:
+        loop = [growth_rate(inner.plant, inner, i, step) for i in range(inner.plant.modes)]
+    except ArgumentError:
+        return []
+    slow = [i for i, rate in enumerate(law.observer.rates) if 0.5 * loop[i] < rate < 0.0]
+    if not slow:
+        return []
+    i = max(slow, key=lambda mode: law.observer.rates[mode] - loop[mode])
+    return [
+        f"The observer is slower than the loop that it serves: held in {result.problem.modes[i]} "
+        f"its error decays at {as_rate(law.observer.rates[i])} /s, the loop on the true state at "
+        f"{as_rate(loop[i])} /s. A larger process noise or faster poles speed it up."
     ]
 
 

@@ -4,7 +4,8 @@ A loop is judged by what becomes of its start. Where nothing pushes it that is x
 reference, a disturbance or noise it is the difference from a second run, with the same signal,
 forces and random numbers, that starts elsewhere: in a linear loop what pushes both cancels, and
 the difference is the loop's own motion. A loop that decays under a constant push comes to rest, but
-not at 0: settling is asked about where it does.
+not at 0: settling is asked about where it does. It is at rest once its own motion has decayed, too:
+a slow loop hardly moves for a while, and yet falls.
 """
 
 from __future__ import annotations
@@ -20,11 +21,20 @@ from jaxtyping import Float
 from deadtime.base.wording import amount
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
-from deadtime.imperfections import Additive, Disturbance, Imperfection, StepDisturbance
+from deadtime.imperfections import (
+    Additive,
+    ColouredDisturbance,
+    Disturbance,
+    Imperfection,
+    Noise,
+    StepDisturbance,
+    WhiteDisturbance,
+)
 from deadtime.simulation.trajectory import Trajectory
 
 SETTLED = 0.02  # of the largest distance from where a run comes to rest
 _TAIL = 0.1  # of a run: within it a run at rest stays settled
+_NEARER = 0.9  # times the largest distance of the quarter before
 _MORE = 1.001  # times the largest distance of the quarter before: less is no growth
 
 Kind = Literal["falls", "settles", "bounded", "grows", "diverged", "ends early"]
@@ -37,8 +47,9 @@ class Outcome:
     Attributes
     ----------
     kind : str
-        "falls": |x| ends no larger than it started; "settles": x comes to rest elsewhere than at
-        0; "bounded": neither, but the loop does not grow; "grows"; "diverged"; "ends early".
+        "falls": |x| ends no larger than it started, and no force or reference has brought it there;
+        "settles": x comes to rest elsewhere than at 0; "bounded": neither, but the loop does not
+        grow; "grows"; "diverged"; "ends early".
     start, final, peak : float
         |x| at time 0, at the end, and its maximum over the samples.
     rest : (n,) or None
@@ -70,17 +81,20 @@ class Outcome:
         Examples
         --------
         >>> Outcome("settles", 0.0, 2.0, 2.5, np.array([2.0]), 3.1).sentence
-        'x settles in 3.1 s where what pushes it holds it, at |x| = 2.00'
+        'x settles in 3.1 s at |x| = 2.00, where a force or a reference holds it'
         """
         origin = amount(self.start) if self.start else f"a peak of {amount(self.peak)}"
         if self.kind == "falls":
-            return f"|x| falls from {origin} to {amount(self.final)}"
+            still = "" if self.settling < math.inf else " and has not settled when the run ends"
+            return f"|x| falls from {origin} to {amount(self.final)}{still}"
         if self.kind == "settles" and self.rest is not None:
-            where = f"where what pushes it holds it, at |x| = {amount(_norm(self.rest))}"
+            where = f"at |x| = {amount(_norm(self.rest))}, where a force or a reference holds it"
             if not self.since:
                 return f"x settles in {self.settling:.3g} s {where}"
-            after = f"{self.settling - self.since:.3g} s after the last event"
-            return f"x settles {after}, at {self.since:.4g} s, {where}"
+            after = (
+                f"{self.settling - self.since:.3g} s after the last event, at {self.since:.4g} s,"
+            )
+            return f"x settles {after} {where}"
         if self.kind == "bounded":
             peak, final = amount(self.peak), amount(self.final)
             return f"x stays bounded, |x| ends at {final} after a peak of {peak}"
@@ -142,7 +156,7 @@ def outcome_of(
     again : callable, optional
         The same run from `elsewhere`, for a loop that is `is_pushed`; it is run only if need be.
     imperfections : sequence of Imperfection
-        Of the run: disturbances among them that begin or end are events.
+        Of the run: disturbances among them that begin or end are events, and may hold x off 0.
 
     Examples
     --------
@@ -165,12 +179,19 @@ def outcome_of(
         kind = "falls" if calm else "grows" if _grows(time, norm) else "bounded"
         rest = np.zeros(states.shape[1]) if calm else None
     else:
-        if _grows(time, _difference(run, again(), time, norm)):
+        own = _difference(run, again(), time)
+        if _grows(time, norm if own is None else own):
             return Outcome("grows", start, final, peak, None, math.inf)
-        rest, settling = _rest(time, states)
-        kind = "bounded"
-        if rest is not None:
-            kind = "settles" if _norm(rest) > SETTLED * peak else "falls"
+        kind, (rest, until) = "bounded", _rest(time, states)
+        if own is not None and not _stays(time, own):
+            rest = None
+            if final <= start and 0.5 * final < own[-1]:  # what is left is mostly the start's
+                kind, until = "falls", settling
+        elif rest is not None and _norm(rest) <= SETTLED * peak:
+            kind = "falls"
+        elif rest is not None and _may_hold(run, imperfections):
+            kind = "settles"
+        settling = math.inf if kind == "bounded" else until
     events = [t for t in events_of(run, imperfections) if t < settling < math.inf]
     return Outcome(kind, start, final, peak, rest, settling, max(events, default=0.0))
 
@@ -198,6 +219,36 @@ def keeps_up(run: Trajectory, perfect: Trajectory) -> bool:
     return not perfect.diverged and bool(apart.max() <= _norm(np.ptp(model, axis=0)))
 
 
+def still_falls(
+    run: Trajectory, other: Trajectory, perfect: Trajectory, perfect_other: Trajectory
+) -> bool:
+    """Whether only motion that decays keeps a run of a linear loop from the perfect one.
+
+    Of both, the others start elsewhere, and the difference is the loop's own motion. That of the
+    run falls by a tenth from one quarter to the next; at the end both together are at least half of
+    what the run is off.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[-0.1]]], [[[1.0]]], delay=0.3)
+    >>> slow, fast = (dt.AveragedPredictor(plant, [[[K]]]) for K in (0.0, -1.0))
+    >>> held = dt.SwitchingSignal.constant(0)
+    >>> runs = [dt.simulate(plant, k, held, [x], 20.0, 0.1) for k in (slow, fast) for x in (1, 0)]
+    >>> still_falls(*runs)
+    True
+    """
+    time = run.record.grid(run.end)
+    own, of_perfect = _difference(run, other, time), _difference(perfect, perfect_other, time)
+    off = _difference(run, perfect, time)
+    if own is None or of_perfect is None or off is None or run.diverged:
+        return False
+    quarter = np.minimum(4.0 * time / time[-1], 3.0).astype(int)
+    second, third, last = (own[quarter == i].max() for i in (1, 2, 3))
+    falls = last <= _NEARER * third <= _NEARER**2 * second
+    return bool(falls and off[-1] <= 2.0 * (own + of_perfect)[_tail(time)].max())
+
+
 def at_rest(run: Trajectory) -> Float[np.ndarray, " n"] | None:
     """Where a run has come to rest; None where it has not."""
     time = run.record.grid(run.end)
@@ -223,13 +274,18 @@ def _grows(time: np.ndarray, size: np.ndarray) -> bool:
     return bool(size[-1] > size[0] and size[most].max() > _MORE * before)
 
 
-def _difference(
-    run: Trajectory, other: Trajectory, time: np.ndarray, norm: np.ndarray
-) -> np.ndarray:
-    """The distance of two runs; |x| where they do not compare."""
+def _may_hold(run: Trajectory, imperfections: Sequence[Imperfection]) -> bool:
+    """Whether something may hold x elsewhere than at 0, as noise, whose mean is 0, does not."""
+    random = WhiteDisturbance | ColouredDisturbance | Noise
+    forced = any(not isinstance(each, random) for each in pushes(imperfections))
+    return forced or run.followed is not None
+
+
+def _difference(run: Trajectory, other: Trajectory, time: np.ndarray) -> np.ndarray | None:
+    """The distance of two runs; None where they do not compare."""
     same = np.array_equal(run.signal.times, other.signal.times)
-    if other.end < run.end or not same:  # a rule switched them at instants of their own
-        return norm
+    if other.end < time[-1] or not same:  # a rule switched them at instants of their own
+        return None
     apart = run.record.states_at(time) - other.record.states_at(time)
     return np.linalg.norm(apart, axis=1)
 

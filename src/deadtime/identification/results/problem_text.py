@@ -100,7 +100,8 @@ def _switching(fit: Identification) -> list[str]:
     lines = ["[switching]", 'kind = "semi-markov"', f"sojourn = [{', '.join(sojourns)}]"]
     lines += [f"transition = {_lists(fit.model.transition)}", ""]
     lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
-    lines += _disturbance("disturbance", fit)
+    raised, why = fit._filter_noise if _alone(fit) else (fit.disturbance[0], "")
+    lines += [f"disturbance = {_lists(raised)}"] if why else _disturbance("disturbance", fit)
     if _alone(fit):
         size = np.round(fit.largest_states**2, 12)
         lines += [f"noise = {_lists(fit.noise)}", f"covariance = {_lists(size)}"]
@@ -126,15 +127,16 @@ def _alone(fit: Identification) -> bool:
 
 
 def _observer(fit: Identification) -> list[str]:
-    """Kalman's filter, of the noise that was found, where outputs alone are measured."""
+    """Kalman's filter where outputs alone are measured, of noise that leaves it fast enough."""
     if not _alone(fit):
         return []
+    W, why = fit._filter_noise
     return [
         "[observer]    # laws get its estimate of the states",
         'kind = "kalman"',
         f"C = {_lists(fit.C)}",
         f"outputs = {_texts(fit._recording.outputs)}",
-        *_disturbance("process", fit),
+        *([f"# {why}", f"process = {_lists(W)}"] if why else _disturbance("process", fit)),
         f"measurement = {_lists(np.diag(fit.noise**2))}",
         "",
     ]

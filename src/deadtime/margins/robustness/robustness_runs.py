@@ -4,14 +4,15 @@ A run is lost when it diverges, ends early, or its loop grows (`simulation.outco
 bounded does not settle either when |x| ends above where it started. Where a force, noise or a
 reference pushes x, where limits of the input can keep any oscillation bounded, and from rest, that
 says nothing: there a run must do as the perfect loop does, which is pushed alike and has no other
-imperfection (`keeps_up`).
+imperfection (`keeps_up`). Without limits the loop is linear, and where the run ends while its own
+motion still decays, the horizon is too short, not the loop at fault (`still_falls`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +22,15 @@ from deadtime.imperfections import Imperfection, Limiting
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.simulation.initial_input import InitialInput
-from deadtime.simulation.outcome import at_rest, elsewhere, is_pushed, keeps_up, outcome_of, pushes
+from deadtime.simulation.outcome import (
+    at_rest,
+    elsewhere,
+    is_pushed,
+    keeps_up,
+    outcome_of,
+    pushes,
+    still_falls,
+)
 from deadtime.simulation.tracking import Followed
 from deadtime.switching import Rule, SwitchingSignal
 
@@ -84,10 +93,12 @@ class RobustnessRuns:
             whole = (*self.imperfections, *more)
             run = self._run(self.x0, whole, i)
             cost[i] = run.metrics(self.weight)["cost"]
-            again = partial(self._run, elsewhere(self.x0), whole, i) if self.compared else None
-            outcome = outcome_of(run, self.horizon, again)
+            again = cache(partial(self._run, elsewhere(self.x0), whole, i))
+            outcome = outcome_of(run, self.horizon, again if self.compared else None, whole)
             if self.compared:
                 kept = outcome.lost or keeps_up(run, self._perfect[i])
+                if not (kept or self._limited):
+                    kept = still_falls(run, again(), self._perfect[i], self._perfect_elsewhere[i])
             else:
                 kept = outcome.kind != "bounded"
             ends[i] = LOST if outcome.lost else KEPT if kept else BOUNDED
@@ -96,14 +107,24 @@ class RobustnessRuns:
     @cached_property
     def compared(self) -> bool:
         """Whether |x| alone does not tell if a loop does its work."""
-        limited = any(isinstance(one, Limiting) for one in self.imperfections)
-        return limited or is_pushed(self.law, self.imperfections) or not self.x0.any()
+        pushed = is_pushed(self.law, self.imperfections)
+        return self._limited or pushed or not self.x0.any()
+
+    @cached_property
+    def _limited(self) -> bool:
+        return any(isinstance(one, Limiting) for one in self.imperfections)
 
     @cached_property
     def _perfect(self) -> list[Trajectory]:
         """The runs of every scenario with nothing but what pushes x."""
         alone = pushes(self.imperfections)
         return [self._run(self.x0, alone, i) for i in range(self.scenarios)]
+
+    @cached_property
+    def _perfect_elsewhere(self) -> list[Trajectory]:
+        """The same from another start."""
+        alone, start = pushes(self.imperfections), elsewhere(self.x0)
+        return [self._run(start, alone, i) for i in range(self.scenarios)]
 
     def _run(self, x0: np.ndarray, whole: Sequence[Imperfection], scenario: int) -> Trajectory:
         return simulate(
