@@ -18,6 +18,7 @@ from deadtime.controller.export.bounds import bounds, largest
 from deadtime.controller.export.compiler import Check, self_check
 from deadtime.controller.export.files import require_own
 from deadtime.controller.export.forms import (
+    BYTES,
     Beside,
     Form,
     Precision,
@@ -220,6 +221,7 @@ def _values(
         **form.arrays,
         "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
+        **_rest_tables(controller, prediction),
         **({} if belief is None else belief_code.arrays(belief)),
         **({} if observer is None else observer_code.arrays(observer)),
         **({} if ahead is None else prediction_code.arrays(ahead)),
@@ -255,6 +257,8 @@ def _values(
         "outputs": outputs,
         "observer": observer_values,
         "prediction": None if ahead is None else prediction_code.values(ahead),
+        "rest": initializer(controller.rest.given, precision).replace("\n", " "),
+        "rest_u": initializer(controller.rest.u, precision).replace("\n", " "),
         **given_of(observer, outputs),
         "magic": _magic(repr((*told, *beside))),
     }
@@ -290,6 +294,28 @@ def given_of(observer: ObserverForm | None, outputs: int) -> dict[str, Any]:
     return {"given": "x", "size": "STATES", "tracked": 0}
 
 
+def _rest_tables(controller: RunningLaw, prediction: bool) -> dict[str, tuple[np.ndarray, str]]:
+    """What is subtracted from what comes in, and added to what goes out."""
+    if controller.operating_point is None:
+        return {}
+    rest = controller.rest
+    found = {
+        "REST": (rest.given, "what is measured at the operating point"),
+        "REST_U": (rest.u, "the inputs there"),
+    }
+    if rest.reference.size:
+        found["REST_R"] = rest.reference, "the tracked outputs there"
+    if prediction:
+        found["REST_Z"] = rest.z, "what the law is given there"
+    return found
+
+
+def _point_in_words(controller: RunningLaw, names: Names) -> str:
+    """The operating point for a comment; nothing without one."""
+    point = controller.operating_point
+    return "" if point is None else in_comment(names.point_in_words(point, controller.law.plant))
+
+
 def _table(name: str, array: np.ndarray, comment: str, precision: Precision) -> dict[str, str]:
     """One table as the template writes it."""
     text = initializer(array, precision)
@@ -307,9 +333,19 @@ def _room(
 
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> Beside:
     """What the law's table is not alone with."""
+    found = _beside_a_law(controller, precision, prediction)
+    numbers = sum(array.size for array, _ in _rest_tables(controller, prediction).values())
+    if not numbers:
+        return found
+    name = f"{found.name} and the operating point" if found.rom else "the operating point"
+    single = None if found.single is None else found.single + BYTES["float"] * numbers
+    return Beside(name, found.rom + BYTES[precision] * numbers, found.ram, single)
+
+
+def _beside_a_law(controller: RunningLaw, precision: Precision, prediction: bool) -> Beside:
     if prediction:
         ahead = PredictionForm.of(controller)
-        return prediction_code.added(_beside(controller, precision, False), ahead, precision)
+        return prediction_code.added(_beside_a_law(controller, precision, False), ahead, precision)
     if controller.believing is not None:
         belief = controller.believing
         rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)
@@ -340,9 +376,11 @@ def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
     import numpy as np
 
     law, limits = names.title or controller.law.label, "none"
-    if np.isfinite(controller.low).any() or np.isfinite(controller.high).any():
-        limits = f"{controller.low.tolist()} to {controller.high.tolist()}"
+    low, high = controller.limits
+    if np.isfinite(low).any() or np.isfinite(high).any():
+        limits = f"{low.tolist()} to {high.tolist()}"
     return {
+        "point": _point_in_words(controller, names),
         "title": in_comment(f'Controller of the law "{law}"'),
         "limits": limits,
         "state_names": in_comment(
