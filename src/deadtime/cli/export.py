@@ -48,7 +48,8 @@ def export(
 ) -> int:
     """Write a law of a problem as C99, as an FMU, or both.
 
-    The inputs are limited where the problem has a saturation. Exit code 1 if the C fails its
+    The inputs are limited where the problem has a saturation. What is written takes and gives
+    absolute values where the problem has an operating point. Exit code 1 if the C fails its
     self-check.
 
     Parameters
@@ -115,6 +116,7 @@ def export(
                 version=fmi,
                 changes=max(4096, 2 * math.ceil(chosen.plant.longest_delay / controller.step)),
                 names=replace(given, title=f"Plant: {chosen.title}"),
+                operating_point=chosen.operating_point,
                 staging=staging,
             )
     if json_output:
@@ -125,11 +127,19 @@ def export(
             "fmu": law_fmu and record(law_fmu, *_FMU),
             "plant_fmu": model and record(model, *_FMU),
         }
+        point = chosen.operating_point
         told = {"law": called, "step": controller.step}
+        told["operating_point"] = None if point is None else {"x": point.x, "u": point.u}
         told |= {kind: one for kind, one in made.items() if one is not None}
         print_json(told, _files_of(told))
     else:
         print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}")
+        if chosen.operating_point is not None:
+            where = chosen.operating_point.in_words(chosen.states, chosen.inputs)
+            print(
+                f"What is measured goes in and inputs come out as absolute values: the operating "
+                f"point, {where}, is built in."
+            )
         if called in chosen.observer_alone_reads_mode:
             print(
                 "The mode must be given at every call: the observer reads it, though the law does "
@@ -184,6 +194,8 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     chosen = problem.law(name)
     period = step_of(problem) if step is None else step
     sizes = Sizes.of(problem.plant, period)
+    point = problem.operating_point
+    rest = 0.0 if point is None else point.u  # of which the file's limits are deviations
     clips = [one.limits(sizes) for one in problem.imperfections if isinstance(one, Limiting)]
     clips = [clip for clip in clips if not clip.relative]
     limits = None
@@ -192,13 +204,14 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
         high = np.min([clip.high for clip in clips], axis=0)
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")
-        limits = (low, high)
-    return Controller(chosen, period, limits=limits)
+        limits = (low + rest, high + rest)
+    return Controller(chosen, period, limits=limits, operating_point=point)
 
 
 def _limits_in_words(controller: Controller) -> str:
     import numpy as np
 
-    if np.isinf(controller.low).all() and np.isinf(controller.high).all():
+    low, high = controller.limits
+    if np.isinf(low).all() and np.isinf(high).all():
         return "no limits of the inputs"
-    return f"inputs within {controller.low.tolist()} and {controller.high.tolist()}"
+    return f"inputs within {low.tolist()} and {high.tolist()}"

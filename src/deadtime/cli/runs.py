@@ -160,7 +160,8 @@ def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Pa
     problem = result.problem
     run = result.runs[result.lead]
     title = f"Law: {result.lead}"
-    figures = [(path, plot_run(run, title, problem.states, problem.modes, problem.inputs, width))]
+    states, inputs = problem.curve_names
+    figures = [(path, plot_run(run, title, states, problem.modes, inputs, width))]
     if len(result.runs) > 1:
         second = path.with_stem(path.stem + "-all-laws")
         figures.append((second, all_laws(result, width)[1]))
