@@ -49,9 +49,8 @@ def export_fmu(
         "observer": observer is not None,
         "outputs": outputs,
         **given_of(observer, outputs),
-        "point": controller.operating_point is not None,
         "begun": initializer(past, "double"),
-        "rest": initializer(controller.rest.z, "double"),
+        "rest": {key: initializer(array, "double") for key, array in _at_rest(controller).items()},
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
             f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
@@ -64,7 +63,7 @@ def export_fmu(
     title += _about(controller.operating_point, names, plant)
     believes = controller.believing is not None
     variables = controller_variables(
-        plant, names, past, controller.rest, believes, observer, outputs
+        plant, names, past, controller.rest, believes, observer, bool(outputs)
     )
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
@@ -162,6 +161,17 @@ def _about(point: OperatingPoint | None, names: Names, plant: SwitchedSystem) ->
     if point is None:
         return ""
     return f"; absolute values, at rest {names.point_in_words(point, plant)}"
+
+
+def _at_rest(controller: RunningLaw) -> dict[str, np.ndarray]:
+    """What the variables of a controller are while its plant rests; nothing where that is 0."""
+    if controller.operating_point is None:
+        return {}
+    given, u, reference, z = controller.rest
+    found = {"X": given, "APPLIED": u}
+    if reference.size:
+        found["REFERENCE"] = reference
+    return found | ({} if controller.observing is None else {"ESTIMATE": z})
 
 
 def _finite(u0: ArrayLike, m: int) -> np.ndarray:

@@ -22,23 +22,23 @@ def controller_variables(
     rest: Rest,
     belief: bool = False,
     observer: ObserverForm | None = None,
-    outputs: int = 0,
+    measures_outputs: bool = False,
 ) -> list[Variable]:
     """What a controller of a plant reads and writes; `past` (m,) is the input before the start.
 
     What it reads is at `rest` until something is connected.
 
     With a `belief` it is not told the mode: it tells how likely each mode is. With an `observer` it
-    is told outputs and what is tracked, and tells the estimate; with `outputs` so many of these.
+    is told outputs and what is tracked, and tells the estimate.
     """
     n, m = plant.states, plant.inputs
-    given = _read("x", _each("state at the sample", names.state, n), rest.given)
-    if outputs:
-        given = _read("y", _each("output at the sample", names.output, outputs), rest.given)
+    p = rest.given.size
+    given = _read("y", _each("output at the sample", names.output, p), rest.given)
+    if observer is None and not measures_outputs:
+        given = _read("x", _each("state at the sample", names.state, n), rest.given)
     referred, told_r, estimated = [], [], []
     if observer is not None:
-        size, p, _, r = observer.sizes
-        given = _read("y", _each("output at the sample", names.output, p), rest.given)
+        size, _, _, r = observer.sizes
         followed = _each("what a tracked output is to follow", names.followed, r)
         referred = _read("reference", followed, rest.reference)
         estimated = _estimated(names, size, plant.states)
