@@ -146,6 +146,12 @@ class Identification(Frozen):
         return None if self._rest is None else self._rest.point
 
     @property
+    def operating_point_error(self) -> Float[np.ndarray, " xu"]:
+        """Standard errors of the operating point's x and u, (n + m,); 0 where that is not told."""
+        size = len(self.states) + len(self.inputs)
+        return np.zeros(size) if self._rest is None else self._rest.error
+
+    @property
     def offset(self) -> Float[np.ndarray, "mode n"]:
         """What each mode adds to dx/dt at the operating point; 0 where all modes rest there."""
         return np.zeros(self.plant.A.shape[:2]) if self._rest is None else self._rest.offset

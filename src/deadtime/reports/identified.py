@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEADINGS = ("", "estimate", "from", "to")
+_NORMAL = 1.96  # deviations, on both sides of 95 %
 _NOTHING = 1e-3  # of what noise is less than: that it was taken to be so little says nothing
 
 
@@ -40,15 +41,32 @@ def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ..
 
 
 def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
-    """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0."""
+    """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0.
+
+    Constant terms, which are about a level of the log, stand as the operating point that they say.
+    """
     rows = []
+    for name, value, error in zip(*_at_rest(fit), strict=True):
+        ends = value - _NORMAL * error, value + _NORMAL * error
+        rows.append((f"{name} at rest", *(f"{one:.5g}" for one in (value, *ends))))
     for name in fit.names:
+        if name.startswith("constant"):
+            continue
         value, (low, high) = fit.estimate(name), fit.interval(name)
         if low == 0.0 and value < _NOTHING * high:
             rows.append((name, "not told", "0", f"{high:.2g}"))
         else:
             rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))
     return rows
+
+
+def _at_rest(fit: Identification) -> tuple[Sequence[str], Sequence[float], Sequence[float]]:
+    """Names of states and inputs, where they rest, and the standard errors; nothing at 0."""
+    point = fit.operating_point
+    if point is None:
+        return (), (), ()
+    names = (*fit.states, *fit.inputs)
+    return names, [*point.x.tolist(), *point.u.tolist()], fit.operating_point_error.tolist()
 
 
 def write_identification(
