@@ -269,9 +269,7 @@ def _operating_point(fit: Identification) -> dict | None:
     point = fit.operating_point
     if point is None:
         return None
-    errors, n = fit.operating_point_error, point.x.size
-    both = {"x": point.x, "u": point.u, "x_error": errors[:n], "u_error": errors[n:]}
-    return both | {"offset": fit.offset}
+    return {"x": point.x, "u": point.u, "x_error": fit.rest_error, "offset": fit.offset}
 
 
 def _hidden(hidden: HiddenModes) -> dict:

@@ -147,7 +147,7 @@ def _save_logs(result: Comparison, path: Path) -> list[Path]:
         names = [f"{number}-{name}".rstrip("-") for number, name in enumerate(names, 1)]
     for name, run in zip(names, result.runs.values(), strict=True):
         target = path if len(names) == 1 else path.with_stem(f"{path.stem}-{name}")
-        run.to_csv(target, problem.states, problem.inputs, problem.tracked)
+        run.to_csv(target, *problem.curve_names, problem.tracked)
         saved.append(target)
     return saved
 

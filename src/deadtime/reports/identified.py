@@ -8,6 +8,8 @@ from io import BytesIO
 from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from deadtime.base.staging import replacing
 from deadtime.identification import Identification
 from deadtime.identification.results.report_figures import figures_of
@@ -43,12 +45,20 @@ def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ..
 def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
     """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0.
 
-    Constant terms, which are about a level of the log, stand as the operating point that they say.
+    Constant terms are about a level of the log: in their place stands the operating point, inputs
+    as chosen, and the states at which the plant rests under these.
     """
     rows = []
-    for name, value, error in zip(*_at_rest(fit), strict=True):
-        ends = value - _NORMAL * error, value + _NORMAL * error
-        rows.append((f"{name} at rest", *(f"{one:.5g}" for one in (value, *ends))))
+    if (point := fit.operating_point) is not None:
+        rows += [
+            (f"{name} at rest", f"{u:.5g}", "", "")
+            for name, u in zip(fit.inputs, point.u, strict=True)
+        ]
+        for name, x, error in zip(fit.states, point.x, fit.rest_error, strict=True):
+            ends = (f"{x + side * error:.5g}" for side in (-_NORMAL, _NORMAL))
+            rows.append(
+                (f"{name} at rest", f"{x:.5g}", *(ends if np.isfinite(error) else ("", "")))
+            )
     for name in fit.names:
         if name.startswith("constant"):
             continue
@@ -58,15 +68,6 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
         else:
             rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))
     return rows
-
-
-def _at_rest(fit: Identification) -> tuple[Sequence[str], Sequence[float], Sequence[float]]:
-    """Names of states and inputs, where they rest, and the standard errors; nothing at 0."""
-    point = fit.operating_point
-    if point is None:
-        return (), (), ()
-    names = (*fit.states, *fit.inputs)
-    return names, [*point.x.tolist(), *point.u.tolist()], fit.operating_point_error.tolist()
 
 
 def write_identification(

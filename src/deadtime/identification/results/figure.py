@@ -126,9 +126,7 @@ def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, ...]:
     return tuple(at + curve for curve in _about_level(fit, part))
 
 
-def _about_level(
-    fit: Identification, part: Part
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _about_level(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same about the level of the recording; smoothed where states were not logged."""
     if (log := fit._found.of_outputs) is None:
         logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found

@@ -56,8 +56,8 @@ def quick_figures(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
         figure.align_ylabels(axes)
     yield (
         "predictions",
-        f"The log ({rows_shown(fit, part)}), the model a sample ahead, and the model run from the first row on with "
-        "the inputs alone: noise of the plant drives the log away from it.",
+        f"The log ({rows_shown(fit, part)}), the model a sample ahead, and the model run from the "
+        "first row on with the inputs alone: noise of the plant drives the log away from it.",
         figure,
     )
     with _figure(1, 2.2) as (figure, (axes,)):
