@@ -127,19 +127,11 @@ def export(
             "fmu": law_fmu and record(law_fmu, *_FMU),
             "plant_fmu": model and record(model, *_FMU),
         }
-        point = chosen.operating_point
-        told = {"law": called, "step": controller.step}
-        told["operating_point"] = None if point is None else {"x": point.x, "u": point.u}
+        told = {"law": called, "step": controller.step, "operating_point": _point(chosen)}
         told |= {kind: one for kind, one in made.items() if one is not None}
         print_json(told, _files_of(told))
     else:
-        print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}")
-        if chosen.operating_point is not None:
-            where = chosen.operating_point.in_words(chosen.states, chosen.inputs)
-            print(
-                f"What is measured goes in and inputs come out as absolute values: the operating "
-                f"point, {where}, is built in."
-            )
+        print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}{_built_in(chosen)}")
         if called in chosen.observer_alone_reads_mode:
             print(
                 "The mode must be given at every call: the observer reads it, though the law does "
@@ -147,6 +139,22 @@ def export(
             )
         print("\n".join(_lines(code, precision, law_fmu, model)))
     return 1 if code is not None and code.check.passed is False else 0
+
+
+def _point(problem: Problem) -> dict[str, Any] | None:
+    point = problem.operating_point
+    return None if point is None else {"x": point.x, "u": point.u}
+
+
+def _built_in(problem: Problem) -> str:
+    """A line that says of what is written that it takes absolute values, where it does."""
+    point = problem.operating_point
+    if point is None:
+        return ""
+    return (
+        "\nWhat is measured goes in and inputs come out as absolute values: the operating point, "
+        f"{point.in_words(problem.states, problem.inputs)}, is built in."
+    )
 
 
 def _lines(

@@ -13,7 +13,7 @@ from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
-from deadtime.controller.export import belief_code, observer_code, prediction_code
+from deadtime.controller.export import belief_code, observer_code, prediction_code, rest_code
 from deadtime.controller.export.bounds import bounds, largest
 from deadtime.controller.export.compiler import Check, self_check
 from deadtime.controller.export.files import require_own
@@ -146,6 +146,7 @@ def c_sources(
     values = (
         _values(controller, form, precision, name, prediction)
         | _words(controller, names)
+        | rest_code.values(controller, precision)
         | {
             "scale": literal(made.scale, "double"),
             "tolerance": literal(_tolerance(controller, precision) + form.error, "double"),
@@ -201,8 +202,7 @@ def _values(
     """What the templates are filled with."""
     import numpy as np
 
-    table, plant = controller.table, controller.law.plant
-    belief = controller.believing
+    table, plant, belief = controller.table, controller.law.plant, controller.believing
     observer = None if controller.observing is None else ObserverForm.of(controller.observing)
     rows, more = len(table.state_gain) if belief else 1, 1.0
     if observer is not None:
@@ -221,7 +221,7 @@ def _values(
         **form.arrays,
         "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
-        **_rest_tables(controller, prediction),
+        **rest_code.arrays(controller, prediction),
         **({} if belief is None else belief_code.arrays(belief)),
         **({} if observer is None else observer_code.arrays(observer)),
         **({} if ahead is None else prediction_code.arrays(ahead)),
@@ -257,8 +257,6 @@ def _values(
         "outputs": outputs,
         "observer": observer_values,
         "prediction": None if ahead is None else prediction_code.values(ahead),
-        "rest": initializer(controller.rest.given, precision).replace("\n", " "),
-        "rest_u": initializer(controller.rest.u, precision).replace("\n", " "),
         **given_of(observer, outputs),
         "magic": _magic(repr((*told, *beside))),
     }
@@ -294,28 +292,6 @@ def given_of(observer: ObserverForm | None, outputs: int) -> dict[str, Any]:
     return {"given": "x", "size": "STATES", "tracked": 0}
 
 
-def _rest_tables(controller: RunningLaw, prediction: bool) -> dict[str, tuple[np.ndarray, str]]:
-    """What is subtracted from what comes in, and added to what goes out."""
-    if controller.operating_point is None:
-        return {}
-    rest = controller.rest
-    found = {
-        "REST": (rest.given, "what is measured at the operating point"),
-        "REST_U": (rest.u, "the inputs there"),
-    }
-    if rest.reference.size:
-        found["REST_R"] = rest.reference, "the tracked outputs there"
-    if prediction:
-        found["REST_Z"] = rest.z, "what the law is given there"
-    return found
-
-
-def _point_in_words(controller: RunningLaw, names: Names) -> str:
-    """The operating point for a comment; nothing without one."""
-    point = controller.operating_point
-    return "" if point is None else in_comment(names.point_in_words(point, controller.law.plant))
-
-
 def _table(name: str, array: np.ndarray, comment: str, precision: Precision) -> dict[str, str]:
     """One table as the template writes it."""
     text = initializer(array, precision)
@@ -334,7 +310,7 @@ def _room(
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> Beside:
     """What the law's table is not alone with."""
     found = _beside_a_law(controller, precision, prediction)
-    numbers = sum(array.size for array, _ in _rest_tables(controller, prediction).values())
+    numbers = sum(array.size for array, _ in rest_code.arrays(controller, prediction).values())
     if not numbers:
         return found
     name = f"{found.name} and the operating point" if found.rom else "the operating point"
@@ -380,7 +356,7 @@ def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
     if np.isfinite(low).any() or np.isfinite(high).any():
         limits = f"{low.tolist()} to {high.tolist()}"
     return {
-        "point": _point_in_words(controller, names),
+        "point": rest_code.in_words(controller, names),
         "title": in_comment(f'Controller of the law "{law}"'),
         "limits": limits,
         "state_names": in_comment(

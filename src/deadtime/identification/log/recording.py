@@ -179,7 +179,7 @@ def read_recording(
 
 def _require_one_role(roles: dict[str, tuple[str, ...]]) -> None:
     """Refuse a column that is two things at once, such as a state and its own input."""
-    taken = dict.fromkeys(TIMES, "time")
+    taken: dict[str, str] = dict.fromkeys(TIMES, "time")
     for role, columns in roles.items():
         for column in columns:
             before = taken.setdefault(column, role)
