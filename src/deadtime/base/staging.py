@@ -44,6 +44,7 @@ class Staging:
 
     def folder(self, target: Path) -> Path:
         """An empty folder, for the files of `target`; others that it has stay in it."""
+        require_no_root("folder", target)
         try:
             if not target.is_dir():
                 if os.path.lexists(target):
@@ -175,6 +176,16 @@ def _move(place: Path, target: Path) -> None:
     if target.is_file():
         shutil.copymode(target, place)
     place.replace(target)
+
+
+def require_no_root(name: str, folder: Path) -> None:
+    """Refuse the root of a file system: nobody means to scatter files there."""
+    whole = folder.resolve()
+    if whole == whole.parent:
+        raise ArgumentError(
+            f"{name} must be a folder for what is written, got {str(folder)!r}, the root of the "
+            f"file system: name one in it, such as {str(whole / 'out')!r}."
+        )
 
 
 def unwritable(name: str, target: Path, error: OSError) -> ArgumentError:

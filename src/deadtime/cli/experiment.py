@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from deadtime.identification import Experiment
+    from deadtime.plant import OperatingPoint
     from deadtime.problems import Problem
     from deadtime.switching import SwitchingSignal
 
@@ -51,7 +52,8 @@ def experiment(
         A problem file, such as `deadtime identify` writes from a first log; or paper, three-mode,
         follower.
     input_limit
-        What |u| must not exceed, one number or one for each input, with commas.
+        What |u| must not exceed, one number or one for each input, with commas; where the problem
+        has an operating point, u and x are deviations from it, and the table has absolute inputs.
     state_limit
         What |x| must not exceed, likewise, at three standard deviations of the noise.
     horizon
@@ -101,12 +103,12 @@ def experiment(
         hold=hold,
         seed=seed,
     )
-    found.to_csv(out)
+    found.to_csv(out, chosen.operating_point)
     if json_output:
-        print_json(_record(found), [out])
+        print_json(_record(found, chosen.operating_point), [out])
         return
     rows = f"{found.time.size:,} rows, every {period:.4g} s"
-    print_heading(f"An experiment of {rows}", found.sentences)
+    print_heading(f"An experiment of {rows}", [*_absolute(chosen, found), *found.sentences])
     print()
     errors = zip(found.names, found.errors, strict=True)
     print_table(("", "standard error"), [(name, f"{error:.3g}") for name, error in errors])
@@ -161,10 +163,19 @@ def _signal(
     return problem.given_signal
 
 
-def _record(found: Experiment) -> dict:
+def _absolute(problem: Problem, found: Experiment) -> list[str]:
+    """What the inputs of the table are, where the plant does not rest at 0."""
+    if problem.operating_point is None:
+        return []
+    where = problem.operating_point.in_words(problem.states, problem.inputs)
+    table = "to be added to the law's" if found.added else "absolute"
+    return [f"The plant rests at {where}; limits are about it, and inputs of the table {table}."]
+
+
+def _record(found: Experiment, point: OperatingPoint | None) -> dict:
     return {
         "t": found.time,
-        "inputs": found.inputs,
+        "inputs": found.sent(point),
         "mode": found.mode,
         "added": found.added,
         "delay_errors": dict(found.delay_errors),

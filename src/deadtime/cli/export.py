@@ -48,7 +48,8 @@ def export(
 ) -> int:
     """Write a law of a problem as C99, as an FMU, or both.
 
-    The inputs are limited where the problem has a saturation. Exit code 1 if the C fails its
+    The inputs are limited where the problem has a saturation. What is written takes and gives
+    absolute values where the problem has an operating point. Exit code 1 if the C fails its
     self-check.
 
     Parameters
@@ -115,6 +116,7 @@ def export(
                 version=fmi,
                 changes=max(4096, 2 * math.ceil(chosen.plant.longest_delay / controller.step)),
                 names=replace(given, title=f"Plant: {chosen.title}"),
+                operating_point=chosen.operating_point,
                 staging=staging,
             )
     if json_output:
@@ -125,11 +127,11 @@ def export(
             "fmu": law_fmu and record(law_fmu, *_FMU),
             "plant_fmu": model and record(model, *_FMU),
         }
-        told = {"law": called, "step": controller.step}
+        told = {"law": called, "step": controller.step, "operating_point": _point(chosen)}
         told |= {kind: one for kind, one in made.items() if one is not None}
         print_json(told, _files_of(told))
     else:
-        print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}")
+        print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}{_built_in(chosen)}")
         if called in chosen.observer_alone_reads_mode:
             print(
                 "The mode must be given at every call: the observer reads it, though the law does "
@@ -137,6 +139,22 @@ def export(
             )
         print("\n".join(_lines(code, precision, law_fmu, model)))
     return 1 if code is not None and code.check.passed is False else 0
+
+
+def _point(problem: Problem) -> dict[str, Any] | None:
+    point = problem.operating_point
+    return None if point is None else {"x": point.x, "u": point.u}
+
+
+def _built_in(problem: Problem) -> str:
+    """A line that says of what is written that it takes absolute values, where it does."""
+    point = problem.operating_point
+    if point is None:
+        return ""
+    return (
+        "\nWhat is measured goes in and inputs come out as absolute values: the operating point, "
+        f"{point.in_words(problem.states, problem.inputs)}, is built in."
+    )
 
 
 def _lines(
@@ -184,6 +202,8 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     chosen = problem.law(name)
     period = step_of(problem) if step is None else step
     sizes = Sizes.of(problem.plant, period)
+    point = problem.operating_point
+    rest = 0.0 if point is None else point.u  # of which the file's limits are deviations
     clips = [one.limits(sizes) for one in problem.imperfections if isinstance(one, Limiting)]
     clips = [clip for clip in clips if not clip.relative]
     limits = None
@@ -192,13 +212,14 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
         high = np.min([clip.high for clip in clips], axis=0)
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")
-        limits = (low, high)
-    return Controller(chosen, period, limits=limits)
+        limits = (low + rest, high + rest)
+    return Controller(chosen, period, limits=limits, operating_point=point)
 
 
 def _limits_in_words(controller: Controller) -> str:
     import numpy as np
 
-    if np.isinf(controller.low).all() and np.isinf(controller.high).all():
+    low, high = controller.limits
+    if np.isinf(low).all() and np.isinf(high).all():
         return "no limits of the inputs"
-    return f"inputs within {controller.low.tolist()} and {controller.high.tolist()}"
+    return f"inputs within {low.tolist()} and {high.tolist()}"

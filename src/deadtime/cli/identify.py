@@ -256,7 +256,9 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "operating_point": _operating_point(fit),
         "disturbance": fit.disturbance,
         "noise": fit.noise,
-        "intervals": {name: list(fit.interval(name)) for name in fit.names},
+        "intervals": {
+            name: list(fit.interval(name)) for name in fit.names if not name.startswith("constant")
+        },
         "log_likelihood": fit.log_likelihood,
         "hidden": None if fit.hidden is None else _hidden(fit.hidden),
         "sentences": said,
@@ -265,7 +267,9 @@ def _record(fit: Identification, said: list[str]) -> dict:
 
 def _operating_point(fit: Identification) -> dict | None:
     point = fit.operating_point
-    return None if point is None else {"x": point.x, "u": point.u, "offset": fit.offset}
+    if point is None:
+        return None
+    return {"x": point.x, "u": point.u, "x_error": fit.rest_error, "offset": fit.offset}
 
 
 def _hidden(hidden: HiddenModes) -> dict:

@@ -169,6 +169,9 @@ def output_file(
 
 def output_folder(name: str, path: Path) -> Path:
     """A folder to write into, made if it is not there; refused before there is work."""
+    from deadtime.base.staging import require_no_root
+
+    require_no_root(name, path)
     around = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
     if not around.is_dir():
         reason = f"{str(around)!r} is no folder"

@@ -147,7 +147,7 @@ def _save_logs(result: Comparison, path: Path) -> list[Path]:
         names = [f"{number}-{name}".rstrip("-") for number, name in enumerate(names, 1)]
     for name, run in zip(names, result.runs.values(), strict=True):
         target = path if len(names) == 1 else path.with_stem(f"{path.stem}-{name}")
-        run.to_csv(target, problem.states, problem.inputs, problem.tracked)
+        run.to_csv(target, *problem.curve_names, problem.tracked)
         saved.append(target)
     return saved
 
@@ -160,7 +160,8 @@ def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Pa
     problem = result.problem
     run = result.runs[result.lead]
     title = f"Law: {result.lead}"
-    figures = [(path, plot_run(run, title, problem.states, problem.modes, problem.inputs, width))]
+    states, inputs = problem.curve_names
+    figures = [(path, plot_run(run, title, states, problem.modes, inputs, width))]
     if len(result.runs) > 1:
         second = path.with_stem(path.stem + "-all-laws")
         figures.append((second, all_laws(result, width)[1]))

@@ -32,9 +32,13 @@ class Controller(RunningLaw):
     limits : (low, high), optional
         Saturation of the input, scalars or shape (m,).
     u0 : optional
-        Inputs before the first call, as `simulate` takes them: None for 0.
+        Inputs before the first call, as `simulate` takes them: None for those at rest.
     mode_age : int
         Age of the first mode in samples, for laws that read it.
+    operating_point : OperatingPoint, optional
+        Where the plant rests, such as `Problem.operating_point`. With it all that goes in and out
+        is in the units of sensors and actuators, not in deviations: x, y, reference, applied, u0,
+        limits and u. Without it x = 0 and u = 0 are rest.
 
     Attributes
     ----------
@@ -92,7 +96,8 @@ class Controller(RunningLaw):
         """Write this controller as self-contained C99, with a check of itself.
 
         The C does what `update` does: limits, applied inputs, modes and their age, refusals, clock
-        and status; of an `OutputFeedback` its observer, sums and references, too. It begins anew:
+        and status, the operating point; of an `OutputFeedback` its observer, sums and references,
+        too. It begins anew:
         u0 and mode_age are not written, its `reset` takes the inputs before the first call and the
         age.
 

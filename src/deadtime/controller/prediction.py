@@ -186,7 +186,8 @@ def prediction_of(running: RunningLaw) -> Prediction:
             "too large."
         )
     horizons, source = running.inner.horizons.T.copy(), _Source(running, known)
-    return Prediction(moved.sum(axis=1), by_mode, p, horizons, source)
+    rest = running.rest.z
+    return Prediction(moved.sum(axis=1) + rest, by_mode + rest, p, horizons, source)
 
 
 def _moments(table: PredictionTable, known: Known) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from deadtime.base.frozen import Stateful
 from deadtime.controller.controller_arguments import limits_of, require_state, vector
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
+from deadtime.controller.rest import Rest
 from deadtime.controller.running_belief import believing_of
 from deadtime.controller.status import Clock, Status
 from deadtime.estimation import BeliefPredictor, OutputFeedback
@@ -22,6 +23,9 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.prediction_rows import PredictionTable, prediction_table
 from deadtime.simulation.initial_input import InitialInput, held_samples
+
+if TYPE_CHECKING:
+    from deadtime.plant import OperatingPoint
 
 
 class RunningLaw(Stateful):
@@ -39,6 +43,7 @@ class RunningLaw(Stateful):
         limits: tuple[ArrayLike, ArrayLike] | None = None,
         u0: InitialInput = None,
         mode_age: int = 0,
+        operating_point: OperatingPoint | None = None,
     ) -> None:
         instance("law", law, Law)
         inner = law.law if isinstance(law, OutputFeedback | BeliefPredictor) else law
@@ -53,7 +58,9 @@ class RunningLaw(Stateful):
         self.inner, self.table = inner, inner.digital(self.step)
         self.observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
         self.believing = believing_of(law, self.table) if isinstance(law, BeliefPredictor) else None
-        self.low, self.high = limits_of(limits, law.plant.inputs)
+        self.operating_point, self.rest = operating_point, Rest.of(self, operating_point)
+        self.limits = limits_of(limits, law.plant.inputs)
+        self.low, self.high = (limit - self.rest.u for limit in self.limits)
         self._past = past_inputs(self.table)
         self._reads_row = self.table.context != "none" and self.believing is None
         self.reads_mode = self._reads_row or bool(self.observing and self.observing.reads_mode)
@@ -64,9 +71,11 @@ class RunningLaw(Stateful):
         self.reset(u0, mode_age)
 
     def reset(self, u0: InitialInput = None, mode_age: int = 0) -> None:
-        """Start anew, after the inputs u0 (as `simulate` takes them)."""
+        """Start anew, after the inputs u0 (as `simulate` takes them); None: at rest."""
         m, taps = self.law.plant.inputs, self.table.taps
         history = held_samples(u0, m, taps, self.step, self.law.plant.longest_delay)
+        if u0 is not None:
+            history = history - self.rest.u
         self._age, self._mode = count("mode_age", mode_age, 0), -1
         self._past.clear()
         if self.believing:
@@ -133,6 +142,9 @@ class RunningLaw(Stateful):
         x = vector("x" if self.law.outputs is None else "y", x, self.measured)
         applied = None if applied is None else vector("applied", applied, self._u.size)
         self._require(mode, reference)
+        x = x - self.rest.given
+        applied = None if applied is None else applied - self.rest.u
+        reference = None if reference is None else reference - self.rest.reference
         told = None if belief is None else self._require_belief(belief)
         periods = self._clock.periods(time)
         if not periods:
@@ -159,9 +171,10 @@ class RunningLaw(Stateful):
         return self._answer(out)
 
     def _answer(self, out: Float[np.ndarray, " m"] | None) -> Float[np.ndarray, " m"]:
+        u = self._u + self.rest.u
         if out is None:
-            return self._u.copy()
-        out[:] = self._u
+            return u
+        out[:] = u
         return out
 
     def _require(self, mode: int | None, reference: ArrayLike | None) -> None:

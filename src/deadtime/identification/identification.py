@@ -25,6 +25,8 @@ from deadtime.identification.unknowns import Unknowns
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
 
+_SINGULAR = 1e9  # a condition number: rests are not found beyond it
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -146,6 +148,33 @@ class Identification(Frozen):
     def operating_point(self) -> OperatingPoint | None:
         """Where the plant rests: its states and inputs are deviations from that. None: from 0."""
         return None if self._rest is None else self._rest.point
+
+    @property
+    def rest_error(self) -> Float[np.ndarray, " n"]:
+        """Standard errors of the states at which the plant rests under u₀ of the operating point.
+
+        A plant of one mode rests at a state for every input, so that x₀ and u₀ are chosen together;
+        what the log leaves open is x₀ for that u₀: the solution of A_i x = −B_i u₀ − c_i over all
+        modes by least squares, of which the right-hand sides are as uncertain as the entries. NaN
+        where many states solve it, as of a plant that integrates, where modes rest apart
+        (`offset`), and where there is no point.
+        """
+        modes, n, _ = self.plant.A.shape
+        point, level = self.operating_point, self._recording.level
+        A = self.plant.A.reshape(-1, n)
+        apart = bool(self.offset.any())
+        if point is None or level is None or apart or np.linalg.cond(A) > _SINGULAR:
+            return np.full(n, np.nan)
+        layout, place = self._found.log.layout, np.indices((modes, n))
+        x, u = point.x - np.linalg.pinv(self.C) @ level.output, point.u - level.input
+        by_theta = np.zeros((modes, n, layout.size))
+        for b in range(n):
+            by_theta[(*place, layout.of_A[:, :, b])] = x[b]
+        for j, value in enumerate((*u, 1.0)):
+            by_theta[(*place, layout.of_B[:, :, j])] = value
+        moved = np.linalg.pinv(A) @ by_theta.reshape(-1, layout.size)
+        covariance = self._found.spread.covariance[: layout.size, : layout.size]
+        return np.sqrt(np.diagonal(moved @ covariance @ moved.T))
 
     @property
     def offset(self) -> Float[np.ndarray, "mode n"]:

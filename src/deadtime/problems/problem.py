@@ -119,6 +119,27 @@ class Problem(Frozen):
     operating_point: OperatingPoint | None = None
     average_dwell_time: tuple[float, int] | None = None
 
+    @property
+    def operating_sentences(self) -> tuple[str, ...]:
+        """What states and inputs are deviations from, where they are; nothing elsewhere."""
+        if self.operating_point is None:
+            return ()
+        where = self.operating_point.in_words(self.states, self.inputs)
+        return (f"States and inputs are deviations from the operating point: {where}.",)
+
+    @property
+    def curve_names(self) -> tuple[list[str], list[str]]:
+        """Names of states and inputs for axes, with what they are deviations from."""
+        point = self.operating_point
+        if point is None:
+            return list(self.states), list(self.inputs)
+        pairs = ((self.states, point.x), (self.inputs, point.u))
+        states, inputs = (
+            [f"{name}, deviation from {value:.4g}" for name, value in zip(*pair, strict=True)]
+            for pair in pairs
+        )
+        return states, inputs
+
     def __post_init__(self) -> None:
         if not self.states:
             object.__setattr__(self, "states", numbered("x", self.plant.states))

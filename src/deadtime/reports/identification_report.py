@@ -8,6 +8,8 @@ from io import BytesIO
 from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from deadtime.base.staging import replacing
 from deadtime.identification import Identification
 from deadtime.identification.results.report_figures import figures_of
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEADINGS = ("", "estimate", "from", "to")
+_NORMAL = 1.96  # deviations, on both sides of 95 %
 _NOTHING = 1e-3  # of what noise is less than: that it was taken to be so little says nothing
 
 
@@ -40,9 +43,25 @@ def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ..
 
 
 def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
-    """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0."""
+    """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0.
+
+    Constant terms are about a level of the log: in their place stands the operating point, inputs
+    as chosen, and the states at which the plant rests under these.
+    """
     rows = []
+    if (point := fit.operating_point) is not None:
+        rows += [
+            (f"{name} at rest", f"{u:.5g}", "", "")
+            for name, u in zip(fit.inputs, point.u, strict=True)
+        ]
+        for name, x, error in zip(fit.states, point.x, fit.rest_error, strict=True):
+            ends = (f"{x + side * error:.5g}" for side in (-_NORMAL, _NORMAL))
+            rows.append(
+                (f"{name} at rest", f"{x:.5g}", *(ends if np.isfinite(error) else ("", "")))
+            )
     for name in fit.names:
+        if name.startswith("constant"):
+            continue
         value, (low, high) = fit.estimate(name), fit.interval(name)
         if low == 0.0 and value < _NOTHING * high:
             rows.append((name, "not told", "0", f"{high:.2g}"))

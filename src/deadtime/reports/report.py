@@ -70,10 +70,11 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
         "black.",
         plot_signal(signal, end, problem.modes),
     )
+    states, inputs = problem.curve_names
     for name, run in result.runs.items():
         if not _is_shown(problem, name):
             continue
-        figure = plot_run(run, None, problem.states, problem.modes, problem.inputs)
+        figure = plot_run(run, None, states, problem.modes, inputs)
         yield file_name(name), f"States, input and mode under the law “{name}”.", figure
     caption, figure = all_laws(result)
     yield "all-laws", caption, figure

@@ -43,7 +43,8 @@ def verdict(result: Comparison) -> list[str]:
     Ignoring the delay fails: |x| reaches 1.5 × 10¹³ by the end.
     """
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
-    sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
+    sentences = [*result.problem.operating_sentences, *slips_of(result.problem)]
+    sentences += [_headline(result), *([lead] if lead else [])]
     sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
     sentences += _imperfections(result) + _observer_reads_mode(result) + _slow_observer(result)
     sentences += _cost(result) + _best_follower(result)

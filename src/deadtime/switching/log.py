@@ -20,7 +20,7 @@ from deadtime.base.text_files import read_text
 
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known
-_MOST_NAMES = 4  # of modes, in a message
+_MOST_NAMES, _LONGEST_NAME = 4, 20  # of modes, in a message
 TIMES = ("t", "time")  # what a column of times is called; the first that is there
 UNITS = {"s": 0, "ms": -3, "us": -6, "ns": -9}  # of a clock, and their powers of ten
 LATEST = 10**11  # seconds; counted from 1970 it is the year 5138
@@ -167,7 +167,8 @@ def _mode(
         known = f"an integer in 0..{most - 1}"
     hint = ""
     if labels is None:
-        names = sorted({(one.mode or "").strip() for one in rows} - {""})[:_MOST_NAMES]
+        names = {(one.mode or "").strip() for one in rows}
+        names = sorted(name for name in names if 0 < len(name) <= _LONGEST_NAME)[:_MOST_NAMES]
         own = {name: mode for mode, name in enumerate(names)} or {"idle": 0}
         options = " ".join(f"--labels.{name} {mode}" for name, mode in own.items())
         hint = f": map other names with labels, such as {own}, {options}"

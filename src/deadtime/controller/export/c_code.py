@@ -13,11 +13,12 @@ from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
-from deadtime.controller.export import belief_code, observer_code, prediction_code
+from deadtime.controller.export import belief_code, observer_code, prediction_code, rest_code
 from deadtime.controller.export.bounds import bounds, largest
 from deadtime.controller.export.compiler import SelfCheck, self_check
 from deadtime.controller.export.export_folder import require_own
 from deadtime.controller.export.forms import (
+    BYTES,
     Form,
     Precision,
     TableExtra,
@@ -145,6 +146,7 @@ def c_sources(
     values = (
         _values(controller, form, precision, name, prediction)
         | _words(controller, names)
+        | rest_code.values(controller, precision)
         | {
             "scale": literal(made.scale, "double"),
             "tolerance": literal(_tolerance(controller, precision) + form.error, "double"),
@@ -200,8 +202,7 @@ def _values(
     """What the templates are filled with."""
     import numpy as np
 
-    table, plant = controller.table, controller.law.plant
-    belief = controller.believing
+    table, plant, belief = controller.table, controller.law.plant, controller.believing
     observer = None if controller.observing is None else ObserverForm.of(controller.observing)
     rows, more = len(table.state_gain) if belief else 1, 1.0
     if observer is not None:
@@ -220,6 +221,7 @@ def _values(
         **form.arrays,
         "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
+        **rest_code.arrays(controller, prediction),
         **({} if belief is None else belief_code.arrays(belief)),
         **({} if observer is None else observer_code.arrays(observer)),
         **({} if ahead is None else prediction_code.arrays(ahead)),
@@ -307,9 +309,19 @@ def _room(
 
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
     """What the law's table is not alone with."""
+    found = _beside_a_law(controller, precision, prediction)
+    numbers = sum(array.size for array, _ in rest_code.arrays(controller, prediction).values())
+    if not numbers:
+        return found
+    name = f"{found.name} and the operating point" if found.rom else "the operating point"
+    single = None if found.single is None else found.single + BYTES["float"] * numbers
+    return TableExtra(name, found.rom + BYTES[precision] * numbers, found.ram, single)
+
+
+def _beside_a_law(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
     if prediction:
         ahead = PredictionForm.of(controller)
-        return prediction_code.added(_beside(controller, precision, False), ahead, precision)
+        return prediction_code.added(_beside_a_law(controller, precision, False), ahead, precision)
     if controller.believing is not None:
         belief = controller.believing
         rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)
@@ -340,9 +352,11 @@ def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
     import numpy as np
 
     law, limits = names.title or controller.law.label, "none"
-    if np.isfinite(controller.low).any() or np.isfinite(controller.high).any():
-        limits = f"{controller.low.tolist()} to {controller.high.tolist()}"
+    low, high = controller.limits
+    if np.isfinite(low).any() or np.isfinite(high).any():
+        limits = f"{low.tolist()} to {high.tolist()}"
     return {
+        "point": rest_code.in_words(controller, names),
         "title": in_comment(f'Controller of the law "{law}"'),
         "limits": limits,
         "state_names": in_comment(

@@ -19,7 +19,7 @@ from deadtime.controller.export.forms import Precision
 from deadtime.controller.export.literals import brackets, initializer, literal
 from deadtime.controller.export.names import Names
 from deadtime.controller.export.observer_code import ObserverForm
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import OperatingPoint, SwitchedSystem
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw
@@ -38,7 +38,7 @@ def export_fmu(
 ) -> ExportedFmu:
     """See `Controller.export_fmu`; with `staging` the file appears together with its others."""
     name, plant = "controller", controller.law.plant
-    past, names = _finite(u0, plant.inputs), names or Names()
+    past, names = _finite(u0, plant.inputs) + controller.rest.u, names or Names()
     texts, _ = c_sources(controller, precision, accuracy, None, name, names)
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
     observer = None if controller.observing is None else ObserverForm.of(controller.observing)
@@ -50,6 +50,7 @@ def export_fmu(
         "outputs": outputs,
         **given_of(observer, outputs),
         "begun": initializer(past, "double"),
+        "rest": {key: initializer(array, "double") for key, array in _at_rest(controller).items()},
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
             f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
@@ -59,8 +60,11 @@ def export_fmu(
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
+    title += _about(controller.operating_point, names, plant)
     believes = controller.believing is not None
-    variables = controller_variables(plant, names, past, believes, observer, outputs)
+    variables = controller_variables(
+        plant, names, past, controller.rest, believes, observer, bool(outputs)
+    )
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
     )
@@ -75,6 +79,7 @@ def export_plant_fmu(
     version: Version = "3.0",
     changes: int = 4096,
     names: Names | None = None,
+    operating_point: OperatingPoint | None = None,
     staging: Staging | None = None,
 ) -> ExportedFmu:
     """Write a plant with its input delay as an FMU for co-simulation.
@@ -98,6 +103,9 @@ def export_plant_fmu(
         How often the input may change within the longest delay D: more than D / h.
     names : Names, optional
         Of states, inputs and modes, for the descriptions.
+    operating_point : OperatingPoint, optional
+        Where the plant rests. With it u and x of the FMU, and its parameters, are absolute; x0 and
+        u0 are given as deviations from it all the same.
     staging : Staging, optional
         What the file is to appear together with.
 
@@ -116,6 +124,10 @@ def export_plant_fmu(
         else require_shape("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
     )
     size = count("changes", changes, 2)
+    point = OperatingPoint(np.zeros(n), np.zeros(m)) if operating_point is None else operating_point
+    instance("operating_point", point, OperatingPoint)
+    rest = require_shape("operating_point.x", point.x, (n,), "(n,)")
+    start, past = start + rest, past + require_shape("operating_point.u", point.u, (m,), "(m,)")
     values = {
         "delay": literal(plant.longest_delay, "double"),
         "slack": literal(1e-6 * plant.longest_delay, "double"),
@@ -130,6 +142,8 @@ def export_plant_fmu(
                 ("A", plant.A),
                 ("B", plant.B),
                 ("DELAYS", plant.delays),
+                ("REST_X", rest),
+                ("REST_U", point.u),
                 ("START", start),
                 ("PAST", past),
             )
@@ -137,8 +151,27 @@ def export_plant_fmu(
     }
     sources = {"model.c": render("plant_model.c.j2", values)}
     title = names.title or f"Plant with a delay of {plant.delay_text} s"
-    variables = plant_variables(names, start, past)
+    title += _about(operating_point, names, plant)
+    variables = plant_variables(names, start, past, point.u)
     return write_fmu(Path(path), version, name, title, None, variables, sources, values, staging)
+
+
+def _about(point: OperatingPoint | None, names: Names, plant: SwitchedSystem) -> str:
+    """The operating point, for the title of what takes absolute values; nothing without one."""
+    if point is None:
+        return ""
+    return f"; absolute values, at rest {names.point_in_words(point, plant)}"
+
+
+def _at_rest(controller: RunningLaw) -> dict[str, np.ndarray]:
+    """What the variables of a controller are while its plant rests; nothing where that is 0."""
+    if controller.operating_point is None:
+        return {}
+    given, u, reference, z = controller.rest
+    found = {"X": given, "APPLIED": u}
+    if reference.size:
+        found["REFERENCE"] = reference
+    return found | ({} if controller.observing is None else {"ESTIMATE": z})
 
 
 def _finite(u0: ArrayLike, m: int) -> np.ndarray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from deadtime.controller.export.fmi_description import Variable
 from deadtime.controller.export.names import Names
 from deadtime.controller.export.observer_code import ObserverForm
+from deadtime.controller.rest import Rest
 from deadtime.plant import SwitchedSystem
 
 _TIME = Variable("time", "Real", "independent", "time, s")
@@ -18,25 +19,28 @@ def controller_variables(
     plant: SwitchedSystem,
     names: Names,
     past: np.ndarray,
+    rest: Rest,
     belief: bool = False,
     observer: ObserverForm | None = None,
-    outputs: int = 0,
+    measures_outputs: bool = False,
 ) -> list[Variable]:
     """What a controller of a plant reads and writes; `past` (m,) is the input before the start.
 
+    What it reads is at `rest` until something is connected.
+
     With a `belief` it is not told the mode: it tells how likely each mode is. With an `observer` it
-    is told outputs and what is tracked, and tells the estimate; with `outputs` so many of these.
+    is told outputs and what is tracked, and tells the estimate.
     """
     n, m = plant.states, plant.inputs
-    given = _read("x", _each("state at the sample", names.state, n))
-    if outputs:
-        given = _read("y", _each("output at the sample", names.output, outputs))
+    p = rest.given.size
+    given = _read("y", _each("output at the sample", names.output, p), rest.given)
+    if observer is None and not measures_outputs:
+        given = _read("x", _each("state at the sample", names.state, n), rest.given)
     referred, told_r, estimated = [], [], []
     if observer is not None:
-        size, p, _, r = observer.sizes
-        given = _read("y", _each("output at the sample", names.output, p))
+        size, _, _, r = observer.sizes
         followed = _each("what a tracked output is to follow", names.followed, r)
-        referred = _read("reference", followed)
+        referred = _read("reference", followed, rest.reference)
         estimated = _estimated(names, size, plant.states)
         what = "whether reference is read, or the law's own followed"
         told_r = [Variable("report_reference", "Boolean", "parameter", what, False)] * bool(r)
@@ -51,7 +55,7 @@ def controller_variables(
     return [
         _TIME,
         *given,
-        *_read("applied", _each("what the actuator had", names.input, m)),
+        *_read("applied", _each("what the actuator had", names.input, m), rest.u),
         *referred,
         *_written("u", _each("input, held", names.input, m)),
         *_at_start("u", "input before the start", past),
@@ -63,11 +67,16 @@ def controller_variables(
     ]
 
 
-def plant_variables(names: Names, start: np.ndarray, past: np.ndarray) -> list[Variable]:
-    """What a plant reads and writes; `start` (n,) is its state, `past` (m,) the input before it."""
+def plant_variables(
+    names: Names, start: np.ndarray, past: np.ndarray, rest_u: np.ndarray
+) -> list[Variable]:
+    """What a plant reads and writes; `start` (n,) is its state, `past` (m,) the input before it.
+
+    Its input is `rest_u` until something is connected.
+    """
     return [
         _TIME,
-        *_read("u", _each("input, held over a step", names.input, past.size)),
+        *_read("u", _each("input, held over a step", names.input, past.size), rest_u),
         *_written("x", _each("state", names.state, start.size)),
         *_at_start("x", "state at the start", start),
         *_at_start("u", "input before the start", past),
@@ -75,10 +84,9 @@ def plant_variables(names: Names, start: np.ndarray, past: np.ndarray) -> list[V
     ]
 
 
-def _read(symbol: str, texts: Iterable[str]) -> list[Variable]:
-    return [
-        Variable(f"{symbol}[{i}]", "Real", "input", text, 0.0) for i, text in enumerate(texts, 1)
-    ]
+def _read(symbol: str, texts: Sequence[str], values: np.ndarray) -> list[Variable]:
+    each = enumerate(zip(texts, values.tolist(), strict=True), 1)
+    return [Variable(f"{symbol}[{i}]", "Real", "input", *one) for i, one in each]
 
 
 def _written(symbol: str, texts: Iterable[str]) -> list[Variable]:

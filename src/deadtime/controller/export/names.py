@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import one_line
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import OperatingPoint, SwitchedSystem
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,12 @@ class Names:
     def followed(self, i: int) -> str:
         """The name of what follows a reference; empty where that has none."""
         return self.tracked[i] if self.tracked else ""
+
+    def point_in_words(self, point: OperatingPoint, plant: SwitchedSystem) -> str:
+        """Where the plant rests, by the names of its states and inputs."""
+        states = tuple(self.states) or tuple(f"x[{i}]" for i in range(plant.states))
+        inputs = tuple(self.inputs) or tuple(f"u[{i}]" for i in range(plant.inputs))
+        return point.in_words(states, inputs)
 
     def all_modes(self) -> str:
         """The numbers of the modes with their names, or nothing."""

@@ -52,12 +52,15 @@ class Draws:
 
 def vectors(controller: RunningLaw) -> Vectors:
     """Run a copy of the controller from a random past, through every row, with all that is bad."""
-    run = RunningLaw(controller.law, controller.step, limits=(controller.low, controller.high))
+    point, rest = controller.operating_point, controller.rest
+    run = RunningLaw(
+        controller.law, controller.step, limits=controller.limits, operating_point=point
+    )
     plant, table = run.law.plant, run.table
     n, m = run.measured, plant.inputs
     amplitude = _amplitude(run)
     draws, age = Draws(amplitude), 7 if plant.modes > 1 else 0
-    run.reset(draws(table.taps * m).reshape(table.taps, m).T, age)
+    run.reset((rest.u + draws(table.taps * m).reshape(table.taps, m)).T, age)
     told = run.observing
     heading = [
         *("skip", "time", "mode"),
@@ -70,11 +73,13 @@ def vectors(controller: RunningLaw) -> Vectors:
     lines = [f"# Written by deadtime {__version__}", ",".join(heading)]
     seen, calls, visited = amplitude, 0, set()
     widest = np.full(table.state_gain.shape[2], 5.0 * amplitude)
-    for skip, when, mode, x, applied, *rest in _calls_of(run, amplitude):
-        r = rest[0] if rest else None
+    for skip, when, mode, x, applied, *more in _calls_of(run, amplitude):
+        x = rest.given + x
+        applied = None if applied is None else rest.u + applied
+        r = None if not more or more[0] is None else rest.reference + more[0]
         u = np.zeros(m)
         for _ in range(skip):
-            u += run.update(draws(n), mode, draws(m))
+            u += run.update(rest.given + draws(n), mode, rest.u + draws(m))
             visited.update(_rows(run))
         u += run.update(x, mode, applied, time=when, reference=r)
         visited.update(_rows(run))
@@ -91,6 +96,8 @@ def vectors(controller: RunningLaw) -> Vectors:
     if told:
         scale = float((np.abs(table.state_gain) @ widest).max())
     scale += float(np.abs(table.input_gain).sum(axis=(1, 3)).max()) * max(seen, 5.0 * amplitude)
+    if point is not None:  # what is subtracted and added rounds, too
+        scale += float((np.abs(table.state_gain) @ np.abs(rest.z)).max() + np.abs(rest.u).max())
     csv, longest = "\n".join(lines) + "\n", max(map(len, lines))
     return Vectors(csv, scale, longest, amplitude, age, calls, len(visited))
 

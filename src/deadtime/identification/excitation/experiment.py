@@ -16,7 +16,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.base.staging import replacing
 from deadtime.identification.excitation.input_information import Prospect
 from deadtime.identification.parameters import Layout
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import OperatingPoint, SwitchedSystem
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +33,7 @@ class Experiment(Frozen):
     time : (T,) array
         Seconds; an input is held from its row's time to the next one's.
     inputs : (m, T) array
-        To be sent; with a law, to be added to what it asks for.
+        To be sent, as deviations from rest; with a law, to be added to what it asks for.
     mode : (T,) array
         To be held from each row to the next.
     delay_errors : dict of (delays,) arrays
@@ -118,15 +118,26 @@ class Experiment(Frozen):
         """The sentences, as one text."""
         return " ".join(self.sentences)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """A table with columns t, u1, … (add_u1, … where a law's are added to) and mode."""
+    def sent(self, operating_point: OperatingPoint | None) -> Float[np.ndarray, "m T"]:
+        """`inputs` as the actuators get them, u₀ + u; what is added to a law's stays as it is."""
+        if operating_point is None or self.added:
+            return self.inputs
+        return operating_point.u[:, None] + self.inputs
+
+    def to_pandas(self, operating_point: OperatingPoint | None = None) -> pd.DataFrame:
+        """A table with columns t, u1, … (add_u1, … where a law's are added to) and mode.
+
+        With an operating point u1, … are u₀ + u.
+        """
         import pandas as pd
 
-        head = "add_u" if self.added else "u"
-        columns = {"t": self.time} | {f"{head}{j + 1}": u for j, u in enumerate(self.inputs)}
+        head, sent = "add_u" if self.added else "u", self.sent(operating_point)
+        columns = {"t": self.time} | {f"{head}{j + 1}": u for j, u in enumerate(sent)}
         return pd.DataFrame({**columns, "mode": self.mode})
 
-    def to_csv(self, path: str | PathLike[str]) -> None:
+    def to_csv(
+        self, path: str | PathLike[str], operating_point: OperatingPoint | None = None
+    ) -> None:
         """Write that table as CSV: a row per period, to be replayed.
 
         Raises
@@ -134,7 +145,7 @@ class Experiment(Frozen):
         ArgumentError
             If the file cannot be written.
         """
-        table = self.to_pandas()
+        table = self.to_pandas(operating_point)
         table["t"] = [f"{t:.12g}" for t in self.time]
         with replacing(path) as place:
             table.to_csv(place, index=False, float_format="%.12g")

@@ -157,8 +157,10 @@ def read_recording(
         raise ArgumentError("log must be a path, a table or a list of them, got an empty list.")
     tables = [table_of(log, number) for number, log in enumerate(given)]
     column = mode_column(tables, modes)
-    names = chosen_columns(tables[0], letter, states, "states" if letter == "x" else "outputs")
+    measured = "states" if letter == "x" else "outputs"
+    names = chosen_columns(tables[0], letter, states, measured)
     acting = chosen_columns(tables[0], "u", inputs, "inputs")
+    _require_one_role({measured: names, "inputs": acting})
     for table in tables:
         if len(table.frame) < 3:
             raise ArgumentError(
@@ -178,6 +180,23 @@ def read_recording(
     return Recording(
         parts, step, even, called, moved, tuple(labels), logged, absent, constants=constants
     )
+
+
+def _require_one_role(roles: dict[str, tuple[str, ...]]) -> None:
+    """Refuse a column that is two things at once, such as a state and its own input."""
+    taken: dict[str, str] = dict.fromkeys(TIMES, "time")
+    for role, columns in roles.items():
+        for column in columns:
+            before = taken.setdefault(column, role)
+            if before != role or columns.count(column) > 1:
+                both = f"{before} and {role}" if before != role else role
+                options = f"{role}=[…], --{role}"
+                if before in roles and before != role:
+                    options = f"{before}=[…], --{before}, and {options}"
+                raise ArgumentError(
+                    f"{both} must be different columns, got {column!r} twice: say which are "
+                    f"which by {options}."
+                )
 
 
 def _names_of(columns: Sequence[str]) -> tuple[str, ...]:

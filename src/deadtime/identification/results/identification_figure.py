@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from deadtime.identification.identification import Identification
 
-_SHOWN = 400  # samples of the log at most
+_SHOWN = 400  # samples of the log, at most
 _POINTS = 13  # of a likelihood, where each takes a filter over the log
 _MANY = 41  # where it does not
 _FAR = 3.0  # of a log's range: a free run that leaves it is cut there
@@ -40,7 +40,9 @@ def plot_identification(fit: Identification) -> Figure:
         axes = [figure.add_subplot(grid[1 + i]) for i in range(n)]
         draw_log(axes, fit, part)
         if several:
-            draw_modes(figure.add_subplot(grid[n + 1], sharex=axes[0]), fit, part)
+            axes.append(figure.add_subplot(grid[n + 1], sharex=axes[0]))
+            draw_modes(axes[-1], fit, part)
+        axes[-1].set_xlabel(f"time (s), {rows_shown(fit, part)}")
         draw_residuals(figure.add_subplot(grid[rows - 1]), fit)
     return figure
 
@@ -50,12 +52,17 @@ def shown(fit: Identification) -> Part:
     return fit._recording.parts[0].rows(slice(_SHOWN))
 
 
+def rows_shown(fit: Identification, part: Part) -> str:
+    """Which rows of the log those are."""
+    first = f"the first {part.time.size:,} of {fit.samples:,} rows"
+    return first if part.time.size < fit.samples else "all rows"
+
+
 def draw_modes(axes: Axes, fit: Identification, part: Part) -> None:
     """The mode over time."""
     axes.step(part.time, part.mode, where="post", color=COLOURS[0])
     axes.set_yticks(range(fit.plant.modes), [plain(name) for name in fit.modes])
     axes.set_ylabel("mode")
-    axes.set_xlabel("t (s)")
 
 
 def draw_likelihood(axes: Axes, fit: Identification) -> None:
@@ -112,8 +119,15 @@ def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
     )
 
 
-def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States as logged, a sample ahead, and run freely; smoothed where they were not logged."""
+def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, ...]:
+    """States as logged, a sample ahead, and run freely, all in the log's own units."""
+    level = fit._recording.level
+    at = 0.0 if level is None else np.linalg.pinv(fit.C) @ level.output
+    return tuple(at + curve for curve in _about_level(fit, part))
+
+
+def _about_level(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same about the level of the recording; smoothed where states were not logged."""
     if (log := fit._found.of_outputs) is None:
         logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
         layout = found.log.layout

@@ -16,6 +16,7 @@ from deadtime.identification.results.identification_figure import (
     draw_log,
     draw_modes,
     draw_residuals,
+    rows_shown,
     shown,
 )
 
@@ -51,13 +52,12 @@ def quick_figures(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
         draw_log(axes[:n], fit, part)
         if several:
             draw_modes(axes[-1], fit, part)
-        axes[-1].set_xlabel("t (s)")
+        axes[-1].set_xlabel(f"time (s), {rows_shown(fit, part)}")
         figure.align_ylabels(axes)
-    rows = f"its first {part.time.size} rows" if part.time.size < fit.samples else "all of it"
     yield (
         "predictions",
-        f"The log ({rows}), the model a sample ahead, and the model run from the first row on with "
-        "the inputs alone: noise of the plant drives the log away from it.",
+        f"The log ({rows_shown(fit, part)}), the model a sample ahead, and the model run from the "
+        "first row on with the inputs alone: noise of the plant drives the log away from it.",
         figure,
     )
     with _figure(1, 2.2) as (figure, (axes,)):

@@ -204,7 +204,8 @@ def all_laws(result: Comparison, width: Width | None = None) -> tuple[str, Figur
         caption = "What follows the reference, under every law; a law far off leaves the frame."
         return caption, plot_tracking(result.runs, result.problem.tracked, width=width)
     caption = "Every law on one axis; a law far above the others leaves the frame."
-    return caption, plot_norms(result.runs, width=width)
+    about = None if result.problem.operating_point is None else "x: deviation from rest"
+    return caption, plot_norms(result.runs, about, width)
 
 
 def plot_verdict(result: Comparison, width: Width | None = None) -> Figure:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MAP_STYLE = {**STYLE, "hatch.linewidth": 0.6}
+_READS_1 = 1.005  # as 1.00, below it
 EMPTY, WAITING = "–", "…"  # in a cell where no law could be built, and in one not run yet
 
 
@@ -103,7 +104,8 @@ def winners(
     grid : Grid
     found : xarray.Dataset
         winner, an index into `colours`, −1 where there is none; ratio, the winner's figure over
-        the runner-up's; verdict, 0 where they are tied.
+        the runner-up's; verdict, 0 where they are tied. What reads 1.00 is tied, too, however
+        sure it is that it is more.
     colours : mapping
         From laws to colours.
     waiting : xarray.DataArray, optional
@@ -118,7 +120,8 @@ def winners(
             )
             holes = None if waiting is None else grid.table(waiting, place)
             texts = [[_distance(value) for value in row] for row in ratio.tolist()]
-            _draw(panel, palette[best], texts, verdict == 0.0, (best < 0, holes))
+            same = (verdict == 0.0) | (ratio * _READS_1 > 1.0)
+            _draw(panel, palette[best], texts, same, (best < 0, holes))
         present = np.unique(found["winner"].values)
         keys = [
             Patch(facecolor=colour, label=plain(law))

@@ -39,7 +39,7 @@ def plot_wins(
     """Which law is best in every cell of a sweep, and the runner-up's metric over the winner's.
 
     Laws meet on the same signals: the best has the least geometric mean of quotients. Pale and
-    hatched cells are tied: Student's 95 % interval of the mean holds 1.
+    hatched cells are tied: Student's 95 % interval of the mean holds 1, or the mean reads 1.00.
 
     Parameters
     ----------

@@ -1,0 +1,42 @@
+"""The operating point of a controller in C: what is subtracted, what is added, and words of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from deadtime.controller.export.literals import initializer
+from deadtime.controller.export.names import Names, in_comment
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from deadtime.controller.export.forms import Precision
+    from deadtime.controller.running import RunningLaw
+
+
+def arrays(controller: RunningLaw, prediction: bool) -> dict[str, tuple[np.ndarray, str]]:
+    """What goes into ROM, with a comment each; nothing without a point."""
+    if controller.operating_point is None:
+        return {}
+    rest = controller.rest
+    found = {
+        "REST": (rest.given, "what is measured at the operating point"),
+        "REST_U": (rest.u, "the inputs there"),
+    }
+    if rest.reference.size:
+        found["REST_R"] = rest.reference, "the tracked outputs there"
+    if prediction:
+        found["REST_Z"] = rest.z, "what the law is given there"
+    return found
+
+
+def values(controller: RunningLaw, precision: Precision) -> dict[str, str]:
+    """Initializers on one line, for macros of the header."""
+    both = {"rest": controller.rest.given, "rest_u": controller.rest.u}
+    return {key: initializer(one, precision).replace("\n", " ") for key, one in both.items()}
+
+
+def in_words(controller: RunningLaw, names: Names) -> str:
+    """The operating point for a comment; nothing without one."""
+    point = controller.operating_point
+    return "" if point is None else in_comment(names.point_in_words(point, controller.law.plant))
