@@ -6,6 +6,7 @@ import pytest
 from scipy.linalg import expm, solve_continuous_are
 
 import deadtime as dt
+from deadtime.identification.results.filter_noise import filter_noise
 from deadtime.problems import load_problem
 
 H, DELAY = 0.1, 0.73
@@ -91,7 +92,7 @@ def test_a_loop_with_the_saved_observer_settles_at_its_pace_on_the_true_plant(pl
 
 def test_the_intensity_is_the_least_of_factors_of_4_above_its_interval():
     fit = dt.identify(log_of(CART), modes=None, delay=(0.0, 2.0), order=2, zeros=False)
-    W, why = fit._filter_noise
+    W, why = filter_noise(fit)
     factors = np.log2(W[1, 1] / fit.interval("disturbance[0][1,1]")[1]) / 2.0
     assert why
     assert factors == pytest.approx(round(factors), abs=1e-9)
@@ -107,7 +108,7 @@ def test_units_in_which_the_gains_do_not_suit_the_period_leave_the_observer_fast
     """In mm the gains of least ∫|x|² + |u|² are too fast for the period; the observer is not."""
     plant = CART[0], unit * CART[1]
     fit = dt.identify(log_of(plant), modes=None, delay=(0.0, 2.0), order=2, zeros=False)
-    W, why = fit._filter_noise
+    W, why = filter_noise(fit)
     loop = fit.plant.A[0] + fit.plant.B[0] @ dt.lqr(fit.plant, np.eye(2), [[1.0]])[0]
     rate = dt.kalman(fit.plant, fit.C, W, np.diag(fit.noise**2), fit.step).rates[0]
     assert why
@@ -125,6 +126,6 @@ def test_a_disturbance_that_the_log_tells_is_what_the_observer_is_designed_on():
     log = pd.DataFrame({"t": H * np.arange(400), "y1": ys, "u1": u[:, 0]})
     fit = dt.identify(log, modes=None, delay=(0.0, 2.0), order=2, zeros=False)
     assert fit.interval("disturbance[0][1,1]")[0] > 0.0
-    W, why = fit._filter_noise
+    W, why = filter_noise(fit)
     assert why == ""
     assert (fit.disturbance[0] == W).all()

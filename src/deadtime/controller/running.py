@@ -15,7 +15,7 @@ from deadtime.base.frozen import Stateful
 from deadtime.controller.controller_arguments import limits_of, require_state, vector
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
-from deadtime.controller.rest import Rest
+from deadtime.controller.rest_values import RestValues
 from deadtime.controller.running_belief import believing_of
 from deadtime.controller.status import Clock, Status
 from deadtime.estimation import BeliefPredictor, OutputFeedback
@@ -58,7 +58,9 @@ class RunningLaw(Stateful):
         self.inner, self.table = inner, inner.digital(self.step)
         self.observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
         self.believing = believing_of(law, self.table) if isinstance(law, BeliefPredictor) else None
-        self.operating_point, self.rest = operating_point, Rest.of(self, operating_point)
+        tracked = None if self.observing is None else self.observing.memory.tracked
+        self.operating_point, size = operating_point, self.table.state_gain.shape[2]
+        self.rest = RestValues.of(law, size, tracked, operating_point)
         self.limits = limits_of(limits, law.plant.inputs)
         self.low, self.high = (limit - self.rest.u for limit in self.limits)
         self._past = past_inputs(self.table)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import TYPE_CHECKING
 
@@ -12,20 +11,11 @@ from jaxtyping import Float
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.hidden_modes import HiddenModes
 from deadtime.identification.hidden.identify_hidden import Hidden
-from deadtime.identification.levels import Rest, rest_of
+from deadtime.identification.identified_plant import Findings
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.outputs.following import largest_of
-from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.results.sentences import doubts_of, sentences_of
-from deadtime.identification.unknowns import Unknowns
-from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
-
-_SINGULAR = 1e9  # a condition number: rests are not found beyond it
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Frozen):
+class Identification(Findings):
     """A plant that `identify` found, with intervals at 95 % (immutable).
 
     Attributes
@@ -72,26 +62,6 @@ class Identification(Frozen):
     See `identify`.
     """
 
-    plant: SwitchedSystem
-    delay_interval: Float[np.ndarray, "mode m 2"]
-    step: float
-    disturbance: Float[np.ndarray, "mode n n"]
-    noise: Float[np.ndarray, " p"]
-    model: SemiMarkov | None
-    tests: ResidualTests
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    modes: tuple[str, ...]
-    log_likelihood: float
-    samples: int
-    sentences: tuple[str, ...]
-    _found: Estimate = field(repr=False)
-    _recording: Recording = field(repr=False)
-    _C: Float[np.ndarray, "p n"] = field(repr=False)
-    hidden: HiddenModes | None = None
-    doubts: tuple[str, ...] = ()
-    _rest: Rest | None = field(default=None, repr=False)
-
     @classmethod
     def of(
         cls,
@@ -103,29 +73,11 @@ class Identification(Frozen):
         states: tuple[str, ...],
     ) -> Identification:
         """What there is to hand over of an estimate; `why` there is no switching model."""
-        Unknowns(found, recording.step).require_inside()
-        rest = rest_of(found, np.linalg.pinv(C))
-        fit = cls(
-            found.plant,
-            found.log.layout.spread(found.intervals),
-            recording.step,
-            found.disturbance,
-            found.noise,
-            model,
-            found.tests,
-            states,
-            recording.inputs,
-            recording.modes,
-            found.best.found.value,
-            recording.samples,
-            sentences_of(found, recording, why, rest, states),
-            found,
-            recording,
-            C,
-            _rest=rest,
-            doubts=doubts_of(found, recording),
-        )
-        raised = fit._filter_noise[1]
+        from deadtime.identification.results.filter_noise import filter_noise
+
+        fit = super().of(found, recording, model, why, C, states)
+        assert isinstance(fit, cls)
+        _, raised = filter_noise(fit)
         return replace(fit, sentences=(*fit.sentences, raised)) if raised else fit
 
     @classmethod
@@ -138,115 +90,6 @@ class Identification(Frozen):
         given = hidden.estimate, hidden.recording, hidden.model, hidden.why
         fit = cls.of(*given, C, states)
         return replace(fit, sentences=(*hidden.sentences, *fit.sentences), hidden=hidden.modes)
-
-    @property
-    def delays(self) -> Float[np.ndarray, "mode m"]:
-        """The likeliest delay of every mode and input, seconds."""
-        return self.plant.delays
-
-    @property
-    def operating_point(self) -> OperatingPoint | None:
-        """Where the plant rests: its states and inputs are deviations from that. None: from 0."""
-        return None if self._rest is None else self._rest.point
-
-    @property
-    def rest_error(self) -> Float[np.ndarray, " n"]:
-        """Standard errors of the states at which the plant rests under u₀ of the operating point.
-
-        A plant of one mode rests at a state for every input, so that x₀ and u₀ are chosen together;
-        what the log leaves open is x₀ for that u₀: the solution of A_i x = −B_i u₀ − c_i over all
-        modes by least squares, of which the right-hand sides are as uncertain as the entries. NaN
-        where many states solve it, as of a plant that integrates, where modes rest apart
-        (`offset`), and where there is no point.
-        """
-        modes, n, _ = self.plant.A.shape
-        point, level = self.operating_point, self._recording.level
-        A = self.plant.A.reshape(-1, n)
-        apart = bool(self.offset.any())
-        if point is None or level is None or apart or np.linalg.cond(A) > _SINGULAR:
-            return np.full(n, np.nan)
-        layout, place = self._found.log.layout, np.indices((modes, n))
-        x, u = point.x - np.linalg.pinv(self.C) @ level.output, point.u - level.input
-        by_theta = np.zeros((modes, n, layout.size))
-        for b in range(n):
-            by_theta[(*place, layout.of_A[:, :, b])] = x[b]
-        for j, value in enumerate((*u, 1.0)):
-            by_theta[(*place, layout.of_B[:, :, j])] = value
-        moved = np.linalg.pinv(A) @ by_theta.reshape(-1, layout.size)
-        covariance = self._found.spread.covariance[: layout.size, : layout.size]
-        return np.sqrt(np.diagonal(moved @ covariance @ moved.T))
-
-    @property
-    def offset(self) -> Float[np.ndarray, "mode n"]:
-        """What each mode adds to dx/dt at the operating point; 0 where all modes rest there."""
-        return np.zeros(self.plant.A.shape[:2]) if self._rest is None else self._rest.offset
-
-    @property
-    def C(self) -> Float[np.ndarray, "p n"]:
-        """What the log's columns are of the states; the identity where they are the states."""
-        return self._C
-
-    @property
-    def largest_states(self) -> Float[np.ndarray, " n"]:
-        """The largest |x| of every state in the log."""
-        if (log := self._found.of_outputs) is not None:
-            return largest_of(log, self._found.best.theta, self._found.window)
-        back, recording = np.linalg.pinv(self._C).T, self._recording.absolute()
-        every = np.vstack([part.output @ back for part in recording.parts])
-        at = 0.0 if self.operating_point is None else self.operating_point.x
-        return np.nanmax(np.abs(every - at), axis=0)
-
-    @property
-    def uncertain(self) -> UncertainPlant:
-        """The plant with the covariance of all its entries and delays: to draw, and corners."""
-        _, own = self._found.log.layout.without_constant()
-        return UncertainPlant(self.plant, self._found.spread.covariance[np.ix_(own, own)])
-
-    @cached_property
-    def _filter_noise(self) -> tuple[Float[np.ndarray, "n n"], str]:
-        """W of the saved file's observer, and why it is not `disturbance`; "" where it is."""
-        from deadtime.identification.results.filter_noise import filter_noise
-
-        return filter_noise(self)
-
-    @property
-    def message(self) -> str:
-        """The sentences, as one text."""
-        return " ".join(self.sentences)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What `interval` knows by name: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
-
-        From outputs alone those entries that the choice of states fixes are left out.
-        """
-        return tuple(self._unknowns.places)
-
-    @cached_property
-    def _unknowns(self) -> Unknowns:
-        return Unknowns(self._found, self.step)
-
-    def estimate(self, name: str) -> float:
-        """The likeliest value of one unknown, by its name; see `interval`."""
-        return self._unknowns.estimate(name)
-
-    def interval(self, name: str) -> tuple[float, float]:
-        """The ends of the 95 % interval of one unknown.
-
-        Parameters
-        ----------
-        name : str
-            One of `names`: "delay", or "delay[j]" of input j where there are several, "delay[i][j]"
-            where every mode i has its own; "A[0][0,1]", "B[1][2,0]"; "disturbance[0][1,1]" for a
-            diagonal entry of W in mode 0; "noise[1]" for the second sensor. Noise that the log does
-            not tell from none begins at 0: it is less than the other end.
-
-        Raises
-        ------
-        ArgumentError
-            If there is no such name.
-        """
-        return self._unknowns.interval(name)
 
     def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
         """Whether a law stands every delay that the log allows.

@@ -9,7 +9,7 @@ import numpy as np
 from deadtime.controller.export.fmi_description import Variable
 from deadtime.controller.export.names import Names
 from deadtime.controller.export.observer_code import ObserverForm
-from deadtime.controller.rest import Rest
+from deadtime.controller.rest_values import RestValues
 from deadtime.plant import SwitchedSystem
 
 _TIME = Variable("time", "Real", "independent", "time, s")
@@ -19,7 +19,7 @@ def controller_variables(
     plant: SwitchedSystem,
     names: Names,
     past: np.ndarray,
-    rest: Rest,
+    rest: RestValues,
     belief: bool = False,
     observer: ObserverForm | None = None,
     measures_outputs: bool = False,

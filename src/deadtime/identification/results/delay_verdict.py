@@ -12,7 +12,7 @@ from deadtime.margins.drawn_plants import has_rates
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
-    from deadtime.identification.identification import Identification
+    from deadtime.identification.identified_plant import Findings
 
 _NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
 
@@ -33,7 +33,7 @@ class Margin(Protocol):
     def certified(self) -> bool: ...
 
 
-def verdict_of(fit: Identification, margin: Margin, law: Law | None, step: float) -> str:
+def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> str:
     """What `Identification.verdict` says, of a law that acts every `step` seconds."""
     if fit.doubts:
         return delays_beside(fit.delays, fit.delay_interval, margin, doubt=fit.doubts[0])

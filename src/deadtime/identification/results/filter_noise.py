@@ -23,12 +23,12 @@ from deadtime.gains import lqr
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
-    from deadtime.identification.identification import Identification
+    from deadtime.identification.identified_plant import Findings
 
 _MOST = 60  # factors of 4
 
 
-def filter_noise(fit: Identification) -> tuple[Float[np.ndarray, "n n"], str]:
+def filter_noise(fit: Findings) -> tuple[Float[np.ndarray, "n n"], str]:
     """W for the observer, and a sentence that says why it is not the likeliest; empty where it is.
 
     Noise on the last derivative of every output is raised from the upper end of its interval, by
@@ -68,7 +68,7 @@ def _loop_pace(plant: SwitchedSystem) -> float | None:
     return -float(np.linalg.eigvals(plant.A + plant.B @ gains).real.max())
 
 
-def _decay(fit: Identification, W: np.ndarray) -> float:
+def _decay(fit: Findings, W: np.ndarray) -> float:
     """How fast the error of an observer designed on W decays in the slowest mode, 1/s; 0: none."""
     try:
         return -float(kalman(fit.plant, fit.C, W, np.diag(fit.noise**2), fit.step).rates.max())

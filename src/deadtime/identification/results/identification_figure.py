@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from deadtime.identification.identification import Identification
+    from deadtime.identification.identified_plant import Findings
 
 _SHOWN = 400  # samples of the log, at most
 _POINTS = 13  # of a likelihood, where each takes a filter over the log
@@ -26,7 +26,7 @@ _MANY = 41  # where it does not
 _FAR = 3.0  # of a log's range: a free run that leaves it is cut there
 
 
-def plot_identification(fit: Identification) -> Figure:
+def plot_identification(fit: Findings) -> Figure:
     """Likelihood over each delay, predictions and free run over the log, residuals, modes."""
     import matplotlib as mpl
 
@@ -47,25 +47,25 @@ def plot_identification(fit: Identification) -> Figure:
     return figure
 
 
-def shown(fit: Identification) -> Part:
+def shown(fit: Findings) -> Part:
     """What figures show of the log: its beginning."""
     return fit._recording.parts[0].rows(slice(_SHOWN))
 
 
-def rows_shown(fit: Identification, part: Part) -> str:
+def rows_shown(fit: Findings, part: Part) -> str:
     """Which rows of the log those are."""
     first = f"the first {part.time.size:,} of {fit.samples:,} rows"
     return first if part.time.size < fit.samples else "all rows"
 
 
-def draw_modes(axes: Axes, fit: Identification, part: Part) -> None:
+def draw_modes(axes: Axes, fit: Findings, part: Part) -> None:
     """The mode over time."""
     axes.step(part.time, part.mode, where="post", color=COLOURS[0])
     axes.set_yticks(range(fit.plant.modes), [plain(name) for name in fit.modes])
     axes.set_ylabel("mode")
 
 
-def draw_likelihood(axes: Axes, fit: Identification) -> None:
+def draw_likelihood(axes: Axes, fit: Findings) -> None:
     """The profile over every delay, about its estimate."""
     from scipy.interpolate import PchipInterpolator
 
@@ -93,7 +93,7 @@ def draw_likelihood(axes: Axes, fit: Identification) -> None:
     axes.legend(loc="lower center")
 
 
-def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
+def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
     """States as logged, as foretold a sample before, and as foretold from the first row on."""
     logged, ahead, free = _curves(fit, part)
     for i, own in enumerate(axes):
@@ -119,14 +119,14 @@ def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
     )
 
 
-def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, ...]:
+def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
     """States as logged, a sample ahead, and run freely, all in the log's own units."""
     level = fit._recording.level
     at = 0.0 if level is None else np.linalg.pinv(fit.C) @ level.output
     return tuple(at + curve for curve in _about_level(fit, part))
 
 
-def _about_level(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _about_level(fit: Findings, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same about the level of the recording; smoothed where states were not logged."""
     if (log := fit._found.of_outputs) is None:
         logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
@@ -139,7 +139,7 @@ def _about_level(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarra
     return logged, found.ahead, found.free
 
 
-def draw_residuals(axes: Axes, fit: Identification) -> None:
+def draw_residuals(axes: Axes, fit: Findings) -> None:
     """The residuals' correlation with themselves, and where it would be by chance."""
     r, count = autocorrelation(list(fit._found.white))
     lags = np.arange(1, LAGS + 1)

@@ -10,19 +10,21 @@ import numpy as np
 from deadtime.base.checks import positive
 from deadtime.base.staging import replacing
 from deadtime.base.wording import one_line
+from deadtime.identification.results.filter_noise import filter_noise
 from deadtime.switching.models.sojourns import mean_sojourn
 
 if TYPE_CHECKING:
-    from deadtime.identification.identification import Identification
+    from deadtime.identification.identified_plant import Findings
 
 _LEFT_OUT = "# Noise of the sensors is left out: it is of y = C x, and the file's would be of x."
 _DELAYS = 20.0  # a run lasts so many of the longest one,
 _SOJOURNS = 5.0  # and so many mean ones of the mode that lasts longest
 
 
-def problem_text(fit: Identification, title: str = "", horizon: float | None = None) -> str:
+def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -> str:
     """The problem file of an identification, with its intervals as comments."""
     plant, n, m = fit.plant, fit.plant.states, fit.plant.inputs
+    filtered = filter_noise(fit)
     length = _length(fit) if horizon is None else positive("horizon", horizon)
     length = round(fit.step * float(np.ceil(length / fit.step - 1e-9)), 12)
     named = _text(title or f"Identified from {fit.samples} samples")
@@ -40,8 +42,8 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
         "[gains]    # of least ∫|x|² + |u|²: change them to yours",
         f"lqr = {{Q = {_lists(np.eye(n))}, R = {_lists(np.eye(m))}}}",
         "",
-        *_observer(fit),
-        *_switching(fit),
+        *_observer(fit, filtered),
+        *_switching(fit, filtered),
         "[run]",
         f"x0 = {_lists(np.round(fit.largest_states, 12))}    # the largest in the log",
         f"horizon = {_number(length)}",
@@ -51,18 +53,18 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
     return "\n".join([*lines, ""])
 
 
-def _length(fit: Identification) -> float:
+def _length(fit: Findings) -> float:
     """Of a run, seconds: long beside the delays, and such that modes switch."""
     sojourns = [] if fit.model is None else [mean_sojourn(dist) for dist in fit.model.sojourn]
     return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * max(sojourns, default=0.0))
 
 
-def _by_number(fit: Identification) -> bool:
+def _by_number(fit: Findings) -> bool:
     """Whether modes have no names but the numbers that a problem file gives them anyway."""
     return list(fit.modes) == [str(i) for i in range(fit.plant.modes)]
 
 
-def _delay_lines(fit: Identification) -> list[str]:
+def _delay_lines(fit: Findings) -> list[str]:
     """The delays, and their intervals as a comment."""
     D, ends = fit.delays, fit.delay_interval
     same = (D[0] == D).all()
@@ -72,7 +74,7 @@ def _delay_lines(fit: Identification) -> list[str]:
     return [f"delay = {value}    # s; at 95 %: {within}"]
 
 
-def _operating_point(fit: Identification) -> list[str]:
+def _operating_point(fit: Findings) -> list[str]:
     """Where the plant rests, and what modes add there, where that is not 0."""
     if (point := fit.operating_point) is None:
         return []
@@ -84,7 +86,7 @@ def _operating_point(fit: Identification) -> list[str]:
     return lines
 
 
-def _uncertainty(fit: Identification) -> list[str]:
+def _uncertainty(fit: Findings) -> list[str]:
     """The covariance of all that was identified, to seven digits: a row a line."""
     rows = fit.uncertain.covariance
     lines = ["[uncertainty]    # of A row by row, mode by mode, then B, then the delays"]
@@ -92,7 +94,7 @@ def _uncertainty(fit: Identification) -> list[str]:
     return [*lines, "]", ""]
 
 
-def _switching(fit: Identification) -> list[str]:
+def _switching(fit: Findings, filtered: tuple[np.ndarray, str]) -> list[str]:
     """How the mode switches: the fitted model, or a constant mode where there is none."""
     if fit.model is None:
         return ["[signal]", 'kind = "constant"', "mode = 0", ""]
@@ -100,7 +102,7 @@ def _switching(fit: Identification) -> list[str]:
     lines = ["[switching]", 'kind = "semi-markov"', f"sojourn = [{', '.join(sojourns)}]"]
     lines += [f"transition = {_lists(fit.model.transition)}", ""]
     lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
-    raised, why = fit._filter_noise if _alone(fit) else (fit.disturbance[0], "")
+    raised, why = filtered
     lines += [f"disturbance = {_lists(raised)}"] if why else _disturbance("disturbance", fit)
     if _alone(fit):
         size = np.round(fit.largest_states**2, 12)
@@ -110,7 +112,7 @@ def _switching(fit: Identification) -> list[str]:
     return [*lines, "", "[signal]", 'kind = "model"', ""]
 
 
-def _noise(fit: Identification) -> list[str]:
+def _noise(fit: Findings) -> list[str]:
     """The noise of the log acts in the file's runs, too."""
     lines = ["", "[[imperfection]]", 'kind = "white-disturbance"']
     lines += _disturbance("intensity", fit)
@@ -121,16 +123,16 @@ def _noise(fit: Identification) -> list[str]:
     return lines
 
 
-def _alone(fit: Identification) -> bool:
+def _alone(fit: Findings) -> bool:
     """Whether there are fewer outputs than states, so that the file's laws need an observer."""
     return len(fit.C) < fit.plant.states
 
 
-def _observer(fit: Identification) -> list[str]:
+def _observer(fit: Findings, filtered: tuple[np.ndarray, str]) -> list[str]:
     """Kalman's filter where outputs alone are measured, of noise that leaves it fast enough."""
     if not _alone(fit):
         return []
-    W, why = fit._filter_noise
+    W, why = filtered
     return [
         "[observer]    # laws get its estimate of the states",
         'kind = "kalman"',
@@ -142,12 +144,12 @@ def _observer(fit: Identification) -> list[str]:
     ]
 
 
-def _of_states(fit: Identification) -> bool:
+def _of_states(fit: Findings) -> bool:
     """Whether sensors measure the states themselves, so that their noise is one of states."""
     return np.array_equal(fit.C, np.eye(fit.plant.states))
 
 
-def _disturbance(key: str, fit: Identification) -> list[str]:
+def _disturbance(key: str, fit: Findings) -> list[str]:
     """W of every mode, or the one that all have."""
     W = fit.disturbance
     if (W[0] == W).all():

@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from deadtime.identification.identification import Identification
+    from deadtime.identification.identified_plant import Findings
 
 
-def figures_of(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
+def figures_of(fit: Findings) -> Iterator[tuple[str, str, Figure]]:
     """(name, caption, figure), the likelihood first."""
     yield likelihood_figure(fit)
     yield from quick_figures(fit)
 
 
-def likelihood_figure(fit: Identification) -> tuple[str, str, Figure]:
+def likelihood_figure(fit: Findings) -> tuple[str, str, Figure]:
     """(name, caption, figure) of the likelihood over the delays.
 
     Of noisy measurements each of its points takes a search over all else: it may well take longer
@@ -45,7 +45,7 @@ def likelihood_figure(fit: Identification) -> tuple[str, str, Figure]:
     return "likelihood", caption, figure
 
 
-def quick_figures(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
+def quick_figures(fit: Findings) -> Iterator[tuple[str, str, Figure]]:
     """(name, caption, figure) of all others: predictions and modes, what is left."""
     part, n, several = shown(fit), fit.plant.states, fit.plant.modes > 1
     with _figure(n + several, 1.1, 2.0) as (figure, axes):
@@ -88,7 +88,7 @@ def _figure(rows: int, height: float, wide: float = 1.0) -> Iterator[tuple[Figur
         yield figure, list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
 
 
-def _draw_inputs(axes: Axes, fit: Identification) -> None:
+def _draw_inputs(axes: Axes, fit: Findings) -> None:
     """Of each input the largest of all states, over the time in between."""
     r, count = with_inputs(list(fit._found.white), fit._recording, float(fit.delays.max()))
     time = fit.step * np.arange(1, len(count) + 1)

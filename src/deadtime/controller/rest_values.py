@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import instance, require_shape
 from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Law
 from deadtime.plant import OperatingPoint
 
-if TYPE_CHECKING:
-    from deadtime.controller.running import RunningLaw
 
-
-class Rest(NamedTuple):
+class RestValues(NamedTuple):
     """What a call gives and is given while the plant rests: a law works on deviations from that."""
 
     given: Float[np.ndarray, " measured"]  # x₀, or y₀ = C x₀
@@ -24,9 +22,17 @@ class Rest(NamedTuple):
     z: Float[np.ndarray, " law"]  # what the law's table reads
 
     @classmethod
-    def of(cls, running: RunningLaw, point: OperatingPoint | None) -> Rest:
-        """Of a controller whose law and table are known; 0 without a point."""
-        law, size = running.law, running.table.state_gain.shape[2]
+    def of(
+        cls,
+        law: Law,
+        size: int,
+        tracked: Float[np.ndarray, "r p"] | None,
+        point: OperatingPoint | None,
+    ) -> RestValues:
+        """Of a law whose table reads `size` numbers beside inputs; 0 without a point.
+
+        tracked : H, of the outputs that follow a reference; None of a law without an observer
+        """
         n, m = law.plant.states, law.plant.inputs
         if point is None:
             point = OperatingPoint(np.zeros(n), np.zeros(m))
@@ -43,7 +49,7 @@ class Rest(NamedTuple):
                     "deviations, and no operating point."
                 )
             given = each[0]
-        if running.observing is not None:
-            reference = running.observing.memory.tracked @ given
+        if tracked is not None:
+            reference = tracked @ given
         between = np.zeros(size - n - reference.size)  # estimated disturbances, sums of errors
         return cls(given, u, reference, np.concatenate((x, between, reference)))
