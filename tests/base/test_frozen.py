@@ -219,6 +219,7 @@ def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(monkeypat
     from deadtime.laws.tables import constant_mode as rows
     from deadtime.numerics import exponential, kernels
     from deadtime.plant import cut_pieces
+    from deadtime.simulation import digital_kernel
 
     monkeypatch.setattr(kernels, "WISH", "always")
     compiled = [

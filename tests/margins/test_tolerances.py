@@ -158,7 +158,7 @@ def test_a_slow_loop_that_grows_when_samples_are_late_is_lost_all_the_same():
         plant, law, always, [8.0], 80.0, 0.5, scenarios=1, imperfections=[Noise(1e-3)]
     )
     assert result.late.failed is not None
-    longer = Setting(plant, law, always, np.array([8.0]), 400.0, 0.5, 1, 0, (Noise(1e-3),))
+    longer = RobustnessRuns(plant, law, always, np.array([8.0]), 400.0, 0.5, 1, 0, (Noise(1e-3),))
     assert ends(longer, (int(result.late.tolerated) - 1, int(result.late.failed) + 1)) == [
         KEPT,
         LOST,

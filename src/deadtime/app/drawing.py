@@ -35,9 +35,9 @@ def switch_at(
     Examples
     --------
     >>> switch_at([0.0], [0], 1.5, 1, 2)
-    Given(times=(0.0, 1.5), modes=(0, 1), about='drawn by hand')
+    GivenSignal(times=(0.0, 1.5), modes=(0, 1), about='drawn by hand')
     >>> switch_at([0.0, 1.5], [0, 1], 2.0, 1, 2)
-    Given(times=(0.0,), modes=(0,), about='drawn by hand')
+    GivenSignal(times=(0.0,), modes=(0,), about='drawn by hand')
     """
     if not 0 <= mode < count:
         raise ArgumentError(f"mode must be in 0..{count - 1}, got {mode}.")

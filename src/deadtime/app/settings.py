@@ -59,7 +59,7 @@ def draft_of(document: Document, offer: Mapping[str, Section], settings: Setting
     --------
     >>> from deadtime.app.documents import open_named
     >>> paper = open_named("paper")
-    >>> draft = draft_of(paper, {}, Settings({"delay": 0.5}, signal=Drawn(3)))
+    >>> draft = draft_of(paper, {}, Settings({"delay": 0.5}, signal=DrawnSignal(3)))
     >>> draft["plant"]["delay"], draft["signal"]
     (0.5, {'kind': 'model', 'seed': 3})
     """

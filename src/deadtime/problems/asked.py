@@ -49,7 +49,7 @@ class Signals(NamedTuple):
 
         Examples
         --------
-        >>> Signals(Given(2.5, AS_ASKED), SwitchingConstraint.of(2, 2.5), 3).in_words()[0]
+        >>> Signals(SourcedTime(2.5, AS_ASKED), SwitchingConstraint.of(2, 2.5), 3).in_words()[0]
         'switches at most 3 + T/(2.5 s) times in any T seconds'
         """
         stays, switches = self.constraint.in_words()
@@ -79,10 +79,10 @@ def dwell_time_of(
     >>> import dataclasses, deadtime as dt
     >>> problem = dt.problems.paper()
     >>> dwell_time_of(problem, problem.signal)
-    Given(value=0.2, source="the problem's dwell time")
+    SourcedTime(value=0.2, source="the problem's dwell time")
     >>> unsaid = dataclasses.replace(problem, dwell_time=None)
     >>> dwell_time_of(unsaid, problem.signal)
-    Given(value=0.2, source='the shortest sojourn of its signal')
+    SourcedTime(value=0.2, source='the shortest sojourn of its signal')
     """
     if wanted is not None:
         return SourcedTime(number("dwell_time", wanted), AS_ASKED)
@@ -197,7 +197,7 @@ def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None)
     --------
     >>> import deadtime as dt
     >>> mean_sojourn_of(dt.problems.paper(), 0.5)
-    Given(value=1.0, source="twice the dwell time; the problem's, 0.4 s, is too short")
+    SourcedTime(value=1.0, source="twice the dwell time; the problem's, 0.4 s, is too short")
     """
     if wanted is not None:
         return SourcedTime(number("mean_sojourn", wanted), AS_ASKED)

@@ -87,7 +87,7 @@ def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> BlockLayout:
 
     Examples
     --------
-    >>> Layout((4, 5, 6), (1, 2, 6)).counts, Layout((4, 5, 6), (1, 2, 6)).slices(2)
+    >>> BlockLayout((4, 5, 6), (1, 2, 6)).counts, BlockLayout((4, 5, 6), (1, 2, 6)).slices(2)
     ((4, 3, 1), (slice(0, 1, None), slice(4, 5, None), slice(0, 6, None)))
     """
     target = float(np.clip(costs.sum() / _PIECES, _SHORTEST, _LONGEST))

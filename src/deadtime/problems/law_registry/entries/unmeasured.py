@@ -9,7 +9,7 @@ from pydantic import Field
 from deadtime.base.palette import BROWN
 from deadtime.estimation import BeliefPredictor
 from deadtime.feedback import Law
-from deadtime.problems.law_registry.entries.switching_model import ExpectedLaw, OptimalLaw
+from deadtime.problems.law_registry.entries.distribution_laws import ExpectedLaw, OptimalLaw
 from deadtime.problems.law_registry.entry import LawSection, Named
 from deadtime.problems.law_registry.law_setting import LawSetting
 
