@@ -7,7 +7,6 @@ import subprocess
 import fmpy
 import numpy as np
 import pytest
-from deadtime.cli.entry import main
 from scipy.integrate import solve_ivp
 
 import believing_laws
@@ -17,6 +16,7 @@ import plants
 from c_code import Library, needs_compiler, needs_frama_c
 from deadtime.base import staging
 from deadtime.base.errors import ArgumentError
+from deadtime.cli.application import main
 from deadtime.controller import Status, export_plant_fmu
 from deadtime.controller.export.compiler import WARNINGS, compiler
 from deadtime.plant import OperatingPoint

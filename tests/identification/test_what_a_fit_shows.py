@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from deadtime.reports.identified import interval_rows
 
 import deadtime as dt
 from deadtime.base.errors import ArgumentError
 from deadtime.cli import main
 from deadtime.identification.results.report_figures import quick_figures
+from deadtime.reports.identification_report import interval_rows
 
 H, X0, U0 = 0.1, 62.0, 30.0
 

@@ -19,7 +19,7 @@ from deadtime.problems.imperfection_registry import (
     collect,
     require_all,
 )
-from deadtime.scenarios.sweeps.axes import AXES, ImperfectionAxis as SweepAxis, _by_name
+from deadtime.scenarios.sweeps.axes import AXES, Axis as SweepAxis, _by_name
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ _SOJOURNS = 5.0  # and so many mean ones of the mode that lasts longest
 def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -> str:
     """The problem file of an identification, with its intervals as comments."""
     plant, n, m = fit.plant, fit.plant.states, fit.plant.inputs
-    filtered = filter_noise(fit)
+    filtered = filter_noise(fit) if _alone(fit) else (fit.disturbance[0], "")
     length = _length(fit) if horizon is None else positive("horizon", horizon)
     length = round(fit.step * float(np.ceil(length / fit.step - 1e-9)), 12)
     named = _text(title or f"Identified from {fit.samples} samples")
