@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import amount, as_rate
+from deadtime.base.wording import amount
 from deadtime.estimation import kalman
 from deadtime.gains import lqr
 from deadtime.plant import SwitchedSystem
@@ -50,7 +50,7 @@ def filter_noise(fit: Findings) -> tuple[Float[np.ndarray, "n n"], str]:
             continue
         each = zip(shape.last, np.diag(raised)[shape.last], strict=True)
         values = ", ".join(f"{amount(value)} for {fit.states[a]}" for a, value in each)
-        likeliest, here, loop = (as_rate(-rate) for rate in (_decay(fit, W), decay, pace))
+        likeliest, here, loop = (amount(max(r, 0.0)) for r in (_decay(fit, W), decay, pace))
         return raised, (
             "The log does not tell the disturbance from none. An observer designed on its "
             f"likeliest intensity has an error that decays at {likeliest} /s, so that the file's "
