@@ -48,7 +48,9 @@ autodoc_typehints = "none"  # shapes and units are in the docstrings
 autodoc_inherit_docstrings = False  # what a law shares with all laws is on the page of `Law`
 autodoc_member_order = "bysource"
 # Their bases have no page of their own: what they inherit is on theirs.
-autosummary_context = {"whole": [f"deadtime.{n}" for n in ("Controller", "Identification", "Markov", "SemiMarkov")]}
+autosummary_context = {
+    "whole": [f"deadtime.{n}" for n in ("Controller", "Identification", "Markov", "SemiMarkov")]
+}
 python_maximum_signature_line_length = 88
 
 EXAMPLES = HERE.parent / "examples"

@@ -8,8 +8,8 @@ import pytest
 from scipy.linalg import expm
 
 from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
-from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant

@@ -12,8 +12,8 @@ import deadtime as dt
 from deadtime.cli import main
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
-from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluation, climb
 from deadtime.identification.uneven import nodes_for

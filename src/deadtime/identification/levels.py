@@ -25,6 +25,7 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.intervals import inverse
 from deadtime.identification.log.recording import Level, Recording
+from deadtime.identification.log.rest import rest_rows
 from deadtime.identification.parameters import Layout
 from deadtime.plant import OperatingPoint
 
@@ -80,12 +81,6 @@ def known_mean(column: Float[np.ndarray, "sample p"]) -> Float[np.ndarray, " p"]
     """The mean of what is known of each column; 0 where nothing is."""
     known = np.isfinite(column)
     return np.where(known, column, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-
-
-def rest_rows(entered: Float[np.ndarray, "sample m"]) -> int:
-    """The first rows, in which no input has moved yet."""
-    moved = np.flatnonzero((entered != entered[0]).any(axis=1))
-    return int(moved[0]) if moved.size else len(entered)
 
 
 def with_constant(

@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.levels import rest_rows
 from deadtime.identification.log.recording import Part, Recording
 
 CHANCE = 1e-3  # that the rows that answer to inputs before the log look otherwise by chance
@@ -75,3 +74,9 @@ def disproved(
         return False
     ratio = float(np.mean(own**2) / max(np.mean(others**2), np.finfo(float).tiny))
     return ratio > float(f.isf(CHANCE, own.size, others.size))
+
+
+def rest_rows(entered: Float[np.ndarray, "sample m"]) -> int:
+    """The first rows, in which no input has moved yet."""
+    moved = np.flatnonzero((entered != entered[0]).any(axis=1))
+    return int(moved[0]) if moved.size else len(entered)

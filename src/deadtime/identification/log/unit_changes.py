@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.results.foretold import (
+from deadtime.identification.log.foretold import (
     LEAST,
     RowStretch,
     Scaled,
@@ -24,6 +23,7 @@ from deadtime.identification.results.foretold import (
     lags_between,
     only_scaled,
 )
+from deadtime.identification.log.recording import Part, Recording
 
 _THOUSAND = 1000.0
 _LIKELY = 0.7  # of a thousand, in decades to either side: sizes of stretches differ, too

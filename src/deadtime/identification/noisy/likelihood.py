@@ -26,6 +26,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cells_of
 from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.noisy.filter_periods import (
     FilterPeriods,
     PeriodsOf,
@@ -33,7 +34,6 @@ from deadtime.identification.noisy.filter_periods import (
     uneven_periods,
 )
 from deadtime.identification.noisy.filtering import Filtered, Places, Sensors, evaluated, filtered
-from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed

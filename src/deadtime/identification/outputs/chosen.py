@@ -15,10 +15,10 @@ import numpy as np
 from deadtime.base.wording import number_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.delay_scan import Scanned
+from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.noisy.largest import largest_maximum
 from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.outputs.begin import begins_of, by_past
-from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.outputs.other_delays import others_of
 from deadtime.identification.outputs.smoothed_start import Guess, guess_of
 from deadtime.identification.parameters import Layout

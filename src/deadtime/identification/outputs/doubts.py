@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.outputs.chosen import CHANCE, Chosen, OutputsRequest, chosen_of
-from deadtime.identification.outputs.embedding import Embedding
 
 _DOUBT = 0.05  # of a rise by chance: from there on zeros are plausible
 _WIDE = 0.2  # of an input's weight: a standard error that comes with poles that are not there

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.identification.log.recording import Part
-from deadtime.identification.outputs.embedding import Embedding
+from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.start import matrix_logarithm
 
 _ENOUGH = 2.0  # rows for each unknown
