@@ -188,6 +188,16 @@ def test_a_wrong_reading_is_named_and_nothing_looks_like_chance_beside_it(row, v
     assert any("farther off than chance" in doubt for doubt in fit.doubts)
 
 
+def test_a_wrong_reading_of_more_outputs_than_states_is_named():
+    C = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    log = table(ONE, BINARY)
+    y = log[["x1", "x2"]].to_numpy() @ C.T + 0.01 * np.random.default_rng(3).standard_normal((T, 3))
+    y[200, 2] += 1.0
+    outputs = pd.DataFrame({"t": log["t"], "u1": log["u1"]} | {f"y{j}": y[:, j] for j in range(3)})
+    fit = dt.identify(outputs, modes=None, delay=(0.0, 0.6), C=C)
+    assert f"y2 at t = {log['t'][200]:.10g} s lies" in fit.message
+
+
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
 def test_a_sensor_that_is_slower_than_the_rows_is_seen(share):
     log = table(ONE, BINARY)

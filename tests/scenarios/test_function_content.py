@@ -264,7 +264,15 @@ def test_modules_of_ones_own_are_compared_by_what_is_read_of_them_and_refused_as
         values_of(whole)
 
 
-@pytest.mark.parametrize("line", ["import settings_of_mine", "from . import settings_of_mine"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import settings_of_mine",
+        "from . import settings_of_mine",
+        "from .json import delay",  # called as one of Python's
+        "def h():\n  import settings_of_mine\n h()",
+    ],
+)
 def test_modules_of_ones_own_that_a_function_imports_itself_are_refused(line):
     inner, library = named(
         f"def g():\n {line}\ndef f(k): return g()\n",

@@ -164,7 +164,7 @@ def _signal(
 
 
 def _absolute(problem: Problem, found: Experiment) -> list[str]:
-    """What the inputs of the table are, where the plant does not rest at 0."""
+    """A sentence on the table's inputs, where the plant does not rest at 0."""
     if problem.operating_point is None:
         return []
     where = problem.operating_point.in_words(problem.states, problem.inputs)

@@ -245,6 +245,8 @@ def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
 
 
 def _record(fit: Identification, said: list[str]) -> dict:
+    from deadtime.reports.identification_report import listed_names
+
     return {
         "samples": fit.samples,
         "step": fit.step,
@@ -256,9 +258,7 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "operating_point": _operating_point(fit),
         "disturbance": fit.disturbance,
         "noise": fit.noise,
-        "intervals": {
-            name: list(fit.interval(name)) for name in fit.names if not name.startswith("constant")
-        },
+        "intervals": {name: list(fit.interval(name)) for name in listed_names(fit)},
         "log_likelihood": fit.log_likelihood,
         "hidden": None if fit.hidden is None else _hidden(fit.hidden),
         "sentences": said,

@@ -14,7 +14,7 @@ from deadtime.plant import OperatingPoint
 
 
 class RestValues(NamedTuple):
-    """What a call gives and is given while the plant rests: a law works on deviations from that."""
+    """Values of a call while the plant rests: a law works on deviations from them."""
 
     given: Float[np.ndarray, " measured"]  # x₀, or y₀ = C x₀
     u: Float[np.ndarray, " m"]

@@ -14,7 +14,10 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.identify_hidden import Hidden
 from deadtime.identification.identified_plant import Findings
+from deadtime.identification.levels import rest_of
 from deadtime.identification.log.recording import Recording
+from deadtime.identification.results.sentences import doubts_of, odd_readings, sentences_of
+from deadtime.identification.unknowns import Unknowns
 from deadtime.switching import SemiMarkov
 
 if TYPE_CHECKING:
@@ -75,8 +78,29 @@ class Identification(Findings):
         """What there is to hand over of an estimate; `why` there is no switching model."""
         from deadtime.identification.results.filter_noise import filter_noise
 
-        fit = super().of(found, recording, model, why, C, states)
-        assert isinstance(fit, cls)
+        Unknowns(found, recording.step).require_inside()
+        rest = rest_of(found, np.linalg.pinv(C))
+        odd = odd_readings(found, recording, C)
+        fit = cls(
+            found.plant,
+            found.log.layout.spread(found.intervals),
+            recording.step,
+            found.disturbance,
+            found.noise,
+            model,
+            found.tests,
+            states,
+            recording.inputs,
+            recording.modes,
+            found.best.found.value,
+            recording.samples,
+            sentences_of(found, recording, why, rest, states, odd),
+            found,
+            recording,
+            C,
+            _rest=rest,
+            doubts=doubts_of(found, recording, odd),
+        )
         _, raised = filter_noise(fit)
         return replace(fit, sentences=(*fit.sentences, raised)) if raised else fit
 

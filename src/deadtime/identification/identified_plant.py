@@ -1,4 +1,4 @@
-"""What an identification found: the plant, its intervals, and what is said of them."""
+"""The plant that an identification found, its intervals, and the sentences on them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from jaxtyping import Float
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.hidden_modes import HiddenModes
-from deadtime.identification.levels import Rest, rest_of
+from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.results.sentences import doubts_of, sentences_of
 from deadtime.identification.unknowns import Unknowns
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
@@ -46,40 +45,6 @@ class Findings(Frozen):
     hidden: HiddenModes | None = None
     doubts: tuple[str, ...] = ()
     _rest: Rest | None = field(default=None, repr=False)
-
-    @classmethod
-    def of(
-        cls,
-        found: Estimate,
-        recording: Recording,
-        model: SemiMarkov | None,
-        why: str,
-        C: Float[np.ndarray, "p n"],
-        states: tuple[str, ...],
-    ) -> Findings:
-        """What there is to hand over of an estimate; `why` there is no switching model."""
-        Unknowns(found, recording.step).require_inside()
-        rest = rest_of(found, np.linalg.pinv(C))
-        return cls(
-            found.plant,
-            found.log.layout.spread(found.intervals),
-            recording.step,
-            found.disturbance,
-            found.noise,
-            model,
-            found.tests,
-            states,
-            recording.inputs,
-            recording.modes,
-            found.best.found.value,
-            recording.samples,
-            sentences_of(found, recording, why, rest, states),
-            found,
-            recording,
-            C,
-            _rest=rest,
-            doubts=doubts_of(found, recording),
-        )
 
     @property
     def delays(self) -> Float[np.ndarray, "mode m"]:

@@ -48,12 +48,8 @@ _RANK = 1e-6  # of the largest singular value, scaled: a direction that hardly m
 def near_zero(recording: Recording) -> bool:
     """Whether 0 lies within what was logged of all outputs and inputs, or next to it."""
     parts = recording.absolute().parts
-    for every in (np.vstack([part[a] for part in parts]) for a in (1, 2)):
-        low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-        beside = _BESIDE * (high - low)
-        if not ((low - beside <= 0.0) & (high + beside >= 0.0)).all():
-            return False
-    return True
+    low, high = _ends(np.vstack([np.hstack((part.output, part.input)) for part in parts]))
+    return bool(((low <= 0.0) & (high >= 0.0)).all())
 
 
 class Rest(NamedTuple):
@@ -170,7 +166,8 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
     weighted = size[:, None] * M * scale
     solve = scale[:, None] * np.linalg.pinv(weighted, rcond=_RANK) * size
     terms = layout.constant_of(theta).ravel()
-    shift, ends = -solve @ terms, _ends(recording, back)
+    logged = np.vstack([np.hstack((p.output @ back.T, p.input)) for p in recording.parts])
+    shift, ends = -solve @ terms, _ends(logged)
     spare = int(np.linalg.matrix_rank(weighted, tol=_RANK))
     if ((shift < ends[0]) | (shift > ends[1])).any():
         # Modes whose rests hardly differ meet anywhere: the nearest point of the log to that.
@@ -188,17 +185,11 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
     return Rest(point, error, left.reshape(A.shape[:2]) if apart else np.zeros(A.shape[:2]))
 
 
-def _ends(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "2 xu"]:
-    """The ends of what was logged of states and inputs, and next to it."""
-    parts, each = recording.parts, []
-    for every in (
-        np.vstack([p.output @ back.T for p in parts]),
-        np.vstack([p.input for p in parts]),
-    ):
-        low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-        beside = _BESIDE * np.where(high > low, high - low, np.inf)  # a speed that was not logged
-        each.append((low - beside, high + beside))
-    return np.concatenate(each, axis=1)
+def _ends(columns: Float[np.ndarray, "row xu"]) -> Float[np.ndarray, "2 xu"]:
+    """The ends of what was logged, and next to it."""
+    low, high = np.nanmin(columns, axis=0), np.nanmax(columns, axis=0)
+    beside = _BESIDE * np.where(high > low, high - low, np.inf)  # a speed that was not logged
+    return np.array([low - beside, high + beside])
 
 
 def _deviations(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[np.ndarray, " xu"]:

@@ -42,10 +42,15 @@ def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ..
     return tuple(found)
 
 
+def listed_names(fit: Identification) -> list[str]:
+    """The unknowns without constant terms, which are about a level of the log."""
+    return [name for name in fit.names if not name.startswith("constant")]
+
+
 def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
     """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0.
 
-    Constant terms are about a level of the log: in their place stands the operating point, inputs
+    In place of constant terms stands the operating point, inputs
     as chosen, and the states at which the plant rests under these.
     """
     rows = []
@@ -59,9 +64,7 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
             rows.append(
                 (f"{name} at rest", f"{x:.5g}", *(ends if np.isfinite(error) else ("", "")))
             )
-    for name in fit.names:
-        if name.startswith("constant"):
-            continue
+    for name in listed_names(fit):
         value, (low, high) = fit.estimate(name), fit.interval(name)
         if low == 0.0 and value < _NOTHING * high:
             rows.append((name, "not told", "0", f"{high:.2g}"))

@@ -164,7 +164,7 @@ def _about(point: OperatingPoint | None, names: Names, plant: SwitchedSystem) ->
 
 
 def _at_rest(controller: RunningLaw) -> dict[str, np.ndarray]:
-    """What the variables of a controller are while its plant rests; nothing where that is 0."""
+    """Values of a controller's variables while its plant rests; none without a point."""
     if controller.operating_point is None:
         return {}
     given, u, reference, z = controller.rest

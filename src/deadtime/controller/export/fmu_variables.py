@@ -70,7 +70,7 @@ def controller_variables(
 def plant_variables(
     names: Names, start: np.ndarray, past: np.ndarray, rest_u: np.ndarray
 ) -> list[Variable]:
-    """What a plant reads and writes; `start` (n,) is its state, `past` (m,) the input before it.
+    """Variables of a plant; `start` (n,) is its state, `past` (m,) the input before it.
 
     Its input is `rest_u` until something is connected.
     """

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def arrays(controller: RunningLaw, prediction: bool) -> dict[str, tuple[np.ndarray, str]]:
-    """What goes into ROM, with a comment each; nothing without a point."""
+    """Arrays for ROM, with a comment each; none without a point."""
     if controller.operating_point is None:
         return {}
     rest = controller.rest

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
@@ -23,12 +25,29 @@ _FAINT = 1e-3  # of a column's deviation
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
 
 
+class OddReadings(NamedTuple):
+    """Sentences on outputs that repeat what was measured before, and on a row that lies far off."""
+
+    repeats: list[str]
+    far_off: list[str]
+
+
+def odd_readings(found: Estimate, recording: Recording, C: Float[np.ndarray, "p n"]) -> OddReadings:
+    """Readings that no noise explains."""
+    return OddReadings(_repeats(recording), _far_off(found, recording, C))
+
+
 def sentences_of(
-    found: Estimate, recording: Recording, why: str, rest: Rest | None, states: tuple[str, ...]
+    found: Estimate,
+    recording: Recording,
+    why: str,
+    rest: Rest | None,
+    states: tuple[str, ...],
+    odd: OddReadings,
 ) -> tuple[str, ...]:
     """How well the log knows the delays, what the residuals say, and what was left out."""
     said = [*_delays(found, recording), *_levels(found, recording, rest, states)]
-    said += [*_noise(found), *_tests(found, recording)]
+    said += [*_noise(found), *_tests(found, recording, odd)]
     said += _period(found, recording)
     for name in recording.absent:
         said.append(
@@ -97,7 +116,7 @@ def _open(found: Estimate) -> Bool[np.ndarray, " delay"]:
     return found.several | (np.diff(found.intervals)[:, 0] > _WIDE * (high - low))
 
 
-def doubts_of(found: Estimate, recording: Recording) -> tuple[str, ...]:
+def doubts_of(found: Estimate, recording: Recording, odd: OddReadings) -> tuple[str, ...]:
     """Why intervals of delays may not hold them, as ends of a sentence."""
     names = delay_names(recording, found)
     names = [f"{name[0].lower()}{name[1:]}" for name in names] if len(names) == 1 else names
@@ -113,9 +132,9 @@ def doubts_of(found: Estimate, recording: Recording) -> tuple[str, ...]:
         said.append("what is left of the log is not white, and intervals are too narrow then")
     if not found.tests.unrelated:
         said.append(f"what is left still has {recording.inputs[found.tests.input]} in it")
-    if _far_off(found, recording):
+    if odd.far_off:
         said.append("a measurement lies farther off than chance makes it")
-    if _repeats(recording):
+    if odd.repeats:
         said.append("measurements are repeated, so that their times are not known")
     return tuple(said)
 
@@ -210,8 +229,8 @@ def _noise(found: Estimate) -> list[str]:
     return [f"Measurements are noisy: standard deviation {', '.join(deviations)}."]
 
 
-def _tests(found: Estimate, recording: Recording) -> list[str]:
-    tests, said = found.tests, [*_repeats(recording), *_far_off(found, recording)]
+def _tests(found: Estimate, recording: Recording, odd: OddReadings) -> list[str]:
+    tests, said = found.tests, [*odd.repeats, *odd.far_off]
     if tests.white and tests.unrelated and not said:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
@@ -245,8 +264,9 @@ def _repeats(recording: Recording) -> list[str]:
         same = [np.append(False, y[1:] == y[:-1]) for y in each]
         rows, again = sum(one.size for one in same), sum(int(one.sum()) for one in same)
         runs = sum(int((one[1:] & ~one[:-1]).sum()) for one in same)  # a rest without noise is one
-        fresh = len(np.unique(np.concatenate(each)))
-        if runs >= _OFTEN * rows and fresh >= _OWN * (rows - again):
+        if runs < _OFTEN * rows:
+            continue
+        if len(np.unique(np.concatenate(each))) >= _OWN * (rows - again):
             said.append(
                 f"{100.0 * again / rows:.0f} % of rows repeat the {name} before, as of a sensor "
                 "slower than the rows: its times are not known. Leave those cells empty."
@@ -254,7 +274,7 @@ def _repeats(recording: Recording) -> list[str]:
     return said
 
 
-def _far_off(found: Estimate, recording: Recording) -> list[str]:
+def _far_off(found: Estimate, recording: Recording, C: Float[np.ndarray, "p n"]) -> list[str]:
     """The row that lies farthest from what the model foretells, if chance makes no such row.
 
     Errors of less than a thousandth of what a column moves by are left aside: without noise what is
@@ -270,13 +290,11 @@ def _far_off(found: Estimate, recording: Recording) -> list[str]:
     if [row - 1, column] in far:  # a wrong reading foretells the next one wrongly, too
         row -= 1
     moves = np.nanstd(np.vstack([part.output for part in recording.parts]), axis=0)
-    W, size = found.disturbance.max(axis=0), z[:, column].max()
-    name, noise = "a state", 0.0
-    if len(moves) == z.shape[1]:
-        name, noise = recording.outputs[column], found.noise[column]
-    if size * np.hypot(np.sqrt(W[column, column] * recording.step), noise) < _FAINT * moves[column]:
+    size, W = z[:, column].max(), found.disturbance.max(axis=0)
+    added = np.sqrt(C[column] @ W @ C[column] * recording.step)
+    if size * np.hypot(added, found.noise[column]) < _FAINT * moves[column]:
         return []
-    time = np.concatenate([part.time for part in recording.parts])[row]
+    name, time = recording.outputs[column], np.concatenate([p.time for p in recording.parts])[row]
     return [
         f"{name} at t = {time:.10g} s lies {size:.0f} standard deviations off what the model "
         "foretells, farther than chance makes it: if it is a wrong reading, leave the cell empty, "

@@ -202,16 +202,18 @@ class _Description:
 
 def _globals_read(code: types.CodeType) -> Iterator[str]:
     """Names that code and the functions within it look up in its module."""
-    for step in dis.get_instructions(code):
-        if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
-            yield step.argval
-    for inner in _within(code):
-        yield from _globals_read(inner)
+    for one in _with_inner(code):
+        for step in dis.get_instructions(one):
+            if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+                yield step.argval
 
 
-def _within(code: types.CodeType) -> Iterator[types.CodeType]:
-    """The functions that code makes."""
-    return (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
+def _with_inner(code: types.CodeType) -> Iterator[types.CodeType]:
+    """Code, and that of all functions within it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _with_inner(constant)
 
 
 def _reads_of(
@@ -221,26 +223,28 @@ def _reads_of(
 
     Of a module within the module that is what it reads of that.
     """
-    steps = list(dis.get_instructions(code))
-    for place, step in enumerate(steps):
-        if step.opname not in _LOADS or step.argval != name:
-            continue
-        path, value = name, module
-        for after in steps[place + 1 :]:
-            if not _is_own(value) or after.opname not in ("LOAD_ATTR", "LOAD_METHOD"):
-                break
-            path, value = f"{path}.{after.argval}", getattr(value, after.argval, None)
-        yield path, value
-    for inner in _within(code):
-        yield from _reads_of(inner, name, module)
+    for one in _with_inner(code):
+        steps = list(dis.get_instructions(one))
+        for place, step in enumerate(steps):
+            if step.opname not in _LOADS or step.argval != name:
+                continue
+            path, value = name, module
+            for after in steps[place + 1 :]:
+                if not _is_own(value) or after.opname not in ("LOAD_ATTR", "LOAD_METHOD"):
+                    break
+                path, value = f"{path}.{after.argval}", getattr(value, after.argval, None)
+            yield path, value
 
 
 def _require_no_imports(function: types.FunctionType, path: str) -> None:
     """Refuse imports within a function of modules that are neither Python's nor installed."""
-    for code in (function.__code__, *_within(function.__code__)):
-        for step in dis.get_instructions(code):
-            # A name of "" is a relative import.
-            if step.opname == "IMPORT_NAME" and not (step.argval and _is_library(step.argval)):
+    for code in _with_inner(function.__code__):
+        steps = list(dis.get_instructions(code))
+        for place, step in enumerate(steps):
+            if step.opname != "IMPORT_NAME":
+                continue
+            relative = steps[place - 2].argval > 0  # the level, then the names, are loaded before
+            if relative or not _is_library(step.argval):
                 name = step.argval or "of its package"
                 raise ArgumentError(
                     f"function{f' {path}' if path else ''} imports {name} within itself, which "
