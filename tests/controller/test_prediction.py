@@ -121,7 +121,7 @@ def test_a_belief_predicts_as_it_weighs_the_modes_now():
     found, table = controller.prediction, prediction_table(law.law, law.filter.step)
     past = controller._past.recent.ravel()
     p, moved = np.zeros((2, 3)), np.zeros((2, 3, 3))
-    for row, share in enumerate(controller.believing.weight):
+    for row, share in enumerate(controller.believing.running.state.weight):
         for j in range(2):
             at = row, table.of_input[j]
             p[j] += share * table.probability[at]

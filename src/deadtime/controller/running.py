@@ -13,10 +13,10 @@ from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Stateful
 from deadtime.controller.controller_arguments import limits_of, require_state, vector
+from deadtime.controller.controller_belief import ModeBelief
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
 from deadtime.controller.rest_values import RestValues
-from deadtime.controller.running_belief import believing_of
 from deadtime.controller.status import Clock, Status
 from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
@@ -57,7 +57,7 @@ class RunningLaw(Stateful):
             law.require_step(self.step)
         self.inner, self.table = inner, inner.digital(self.step)
         self.observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
-        self.believing = believing_of(law, self.table) if isinstance(law, BeliefPredictor) else None
+        self.believing = ModeBelief(law, self.table) if isinstance(law, BeliefPredictor) else None
         tracked = None if self.observing is None else self.observing.memory.tracked
         self.operating_point, size = operating_point, self.table.state_gain.shape[2]
         self.rest = RestValues.of(law, size, tracked, operating_point)
@@ -162,7 +162,7 @@ class RunningLaw(Stateful):
             status = self._observe(x, reference, status)
         else:
             usable = bool(np.isfinite(x).all())
-            if not status and (usable or (self.believing and self.believing.usable(x))):
+            if not status and (usable or (self.believing and self.believing.running.usable(x))):
                 status = self._compute(x)
             if status <= Status.SATURATED and not usable:
                 status = Status.BAD_STATE
@@ -204,7 +204,7 @@ class RunningLaw(Stateful):
             raise ArgumentError(
                 f"belief needs a BeliefPredictor; {self.law.label} is told the mode: leave it out."
             )
-        return self.believing.require(belief)
+        return self.believing.running.require(belief)
 
     def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
         """Periods without a call: observer and belief run over all, the window holds the last."""
@@ -238,9 +238,9 @@ class RunningLaw(Stateful):
     ) -> None:
         """The belief at this sample: of what x says, or what was told."""
         assert self.believing is not None
-        self.believing.see(x, self.samples > 0)
+        self.believing.see(x)
         if told is not None:
-            self.believing.now[:] = told
+            self.believing.running.now[:] = told
 
     def _see(self, mode: int | None) -> Status:
         """Follow the sampled mode and its age."""
@@ -287,7 +287,7 @@ class RunningLaw(Stateful):
     @property
     def belief(self) -> Float[np.ndarray, " mode"] | None:
         """How likely each mode is at the last sample; None of a law that keeps no belief."""
-        return None if self.believing is None else self.believing.now.sum(axis=1)
+        return None if self.believing is None else self.believing.running.by_mode
 
     @cached_property
     def prediction_table(self) -> PredictionTable:
@@ -320,7 +320,8 @@ class RunningLaw(Stateful):
         """
         require_state(state, self.state, self.law.plant.modes)
         if self.believing:
-            self.believing.load(state)  # refuses what is no belief, before anything is changed
+            # Refuses what is no belief, before anything is changed.
+            self.believing.load(state, int(state["samples"]) > 0)
         self._past.load(state)
         if self.observing:
             self.observing.load(state)

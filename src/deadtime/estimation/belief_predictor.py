@@ -10,12 +10,12 @@ from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.mode_filter import ModeFilter
 from deadtime.estimation.output_mode_filter import OutputModeFilter
-from deadtime.estimation.running_bank import RunningBank
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief, BeliefState, Believing
+from deadtime.feedback.belief import Belief, Believing
 from deadtime.feedback.law import Remembering, TableLaw, Update
 from deadtime.feedback.memory import Tables, WithMemory
+from deadtime.loop.running_belief import RunningBank, RunningBelief, running_belief
 from deadtime.switching import SwitchingSignal
 
 
@@ -124,68 +124,61 @@ class BeliefPredictor(WithMemory, Law):
         chain = self.filter if isinstance(self.filter, ModeFilter) else self.filter.chain
         return chain.belief(feedback.ages)
 
+    def _form(self, feedback: Feedback) -> Belief | BankForm:
+        """What runs beside the table: a belief from states or from outputs."""
+        if isinstance(self.filter, OutputModeFilter):
+            return self.filter.bank(feedback.ages)
+        return self.belief_of(feedback)
+
+    def running(self, feedback: Feedback) -> RunningBelief:
+        """The belief of a law with this table, ready to be told what is seen."""
+        return running_belief(self._form(feedback), len(feedback.state_gain))
+
     def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         self.require_step(step)
         feedback = self.law.digital(step)
-        if isinstance(self.filter, OutputModeFilter):
-            return Tables(feedback, bank=self.filter.bank(feedback.ages))
-        return Tables(feedback, belief=self.belief_of(feedback))
+        form = self._form(feedback)
+        if isinstance(form, BankForm):
+            return Tables(feedback, bank=form)
+        return Tables(feedback, belief=form)
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Update | Remembering:
         self.require_step(step)
         feedback = self.law.digital(step)
-        if isinstance(self.filter, OutputModeFilter):
-            return OutputBeliefUpdate(feedback, self.filter.bank(feedback.ages))
-        return BeliefUpdate(feedback, self.belief_of(feedback))
+        kind = BeliefUpdate if self.outputs is None else OutputBeliefUpdate
+        return kind(feedback, self.running(feedback))
 
 
 class BeliefUpdate(Believing):
-    """A `BeliefPredictor` that runs: from x_k and the past inputs to u_k; it reads no mode."""
+    """A `BeliefPredictor` that runs: from x_k, or y_k, and the past inputs to u_k; told no mode."""
 
-    def __init__(self, feedback: Feedback, form: Belief) -> None:
-        self._feedback, self._form = feedback, form
-        self._oldest_first = feedback.oldest_first
-        self._state = BeliefState.of(form, len(feedback.state_gain), 1)
-        self._before = np.empty(form.Phi.shape[1])
+    def __init__(self, feedback: Feedback, running: RunningBelief) -> None:
+        self._feedback, self._oldest_first = feedback, feedback.oldest_first
+        self._running = running
         self.beliefs: list[np.ndarray] = []
 
     def __call__(self, x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
-        from deadtime.estimation.belief_kernel import advance_belief, share_rows
-
-        if self.beliefs:
-            advance_belief(self._form, self._state, self._before, x, past, len(past) - 1)
-        self._before = np.array(x, float)
-        share_rows(self._state)
-        self.beliefs.append(self._state.now.sum(axis=1))
-        share = self._state.weight
-        recent = past[-self._feedback.taps :].ravel()
-        rows = self._feedback.state_gain @ x + self._oldest_first @ recent
-        return share @ rows
+        running, feedback = self._running, self._feedback
+        running.see(x, past, len(past) - 1)
+        self.beliefs.append(running.by_mode)
+        states = running.states(len(feedback.state_gain))
+        recent = past[-feedback.taps :].ravel()
+        rows = np.einsum("cma,ca->cm", feedback.state_gain, states) + self._oldest_first @ recent
+        return running.share() @ rows
 
 
-class OutputBeliefUpdate(Believing, Remembering):
-    """The same on outputs: from y_k and the past inputs to u_k."""
+class OutputBeliefUpdate(BeliefUpdate, Remembering):
+    """The same on outputs, whose estimates are kept."""
 
-    def __init__(self, feedback: Feedback, form: BankForm) -> None:
-        self._feedback, self._oldest_first = feedback, feedback.oldest_first
-        self._bank = RunningBank(form, len(feedback.state_gain))
-        self.beliefs: list[np.ndarray] = []
+    _running: RunningBank
+
+    def __init__(self, feedback: Feedback, running: RunningBelief) -> None:
+        super().__init__(feedback, running)
         self.estimates: list[np.ndarray] = []
 
     def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
-        from deadtime.estimation.belief_kernel import share_rows
-
-        bank, feedback = self._bank, self._feedback
-        if self.beliefs:
-            bank.advance(y, past, len(past) - 1)
-        else:
-            bank.begin(y)
-        share_rows(bank.state)
-        self.beliefs.append(bank.state.now.sum(axis=1))
-        self.estimates.append(bank.mean)
-        x = np.repeat(bank.x, len(feedback.state_gain) // len(bank.x), axis=0)
-        recent = past[-feedback.taps :].ravel()
-        rows = np.einsum("cma,ca->cm", feedback.state_gain, x) + self._oldest_first @ recent
-        return bank.state.weight @ rows
+        u = super().__call__(y, past, mode, age)
+        self.estimates.append(self._running.mean)
+        return u

@@ -109,7 +109,7 @@ class Estimator:
         A y that is None or not finite corrects nothing. `mode` is the sampled mode; below 0 it is
         not known, and the last one goes on, mode 0 before any was known.
         """
-        from deadtime.estimation.observer_kernel import correct, integrate, measure
+        from deadtime.loop.observer_steps import correct, integrate, measure
 
         samples, place, before = self.counters
         self.ring[place], self.counters[1] = latest, (place + 1) % len(self.ring)

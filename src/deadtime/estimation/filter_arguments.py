@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
+from deadtime.loop.running_belief import belief_of
 from deadtime.plant import SwitchedSystem
 
 _ALIKE = 1e-9  # of an entry: modes whose entries all differ by less are the same
 _ROUND_OFF = 1e-9
-_SUM = 1e-9
 
 
 def require_distinct(plant: SwitchedSystem) -> None:
@@ -117,26 +117,3 @@ def first_belief(value: ArrayLike | None, modes: int, ages: int) -> Float[np.nda
     whole = np.zeros((modes, ages))
     whole[:, 0] = 1.0
     return whole / modes if value is None else belief_of("initial", value, whole)
-
-
-def belief_of(
-    name: str, value: ArrayLike, now: Float[np.ndarray, "mode age"]
-) -> Float[np.ndarray, "mode age"]:
-    """Probabilities over modes and ages, when they are some; over modes alone, ages as in `now`."""
-    modes, ages = now.shape
-    form = f"(modes,) or (modes, ages) = {now.shape}"
-    given = as_floats(name, value, form)
-    given = real_array(name, given, form, 2 if given.ndim == 2 else 1)
-    require_shape(name, given, now.shape if given.ndim == 2 else (modes,), form)
-    total = float(given.sum())
-    if given.min() < 0.0 or abs(total - 1.0) > _SUM:
-        raise ArgumentError(
-            f"{name} must be probabilities, ≥ 0 with sum 1, got {given.tolist()} with sum "
-            f"{total:.10g}: if none is negative, divide them by their sum."
-        )
-    if given.ndim == 2:
-        return given / total
-    own = now.sum(axis=1, keepdims=True)
-    young = np.eye(1, ages)
-    share = np.where(own > 0.0, now / np.where(own > 0.0, own, 1.0), young)
-    return given[:, None] / total * share

@@ -5,6 +5,7 @@ Derived in docs/theory/mode-filter.md. Signs, lags and pieces are those of `dead
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -237,7 +238,7 @@ class ModeFilter(Frozen):
         x = require_shape("x", real_array("x", x, "(n,)", 1), (n,), "(n,)")
         given = np.zeros(m) if inputs is None else inputs
         u = require_shape("inputs", real_array("inputs", given, "(m,)", 1), (m,), "(m,)")
-        from deadtime.estimation.belief_kernel import root_of, whiten
+        from deadtime.loop.belief_steps import eliminate, factor
 
         form = self.belief()
         ahead = form.Phi @ x + form.Gamma.sum(axis=1) @ u
@@ -245,10 +246,10 @@ class ModeFilter(Frozen):
         result, root = np.zeros((len(ahead), len(ahead))), np.empty((n, n))
         noise = held_noise(form)
         for i, j in np.ndindex(result.shape):
-            root_of.function(noise[i], size, np.zeros(n), root)
+            factor.function(noise[i], size, np.zeros(n), root)
             apart = ahead[j] - ahead[i]
-            whiten.function(root, apart)
-            result[i, j] = np.linalg.norm(apart)
+            eliminate.function(root, apart)
+            result[i, j] = math.sqrt(apart @ (np.diagonal(root) * apart))
         return result
 
     @property

@@ -8,10 +8,9 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_shape
 from deadtime.base.frozen import Stateful
-from deadtime.estimation.filter_arguments import belief_of
-from deadtime.estimation.running_bank import RunningBank
 from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief, BeliefState
+from deadtime.feedback.belief import Belief
+from deadtime.loop.running_belief import RunningBank, running_belief
 
 
 class RunningFilter(Stateful):
@@ -23,16 +22,17 @@ class RunningFilter(Stateful):
         The belief at the last sample, over modes and ages; a view that changes.
     """
 
-    def __init__(self, form: Belief, u0: ArrayLike | None = None) -> None:
-        modes, _, n, m = form.Gamma.shape
-        self.form, self._state = form, BeliefState.of(form, modes, 1)
-        self._line = _line_of(u0, m, int(form.lag.max()))
-        self._before, self._seen = np.full(n, np.nan), False
+    def __init__(self, form: Belief | BankForm, u0: ArrayLike | None = None) -> None:
+        chain = form.chain if isinstance(form, BankForm) else form
+        modes, _, n, m = chain.Gamma.shape
+        self._size = form.variance.size if isinstance(form, BankForm) else n
+        self._running = running_belief(form, modes)
+        self._line = _line_of(u0, m, int(chain.lag.max()))
 
     @property
     def belief(self) -> Float[np.ndarray, "mode age"]:
         """The belief at the last sample; a view that changes."""
-        return self._state.now
+        return self._running.now
 
     def update(
         self, x: ArrayLike, u: ArrayLike | None = None, belief: ArrayLike | None = None
@@ -56,55 +56,35 @@ class RunningFilter(Stateful):
         ArgumentError
             If a shape is wrong, or `belief` is not ≥ 0 with sum 1; nothing is changed then.
         """
-        from deadtime.estimation.belief_kernel import advance_belief
+        return self._advance("x", "(n,)", x, u, belief)
 
-        n, m = self._before.size, self._line.shape[1]
-        x = require_shape("x", as_floats("x", x, f"shape ({n},)"), (n,), "(n,)")
-        sent = _sent(u, m)
-        told = None if belief is None else belief_of("belief", belief, self._state.now)
-        if self._seen:
-            row = _push(self._line, sent)
-            advance_belief(self.form, self._state, self._before, x, self._line, row)
+    def _advance(
+        self,
+        name: str,
+        form: str,
+        seen: ArrayLike,
+        u: ArrayLike | None,
+        belief: ArrayLike | None,
+    ) -> Float[np.ndarray, " mode"]:
+        """One sample of what is called `name` and has this `form`."""
+        shape, m = (self._size,), self._line.shape[1]
+        given = require_shape(name, as_floats(name, seen, f"shape {shape}"), shape, form)
+        sent = np.zeros(m) if u is None else real_array("u", u, "(m,)", 1)
+        sent = require_shape("u", sent, (m,), "(m,)")
+        told = None if belief is None else self._running.require(belief)
+        if self._running.begun:
+            self._line[:-1] = self._line[1:]
+            self._line[-1] = sent
+        self._running.see(given, self._line, len(self._line) - 1)
         if told is not None:
-            self._state.now[:] = told
-        self._before, self._seen = x, True
-        return self._state.now.sum(axis=1)
+            self._running.now[:] = told
+        return self._running.by_mode
 
 
-class RunningOutputFilter(Stateful):
-    """An `OutputModeFilter` that runs: `update` once a period; made by `OutputModeFilter.start`.
+class RunningOutputFilter(RunningFilter):
+    """An `OutputModeFilter` that runs: `update` once a period; made by `OutputModeFilter.start`."""
 
-    Attributes
-    ----------
-    belief : (modes, ages) array
-        The belief at the last sample, over modes and ages; a view that changes.
-    """
-
-    def __init__(self, form: BankForm, u0: ArrayLike | None = None) -> None:
-        modes, _, _, m = form.chain.Gamma.shape
-        self.form, self._bank = form, RunningBank(form, modes)
-        self._line = _line_of(u0, m, int(form.chain.lag.max()))
-        self._seen = False
-
-    @property
-    def belief(self) -> Float[np.ndarray, "mode age"]:
-        """The belief at the last sample; a view that changes."""
-        return self._bank.state.now
-
-    @property
-    def estimate(self) -> Float[np.ndarray, " n"]:
-        """x̂ at the last sample, whatever the mode."""
-        return self._bank.mean
-
-    @property
-    def estimates(self) -> Float[np.ndarray, "mode n"]:
-        """x̂ at the last sample if the mode is this one."""
-        return self._bank.x.copy()
-
-    @property
-    def covariances(self) -> Float[np.ndarray, "mode n n"]:
-        """Of the state about `estimates`."""
-        return self._bank.P.copy()
+    _running: RunningBank
 
     def update(
         self, y: ArrayLike, u: ArrayLike | None = None, belief: ArrayLike | None = None
@@ -123,18 +103,22 @@ class RunningOutputFilter(Stateful):
         ArgumentError
             If a shape is wrong, or `belief` is not ≥ 0 with sum 1; nothing is changed then.
         """
-        p, m = self.form.variance.size, self._line.shape[1]
-        y = require_shape("y", as_floats("y", y, f"shape ({p},)"), (p,), "(p,)")
-        sent = _sent(u, m)
-        told = None if belief is None else belief_of("belief", belief, self.belief)
-        if self._seen:
-            self._bank.advance(y, self._line, _push(self._line, sent))
-        else:
-            self._bank.begin(y)
-        if told is not None:
-            self.belief[:] = told
-        self._seen = True
-        return self.belief.sum(axis=1)
+        return self._advance("y", "(p,)", y, u, belief)
+
+    @property
+    def estimate(self) -> Float[np.ndarray, " n"]:
+        """x̂ at the last sample, whatever the mode."""
+        return self._running.mean
+
+    @property
+    def estimates(self) -> Float[np.ndarray, "mode n"]:
+        """x̂ at the last sample if the mode is this one."""
+        return self._running.x.copy()
+
+    @property
+    def covariances(self) -> Float[np.ndarray, "mode n n"]:
+        """Of the state about `estimates`."""
+        return self._running.P.copy()
 
 
 def _line_of(u0: ArrayLike | None, m: int, longest: int) -> Float[np.ndarray, "past m"]:
@@ -144,15 +128,3 @@ def _line_of(u0: ArrayLike | None, m: int, longest: int) -> Float[np.ndarray, "p
         given = real_array("u0", u0, "(m, N)", 2)
         line[1:] = require_shape("u0", given, (m, longest), "(m, N)").T
     return line
-
-
-def _sent(u: ArrayLike | None, m: int) -> Float[np.ndarray, " m"]:
-    given = np.zeros(m) if u is None else u
-    return require_shape("u", real_array("u", given, "(m,)", 1), (m,), "(m,)")
-
-
-def _push(line: np.ndarray, sent: np.ndarray) -> int:
-    """Add the latest input to a line; its row."""
-    line[:-1] = line[1:]
-    line[-1] = sent
-    return len(line) - 1

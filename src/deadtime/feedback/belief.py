@@ -3,7 +3,7 @@
 The hidden chain is c = (mode, age), age the samples since the sampled mode last changed, the last
 age standing for all older ones. Over the period from t_{k−1} to t_k a mode i lasts on with
 probability 1 − hazard, or gives way to j with hazard·jump_ij, and every one of these is weighed by
-the density of the x_k that is seen (`estimation/belief_kernel.py`; docs/theory/mode-filter.md):
+the density of the x_k that is seen (`loop/belief_steps.py`; docs/theory/mode-filter.md):
 
     π_k(i, a + 1) ∝ π_{k−1}(i, a) (1 − hazard_i,a) p_ii,
     π_k(j, 0)     ∝ Σ_i Σ_a π_{k−1}(i, a) hazard_i,a jump_ij p_ij.
@@ -50,49 +50,6 @@ class Belief(NamedTuple):
     within: bool
     bend_x: Float[np.ndarray, "first second n n"]
     bend_u: Float[np.ndarray, "first second lag n m"]
-
-
-class BeliefState(NamedTuple):
-    """What of a belief changes from sample to sample, and room to work in.
-
-    now : (modes, ages), π_k
-    weight : (rows,), the share of every row of the law's table
-    trace : (samples, modes), π_k summed over ages, of a run
-    density : (modes, modes), log p_ij of the period that ended, up to one constant
-    mass : (modes, modes), the probability of each of these before x_k was seen
-    predicted : (modes, n), apart : (n,), size : (n,), root : (n, n), white : (n,), bent : (n,)
-    """
-
-    now: Float[np.ndarray, "mode age"]
-    weight: Float[np.ndarray, " row"]
-    trace: Float[np.ndarray, "sample mode"]
-    density: Float[np.ndarray, "mode mode"]
-    mass: Float[np.ndarray, "mode mode"]
-    predicted: Float[np.ndarray, "mode n"]
-    apart: Float[np.ndarray, " n"]
-    size: Float[np.ndarray, " n"]
-    root: Float[np.ndarray, "n n"]
-    white: Float[np.ndarray, " n"]
-    bent: Float[np.ndarray, " n"]
-
-    @classmethod
-    def of(cls, belief: Belief, rows: int, samples: int) -> BeliefState:
-        """The state at time 0, for a table of so many rows and a run of so many samples."""
-        modes, n = belief.Phi.shape[:2]
-        square, states = (modes, modes), np.empty((4, n))
-        return cls(
-            belief.start.copy(),
-            np.empty(rows),
-            np.empty((samples, modes)),
-            np.empty(square),
-            np.empty(square),
-            np.empty((modes, n)),
-            states[0],
-            states[1],
-            np.empty((n, n)),
-            states[2],
-            states[3],
-        )
 
 
 class Believing(ABC):

@@ -9,7 +9,7 @@ a measurement y,
     q_k = q_{k−1} + h (v_{k−1} + v_k)/2 − h r_{k−1},   v = H y,
 
 the sum stopping where it asks for more of what an input was refused
-(`estimation/observer_kernel.py`).
+(`loop/observer_steps.py`).
 """
 
 from __future__ import annotations

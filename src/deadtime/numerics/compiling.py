@@ -22,6 +22,7 @@ from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 from numba.extending import typeof_impl
 
+import deadtime.numerics.lanes.operators  # noqa: F401  (what kernels do with numbers, for Numba)
 from deadtime.base import notices
 
 _LONG = 1.0  # seconds of compiling after which it is said

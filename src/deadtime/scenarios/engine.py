@@ -15,6 +15,7 @@ from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.batch_loop import Loop
+from deadtime.scenarios.belief_memory import belief_lanes
 from deadtime.scenarios.lane_loop import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.lane_types import (
     KINDS,
@@ -195,7 +196,11 @@ class Engine:
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
         work = work_of(shape, plant, self._run, table.taps, carry, count)
         ahead = None if table.model is None else stacks_of(shape, table.model)
-        run_scenarios(*table[:8], *loop, first, count, path, keep, work, ahead)
+        mind = None
+        if table.belief is not None:
+            rows = shape.rows // shape.u or table.dense.head.size // shape.head
+            mind = belief_lanes(shape, table.belief, table.bank, rows)
+        run_scenarios(*table[:8], *loop, first, count, path, keep, work, ahead, mind)
         figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)
         return ScenarioSums(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
 

@@ -25,6 +25,7 @@ from deadtime.numerics.lanes import (
     exponent,
     first_of,
     gather,
+    lanes_of,
     larger,
     load,
     load_each,
@@ -41,19 +42,11 @@ from deadtime.numerics.lanes import (
     times,
     where_larger,
 )
-from deadtime.scenarios.banking import (
-    add_estimates,
-    banked_of,
-    estimate_again,
-    look_at_outputs,
-)
 from deadtime.scenarios.belief_memory import (
     believe_again,
-    believed_of,
+    look_at_outputs,
     mean_dense_row,
     mean_row,
-    remember_input,
-    remember_input_twice,
 )
 from deadtime.scenarios.hearing import (
     add_noise,
@@ -192,7 +185,7 @@ def _turn_around(places, m, size):
 @kernel(eager=True, nogil=True)
 def run_scenarios(
     shape, factored, dense, model, memory, belief, bank, taps, plant, run, clip, relayed, sight,
-    force, start, count, path, keep, work, ahead,
+    force, start, count, path, keep, work, ahead, mind,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
@@ -202,7 +195,7 @@ def run_scenarios(
     the law hears (`layout.Hearing`), and `force`, what the plant feels (`forces`). `path`, unless
     it is empty, gets x and u of every sample from `keep` on. The last scenario fills the last group
     of eight.
-    `ahead` is the memory of a model, None without one.
+    `ahead` is the memory of a model and `mind` of a belief, None without one.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     ring, own, carry, sizes = work.ring, work.own, work.carry, len(shape.rows)
@@ -231,10 +224,7 @@ def run_scenarios(
             enters = look_ahead(shape, model, ahead, begin, few, period)
             r = model.length
         if belief is not None:
-            mind = believed_of(shape, belief, dense)
-            nothing_lost = np.zeros(LANES)
-        if bank is not None:
-            banked = banked_of(shape, bank, mind.room)
+            nothing_lost, line = np.zeros(LANES), lanes_of(ring.reshape(period, m, LANES))
         if relayed is not None:
             recent = recent_of(shape, relayed, sight)
             # Asked here, for what ends within a branch is counted by Numba in every period.
@@ -261,7 +251,7 @@ def run_scenarios(
                 follow_outputs(memory, kept, work.mode)
                 y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
             if bank is not None:
-                y = look_at_outputs(shape, bank, banked, work.mode, x)
+                y = look_at_outputs(shape, bank, mind, work.mode, x)
             seen = first_of(y, x, x, shape.seen)
             if relayed is not None:
                 at = first * run.samples + k * LANES
@@ -270,7 +260,7 @@ def run_scenarios(
                     if memory is not None:
                         y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
                     if bank is not None:
-                        y = look_at_outputs(shape, bank, banked, work.mode, there)
+                        y = look_at_outputs(shape, bank, mind, work.mode, there)
                     seen = first_of(y, there, there, shape.seen)
                 elif late:
                     seen = hear(shape, relayed, recent, seen, at)
@@ -297,10 +287,8 @@ def run_scenarios(
                 missing = nothing_lost
                 if relayed is not None:
                     missing = recent.lost
-                if bank is not None:
-                    estimate_again(shape, bank, mind, banked, seen, missing, k)
-                else:
-                    believe_again(belief, mind, seen, missing, k)
+                latest = period - 1 if now == 0 else now - 1
+                believe_again(belief, bank, mind, line, latest, seen, missing, k)
             if model is not None:
                 if enters // LANES == k:
                     enters = turn(model, ahead, k, enters)
@@ -316,7 +304,7 @@ def run_scenarios(
                 sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
                 sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
                 if belief is not None:
-                    u = mean_row(shape, mind, sums)
+                    u = mean_row(shape, bank, mind, sums)
                 else:
                     number = load(work.number, 0, _ONE)
                     if relayed is not None:  # noqa: SIM102
@@ -325,7 +313,7 @@ def run_scenarios(
                     u = choose(sums, number, shape.u)
             if dense is not None:
                 if belief is not None:
-                    u = mean_dense_row(shape, mind, dense, window, place, known, before)
+                    u = mean_dense_row(shape, bank, mind, dense, window, place, known, before)
                 else:
                     choose_rows(dense, work, window, k)
                     if relayed is not None:  # noqa: SIM102
@@ -337,18 +325,12 @@ def run_scenarios(
                     u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
             if memory is not None:
                 store(kept.asked, 0, u)
-            elif bank is not None:
-                u = add_estimates(shape, banked, u)
-            elif relayed is not None:
+            elif relayed is not None and bank is None:
                 u = command(shape, recent, u, asked)
                 asked = u
             if clip is not None:
                 u = _clip(shape, clip, u, before)
             store(ring, now * m * LANES, u)
-            if bank is not None:
-                remember_input_twice(mind, u)
-            elif belief is not None:
-                remember_input(mind, u)
             if model is not None:  # noqa: SIM102
                 if model.length > 0:
                     enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)

@@ -10,10 +10,10 @@ import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Law
-from deadtime.feedback.belief import BeliefState
 from deadtime.feedback.memory import Tables
 from deadtime.feedback.table import OLDEST, follow
 from deadtime.imperfections import Disturbance
+from deadtime.loop.belief_steps import BeliefState
 from deadtime.plant.steps import snap
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.forcing import Forcing
@@ -89,13 +89,15 @@ def run_table(
     rows = _rows(tables, modes, initial_age(signal, step), arrays)
     sight = Sight.of(arrays, sampled, table, cuts, forces, through, law.outputs, modes)
     measured = x0.size if law.outputs is None else law.outputs.shape[1]
-    line = DelayLine.of(grid, arrays, measured, 0 if memory is None else memory.start.size)
+    remembered = 0 if memory is None else memory.start.size
+    believed = 0 if belief is None else len(belief.start)
+    line = DelayLine.of(grid, arrays, measured, remembered, believed)
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
     along = Along(sampled, signal, table)
     foreseen = Foreseen.of(tables.foresight, samples, along) if tables.foresight else None
     state = None
     if belief is not None:
-        state = BeliefState.of(belief, rows.F.shape[0], samples)
+        state = BeliefState.of(belief, rows.F.shape[0])
     known = memory, belief, state, foreseen
     kept, path = closed_loop(table, rows, *known, line, sight, clip, shift, x0)
     record = DigitalRecord(
@@ -115,7 +117,7 @@ def run_table(
     if arrays is not None or law.outputs is not None:
         estimates = None if memory is None else line.estimates[:kept]
         told = Told(line.measured[:kept], line.asked[past : past + kept], estimates)
-    trace = None if state is None else state.trace[:kept]
+    trace = None if state is None else line.beliefs[:kept]
     return RunOutcome(record, signal, mode_at, end, diverged, told=told, belief=trace)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from deadtime.estimation.belief_kernel import believe
-from deadtime.estimation.observer_kernel import remember
+from deadtime.loop.belief_steps import believe
+from deadtime.loop.observer_steps import remember
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.cut_pieces import up_to
@@ -185,7 +185,7 @@ def closed_loop(table, rows, memory, belief, state, foreseen, line, sight, clip,
             if foreseen is not None:
                 foresee(foreseen, k, past, told, known, answer)
             elif belief is not None:
-                believe(belief, state, k, past, told, measured)
+                believe(belief, state, k, past, told, measured, line.beliefs)
                 _mean_row(rows, state.weight, recent, known, answer)
             else:
                 for i in range(m):

@@ -33,7 +33,8 @@ class DelayLine(NamedTuple):
 
     The law asks for `asked`, the plant is given `inputs`, and the law is `told` past inputs: all
     three are one array where what is asked for is applied. What is `measured` (samples, n or p) is
-    what reaches the law, and a law with a memory makes `estimates` (samples, z) of it.
+    what reaches the law, and a law with a memory makes `estimates` (samples, z) of it, and one on a
+    belief `beliefs` (samples, modes).
     """
 
     past: int
@@ -42,15 +43,18 @@ class DelayLine(NamedTuple):
     told: np.ndarray
     measured: np.ndarray
     estimates: np.ndarray
+    beliefs: np.ndarray
 
     @classmethod
-    def of(cls, grid: Grid, arrays: Arrays | None, measured: int, remembered: int) -> DelayLine:
-        """A line before its run, for states or outputs and a memory of these sizes."""
+    def of(
+        cls, grid: Grid, arrays: Arrays | None, measured: int, remembered: int, believed: int
+    ) -> DelayLine:
+        """A line before its run, for states or outputs, a memory and a belief of these sizes."""
         inputs, samples = grid.inputs, grid.samples
         limited = arrays is not None and arrays.clip.relative.size
         asked = inputs.copy() if limited else inputs
         told = asked if arrays is not None and arrays.commanded else inputs
-        sizes = (samples, measured), (samples if remembered else 0, remembered)
+        sizes = (samples, measured), (samples if remembered else 0, remembered), (samples, believed)
         return cls(grid.past, inputs, asked, told, *map(np.empty, sizes))
 
 

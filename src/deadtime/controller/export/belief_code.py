@@ -1,6 +1,6 @@
 """The mode filter of a controller in C: its tables, its room and its bounds.
 
-The C does what `belief_kernel.py` and `bank_kernel.py` of `estimation/` do, so that both agree to
+The C does what `loop/belief_steps.py` and `loop/bank_steps.py` do, so that both agree to
 the round-off of exp, log and the square root, of which it has its own.
 """
 
@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
+from deadtime.controller.controller_belief import ModeBelief
 from deadtime.controller.export.literals import literal
-from deadtime.controller.running_belief import ModeBelief, OutputBelief
 
 _BOUND = 2.0**100  # of states and inputs, {P}_BELIEF_BOUND of controller.h.j2
 _LARGEST = 2.0**190  # of predictions and of variances: their squares leave room
@@ -34,9 +34,9 @@ def arrays(belief: ModeBelief) -> dict[str, tuple[np.ndarray, str]]:
     if form.within:
         found["BEND_X"] = form.bend_x, "a change in the middle of a period less the mean of both"
         found["BEND_U"] = form.bend_u, "the same of inputs, by lag"
-    if not isinstance(belief, OutputBelief):
-        return found
     bank = belief.bank
+    if bank is None:
+        return found
     found["OUTPUT_X"] = bank.C, "what is measured in each mode"
     found["OUTPUT_NOISE"] = bank.variance, "variance of the noise of outputs"
     if bank.gain.size:
@@ -61,13 +61,13 @@ def values(belief: ModeBelief) -> dict[str, Any]:
         "lags": lags,
         "ages": form.hazard.shape[1],
         "sent": max(lags) + 1,
-        "observed": isinstance(belief, OutputBelief) and belief.bank.gain.size > 0,
+        "observed": belief.bank is not None and belief.bank.gain.size > 0,
     }
 
 
 def outputs_of(belief: ModeBelief | None) -> int:
     """How many outputs come in; 0 where the state does."""
-    return belief.bank.variance.size if isinstance(belief, OutputBelief) else 0
+    return 0 if belief is None or belief.bank is None else belief.bank.variance.size
 
 
 def rom_bytes(belief: ModeBelief) -> int:
@@ -79,7 +79,7 @@ def ram_bytes(belief: ModeBelief) -> int:
     """Of the belief, what goes with it and the inputs that the filter reads."""
     form = belief.form
     modes, _, n, m = form.Gamma.shape
-    beside = modes * n * (1 + n) if isinstance(belief, OutputBelief) else n
+    beside = n if belief.bank is None else modes * n * (1 + n)
     return _BYTES * (form.start.size + beside + (int(form.lag.max()) + 1) * m) + _COUNTERS
 
 
@@ -93,7 +93,7 @@ def require_bounded(belief: ModeBelief) -> None:
             f"{reach.max():.0e}, its variances are up to {np.abs(form.noise).max():.0e}. Take a "
             "shorter step, or units in which the numbers are of about 1."
         )
-    if isinstance(belief, OutputBelief):
+    if belief.bank is not None:
         bank, most = belief.bank, _LARGEST / _BOUND
         given = {"C": bank.C, "noise": bank.variance, "covariance": bank.covariance}
         given |= {"gain": bank.gain, "estimate": bank.estimate}

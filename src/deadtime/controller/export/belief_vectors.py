@@ -16,7 +16,6 @@ from jaxtyping import Float
 
 from deadtime.controller.export.moving_calls import FAR, inputs_of, lasting_modes, slots
 from deadtime.controller.running import RunningLaw
-from deadtime.controller.running_belief import OutputBelief
 from deadtime.feedback.belief import held_noise
 
 _MOST_STAY = 400
@@ -54,9 +53,9 @@ class _FilterMotion:
 
     def seen(self, mode: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " seen"]:
         """What is measured of x: with noise where that is an output."""
-        if not isinstance(self.belief, OutputBelief):
-            return x.copy()
         bank = self.belief.bank
+        if bank is None:
+            return x.copy()
         noise = np.sqrt(bank.variance) * self.rng.normal(size=bank.variance.size)
         return bank.C[mode] @ x + noise
 
@@ -71,7 +70,8 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     """(skip, time, mode, x, applied): modes that last, missing and jumping states, clocks."""
     rng = np.random.default_rng(0)
     motion = _FilterMotion(run, rng, amplitude)
-    hidden = not isinstance(run.believing, OutputBelief)  # a jump, by a state that is missing
+    # A jump is hidden by a state that is missing.
+    hidden = run.believing is not None and run.believing.bank is None
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
         applied, u = inputs_of(run, rng, amplitude, k, k % 3 == 0)

@@ -153,7 +153,7 @@ def _through_rows(
 def _rows(run: RunningLaw) -> Iterable[int]:
     """The rows that had a say in the last answer."""
     if run.believing is not None:
-        return np.flatnonzero(run.believing.weight > _SHARE).tolist()
+        return np.flatnonzero(run.believing.running.state.weight > _SHARE).tolist()
     mode, age = run._mode, run._age  # `state` would copy the past at every call
     return [run.table.row(mode, age) if mode >= 0 else 0]
 

@@ -18,7 +18,6 @@ from deadtime.numerics.lanes.choices import (
     where_larger,
 )
 from deadtime.numerics.lanes.code import LANES
-from deadtime.numerics.lanes.functions import exponential, quotient, square_root
 from deadtime.numerics.lanes.moves import (
     first_of,
     gather,
@@ -28,6 +27,7 @@ from deadtime.numerics.lanes.moves import (
     spread,
     store,
 )
+from deadtime.numerics.lanes.operators import lanes_of
 from deadtime.numerics.lanes.sums import (
     block_product,
     matrix_product,
@@ -45,9 +45,9 @@ __all__ = [
     "block_product",
     "choose",
     "exponent",
-    "exponential",
     "first_of",
     "gather",
+    "lanes_of",
     "larger",
     "load",
     "load_each",
@@ -56,11 +56,9 @@ __all__ = [
     "own_form",
     "own_product",
     "product",
-    "quotient",
     "same",
     "smaller",
     "spread",
-    "square_root",
     "squares",
     "store",
     "table_product",

@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from deadtime.numerics.lanes.code import LANES, VECTOR, WORDS, Code, make_code, vectors
+from deadtime.numerics.lanes.code import LANES, VECTOR, Code, make_code, vectors
 
 _MANTISSA, _ONE = (1 << 52) - 1, 0x3FF0000000000000
 _TWO_52 = 0x4330000000000000  # the bits of 2^52: an integer below 2^52 put there is 2^52 + it
@@ -73,10 +73,7 @@ def mantissa(_, a):
     """a / 2^e in [1, 2) for positive a."""
 
     def work(code: Code, given: Any) -> list[Any]:
-        build = code.builder
-        bits = [build.bitcast(v, WORDS) for v in given]
-        bits = [build.or_(build.and_(v, code.words(_MANTISSA)), code.words(_ONE)) for v in bits]
-        return [build.bitcast(v, VECTOR) for v in bits]
+        return [mantissa_of(code, vector) for vector in given]
 
     return make_code(a(a), work)
 
@@ -86,12 +83,21 @@ def exponent(_, a):
     """The e of `mantissa`, as a floating number."""
 
     def work(code: Code, given: Any) -> list[Any]:
-        build, result = code.builder, []
-        for vector in given:
-            bits = build.lshr(build.bitcast(vector, WORDS), code.words(52))
-            shifted = build.bitcast(build.or_(bits, code.words(_TWO_52)), VECTOR)
-            offset = ir.Constant(VECTOR, [2.0**52 + 1023.0] * LANES)
-            result.append(build.fsub(shifted, offset))
-        return result
+        return [exponent_of(code, vector) for vector in given]
 
     return make_code(a(a), work)
+
+
+def mantissa_of(code: Code, a: Any) -> Any:
+    """`mantissa` of a float or a vector."""
+    build, words = code.builder, code.words_like(a)
+    bits = build.and_(build.bitcast(a, words), code.bits(words, _MANTISSA))
+    return build.bitcast(build.or_(bits, code.bits(words, _ONE)), a.type)
+
+
+def exponent_of(code: Code, a: Any) -> Any:
+    """`exponent` of a float or a vector."""
+    build, words = code.builder, code.words_like(a)
+    bits = build.lshr(build.bitcast(a, words), code.bits(words, 52))
+    shifted = build.bitcast(build.or_(bits, code.bits(words, _TWO_52)), a.type)
+    return build.fsub(shifted, code.number(a.type, 2.0**52 + 1023.0))

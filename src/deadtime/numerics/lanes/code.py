@@ -11,6 +11,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
@@ -27,18 +28,23 @@ REAL, WORD, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
 VECTOR, WORDS = ir.VectorType(REAL, LANES), ir.VectorType(WORD, LANES)
 
 
-class _Lanes(types.Type):
+class Lanes(types.Type):
+    """The type of one float of each of eight scenarios; a number is the same for all of them."""
+
     def __init__(self) -> None:
         super().__init__(name="EightScenarios")
 
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        return Conversion.safe if other == types.float64 else None
 
-@register_model(_Lanes)
+
+@register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, VECTOR)
 
 
-_LANES = _Lanes()
+EIGHT = Lanes()
 
 
 class LaneSizes(types.Type):
@@ -79,7 +85,7 @@ def _zeros(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
 
 
 def vectors(count: int) -> types.UniTuple:
-    return types.UniTuple(_LANES, count)
+    return types.UniTuple(EIGHT, count)
 
 
 class Code:
@@ -113,8 +119,15 @@ class Code:
         name = f"llvm.fma.v{LANES}f64"
         return self.builder.call(self.builder.module.declare_intrinsic(name, fnty=kind), [a, b, c])
 
-    def words(self, value: int) -> Any:
-        return ir.Constant(WORDS, [value] * LANES)
+    def words_like(self, value: Any) -> Any:
+        """The type of the bits of a float or a vector."""
+        return WORDS if value.type == VECTOR else WORD
+
+    def bits(self, kind: Any, value: int) -> Any:
+        return ir.Constant(kind, [value] * LANES if kind == WORDS else value)
+
+    def number(self, kind: Any, value: float) -> Any:
+        return ir.Constant(kind, [value] * LANES if kind == VECTOR else value)
 
     def larger(self, a: Any, b: Any) -> Any:
         return self.builder.select(self.builder.fcmp_ordered(">", a, b), a, b)

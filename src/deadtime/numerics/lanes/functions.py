@@ -1,16 +1,14 @@
-"""Quotients, roots and exponentials of vectors."""
-
-# Types of Numba are called to make signatures.
-# pyright: reportCallIssue=false
+"""Exponentials and logarithms of vectors."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from llvmlite import ir
-from numba.extending import intrinsic
 
-from deadtime.numerics.lanes.code import LANES, VECTOR, WORDS, Code, make_code
+from deadtime.numerics.lanes.choices import exponent_of, mantissa_of
+from deadtime.numerics.lanes.code import LANES, VECTOR, WORDS, Code
 
 _LOG2_E, _LN2_HIGH, _LN2_LOW = (
     1.4426950408889634,
@@ -28,47 +26,33 @@ def _all(value: float) -> Any:
     return ir.Constant(VECTOR, [value] * LANES)
 
 
-@intrinsic
-def quotient(_, a, b):
-    """a / b, entry by entry."""
-
-    def work(code: Code, *parts: Any) -> list[Any]:
-        return [code.builder.fdiv(*entries) for entries in zip(*parts, strict=True)]
-
-    return make_code(a(a, b), work)
-
-
-@intrinsic
-def square_root(_, a):
-    """The root, entry by entry; not a number below 0."""
-
-    def work(code: Code, given: Any) -> list[Any]:
-        kind = ir.FunctionType(VECTOR, [VECTOR])
-        name = f"llvm.sqrt.v{LANES}f64"
-        function = code.builder.module.declare_intrinsic(name, fnty=kind)
-        return [code.builder.call(function, [vector]) for vector in given]
-
-    return make_code(a(a), work)
-
-
-@intrinsic
-def exponential(_, a):
+def exponential_of(code: Code, a: Any) -> Any:
     """e^a of an a up to 700, 0 below −700: e^r of what is left of multiples of ln 2, |r| < 0.35."""
+    build = code.builder
+    y = code.larger(a, _all(_LEAST))
+    shifted = code.fma(y, _all(_LOG2_E), _all(_SHIFT))
+    k = build.fsub(shifted, _all(_SHIFT))
+    r = code.fma(k, _all(-_LN2_LOW), code.fma(k, _all(-_LN2_HIGH), y))
+    power = _all(1.0 / _FACTORIALS[-1])
+    for factorial in reversed(_FACTORIALS[:-1]):
+        power = code.fma(power, r, _all(1.0 / factorial))
+    exponent = build.shl(build.bitcast(shifted, WORDS), code.bits(WORDS, 52))
+    result = build.bitcast(build.add(build.bitcast(power, WORDS), exponent), VECTOR)
+    return build.select(build.fcmp_ordered("<", a, _all(_LEAST)), _all(0.0), result)
 
-    def one(code: Code, given: Any) -> Any:
-        build = code.builder
-        y = code.larger(given, _all(_LEAST))
-        shifted = code.fma(y, _all(_LOG2_E), _all(_SHIFT))
-        k = build.fsub(shifted, _all(_SHIFT))
-        r = code.fma(k, _all(-_LN2_LOW), code.fma(k, _all(-_LN2_HIGH), y))
-        power = _all(1.0 / _FACTORIALS[-1])
-        for factorial in reversed(_FACTORIALS[:-1]):
-            power = code.fma(power, r, _all(1.0 / factorial))
-        exponent = build.shl(build.bitcast(shifted, WORDS), code.words(52))
-        result = build.bitcast(build.add(build.bitcast(power, WORDS), exponent), VECTOR)
-        return build.select(build.fcmp_ordered("<", given, _all(_LEAST)), _all(0.0), result)
 
-    def work(code: Code, given: Any) -> list[Any]:
-        return [one(code, vector) for vector in given]
+def logarithm_of(code: Code, a: Any) -> Any:
+    """log a of a vector of positive normal numbers: e ln 2 + 2 artanh s, s = (m − 1)/(m + 1).
 
-    return make_code(a(a), work)
+    m is the mantissa, halved where it is above √2, so that |s| < 0.172: artanh to s²³.
+    """
+    build, m, e = code.builder, mantissa_of(code, a), exponent_of(code, a)
+    halve = build.fcmp_ordered(">", m, _all(math.sqrt(2.0)))
+    m = build.select(halve, build.fmul(m, _all(0.5)), m)
+    e = build.select(halve, build.fadd(e, _all(1.0)), e)
+    s = build.fdiv(build.fsub(m, _all(1.0)), build.fadd(m, _all(1.0)))
+    square, series = build.fmul(s, s), _all(2.0 / 23.0)
+    for odd in range(21, 0, -2):
+        series = code.fma(series, square, _all(2.0 / odd))
+    low = code.fma(e, _all(_LN2_LOW), build.fmul(series, s))
+    return code.fma(e, _all(_LN2_HIGH), low)

@@ -1,79 +1,147 @@
-"""The compiled steps of a bank of Kalman filters, one per mode: see `estimation.running_bank`.
+"""A bank of Kalman filters, one per mode, and the belief over the modes: what `OutputModeFilter`
+runs.
+
+A period begins in mode i and ends in j. With x̂_i, P_i the mean and covariance of x_{k−1} given i,
+
+    x̄_ij = M x̂_i + the inputs,    P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_ij,
+
+Q_ij what noise adds, M = Φ_i and Δ = d = 0 where modes change at samples; where they change
+anywhere M is the mean of Φ_i and Φ_j, Δ their difference and d that of their predictions, and P̄_ij
+has the variance about the line of these as well. Each pair is corrected by y_k with C_j, the
+density of y_k weighs it, and what ends in the same mode is merged into one normal density.
+(docs/theory/mode-filter.md; signs and lags are those of `deadtime.feedback.belief`.)
 
 `begin_bank` is the first sample and `advance_bank` every other one, whoever runs them: a single
-run, eight scenarios, a controller. The belief moves by `estimation/belief_kernel.py`.
+run, eight scenarios side by side, a controller. Numbers and inputs are as in `belief_steps.py`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from deadtime.estimation.belief_kernel import CURVED, ROUND_OFF, SPENT, bend, move
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.feedback.bank import BankForm
+from deadtime.loop.belief_steps import CURVED, ROUND_OFF, SPENT, BeliefState, bend, gather, move
 from deadtime.numerics.kernels import inner_kernel, kernel
+from deadtime.numerics.numbers import arrays_of, where
 
 
-@kernel(eager=True)
+class BankState(NamedTuple):
+    """What of a bank changes from sample to sample, and room to work in.
+
+    chain : BeliefState
+    x : (modes, n), P : (modes, n, n), E[x_k | the mode is i, all that was seen] and the covariance
+    ahead_x : (modes, modes, n), ahead_P : (modes, modes, n, n), of the pairs before y_k was seen
+    pair_x, pair_P : after it
+    toward : (modes, modes, n), P c of an output, spread : (modes, modes), cᵀ P c and its noise
+    whole_x : (n,), whole_P : (n, n), of all modes together
+    spare : (3, n, n), wide : (n,), size : (p,)
+    """
+
+    chain: BeliefState
+    x: Float[np.ndarray, "mode n *lane"]
+    P: Float[np.ndarray, "mode n n *lane"]
+    ahead_x: Float[np.ndarray, "first second n *lane"]
+    ahead_P: Float[np.ndarray, "first second n n *lane"]
+    pair_x: Float[np.ndarray, "first second n *lane"]
+    pair_P: Float[np.ndarray, "first second n n *lane"]
+    toward: Float[np.ndarray, "first second n *lane"]
+    spread: Float[np.ndarray, "first second *lane"]
+    whole_x: Float[np.ndarray, n * lane]
+    whole_P: Float[np.ndarray, "n n *lane"]
+    spare: Float[np.ndarray, "3 n n *lane"]
+    wide: Float[np.ndarray, n * lane]
+    size: Float[np.ndarray, p * lane]
+
+    @classmethod
+    def of(cls, form: BankForm, rows: int, *lanes: int) -> BankState:
+        """The state at time 0, for a table of so many rows, of so many scenarios if any."""
+        modes, p, n = form.C.shape
+        pair, square = (modes, modes, n), (n, n)
+        pairs = pair, (*pair, n), pair, (*pair, n), pair, (modes, modes)
+        shapes = (modes, n), (modes, n, n), *pairs, (n,), square, (3, n, n), (n,), (p,)
+        state = cls(BeliefState.of(form.chain, rows, *lanes), *arrays_of(*shapes, lanes=lanes))
+        state.x.T[:] = np.tile(form.estimate, (modes, 1)).T
+        state.P.T[:] = np.tile(form.covariance, (modes, 1, 1)).T
+        return state
+
+    @property
+    def mean(self) -> Float[np.ndarray, n]:
+        """x̂_k of one scenario, whatever the mode."""
+        return self.chain.now.sum(axis=1) @ self.x
+
+
+@kernel(eager=True, forceinline=True)
 def begin_bank(form, bank, y):
     """The first sample: what y_0 says of x_0, and of the mode where C depends on it."""
-    now, modes = bank.chain.now, bank.x.shape[0]
-    start_anew(form, bank)
-    _copy(form.chain.start.reshape(-1), now.reshape(-1))
+    now, density, modes = bank.chain.now, bank.chain.density, bank.x.shape[0]
+    start_anew(form, bank, False)
     for j in range(modes):
-        _copy(bank.x[j], bank.pair_x[0, j])
-        _copy(bank.P[j].reshape(-1), bank.pair_P[0, j].reshape(-1))
+        for a in range(now.shape[1]):
+            now[j, a] = form.chain.start[j, a]
+        copy(bank.x[j], bank.pair_x[0, j])
+        copy(bank.P[j].reshape(-1), bank.pair_P[0, j].reshape(-1))
+        copy(bank.x[j], bank.ahead_x[0, j])
+        copy(bank.P[j].reshape(-1), bank.ahead_P[0, j].reshape(-1))
     for a in range(bank.wide.size):
         bank.wide[a] = abs(form.estimate[a])
-    finite, top = _correct(form, bank, 1, y), -math.inf
+    finite, top, total = _correct(form, bank, 1, y), -math.inf, 0.0
     for j in range(modes):
-        _copy(bank.pair_x[0, j], bank.x[j])
-        _copy(bank.pair_P[0, j].reshape(-1), bank.P[j].reshape(-1))
+        copy(bank.pair_x[0, j], bank.x[j])
+        copy(bank.pair_P[0, j].reshape(-1), bank.P[j].reshape(-1))
         for a in range(now.shape[1]):
-            if now[j, a] > 0.0:
-                top = max(top, bank.chain.density[0, j])
-    if finite:
-        total = 0.0
-        for j in range(modes):
-            factor = math.exp(min(bank.chain.density[0, j] - top, 0.0))
-            for a in range(now.shape[1]):
-                now[j, a] *= factor
-                total += now[j, a]
-        for j in range(modes):
-            for a in range(now.shape[1]):
-                now[j, a] /= total
+            top = where((now[j, a] > 0.0) & (density[0, j] > top), density[0, j], top)
+    for j in range(modes):
+        factor = where(finite, math.exp(min(density[0, j] - top, 0.0)), 1.0)
+        for a in range(now.shape[1]):
+            now[j, a] *= factor
+            total += now[j, a]
+    for j in range(modes):
+        for a in range(now.shape[1]):
+            now[j, a] /= total
     _require_finite(form, bank)
 
 
-@kernel(eager=True)
+@kernel(eager=True, forceinline=True)
 def advance_bank(form, bank, y, told, row):
-    """One period: y_k at its end, and the inputs, u_{k−1} in row `row` of `told`."""
-    modes, seen = bank.x.shape[0], False
-    _predict(form, bank, told, row)
-    _copy(bank.ahead_x.reshape(-1), bank.pair_x.reshape(-1))
-    _copy(bank.ahead_P.reshape(-1), bank.pair_P.reshape(-1))
+    """One period: y_k at its end, and the inputs, u_{k−1} in row `row` of the ring `told`."""
+    modes, n, seen = bank.x.shape[0], bank.wide.size, False
+    gather(form.chain, bank.chain.sent, told, row)
+    _predict(form, bank)
+    copy(bank.ahead_x.reshape(-1), bank.pair_x.reshape(-1))
+    copy(bank.ahead_P.reshape(-1), bank.pair_P.reshape(-1))
     for a in range(y.size):
-        seen |= math.isfinite(y[a])
-    if seen:
-        seen = _correct(form, bank, modes, y)
-    if not seen:
-        _copy(bank.ahead_x.reshape(-1), bank.pair_x.reshape(-1))
-        _copy(bank.ahead_P.reshape(-1), bank.pair_P.reshape(-1))
+        seen = seen | math.isfinite(y[a])
+    seen = seen & _correct(form, bank, modes, y)
+    for i in range(modes):
+        for j in range(modes):
+            for a in range(n):
+                bank.pair_x[i, j, a] = where(seen, bank.pair_x[i, j, a], bank.ahead_x[i, j, a])
+                for b in range(n):
+                    kept = bank.ahead_P[i, j, a, b]
+                    bank.pair_P[i, j, a, b] = where(seen, bank.pair_P[i, j, a, b], kept)
     move(form.chain, bank.chain, seen)
     _merge(form, bank)
     _require_finite(form, bank)
 
 
 @inner_kernel
-def _copy(source, target):
+def copy(source, target):
     for i in range(target.size):
         target[i] = source[i]
 
 
 @inner_kernel
-def start_anew(form, bank):
-    """Nothing is known of x."""
+def start_anew(form, bank, known):
+    """Nothing is known of x, but where it is."""
     for i in range(bank.x.shape[0]):
-        _copy(form.estimate, bank.x[i])
-        _copy(form.covariance.reshape(-1), bank.P[i].reshape(-1))
+        for a in range(bank.wide.size):
+            bank.x[i, a] = where(known, bank.x[i, a], form.estimate[a])
+            for b in range(bank.wide.size):
+                bank.P[i, a, b] = where(known, bank.P[i, a, b], form.covariance[a, b])
 
 
 @inner_kernel
@@ -81,46 +149,45 @@ def _require_finite(form, bank):
     """Where numbers have left the range of doubles, nothing is known of x any more."""
     x, P, finite = bank.x.reshape(-1), bank.P.reshape(-1), True
     for i in range(x.size):
-        finite &= math.isfinite(x[i])
+        finite = finite & math.isfinite(x[i])
     for i in range(P.size):
-        finite &= math.isfinite(P[i])
-    if not finite:
-        start_anew(form, bank)
+        finite = finite & math.isfinite(P[i])
+    start_anew(form, bank, finite)
 
 
 @inner_kernel
-def _predict(form, bank, told, row):
+def _predict(form, bank):
     """x̄ and P̄ of every pair, and the size of the terms of predictions per state."""
     chain, x, own = form.chain, bank.x, bank.chain.predicted
-    apart, bent = bank.chain.apart, bank.chain.bent
+    apart, bent, sent = bank.chain.apart, bank.chain.bent, bank.chain.sent
     modes, n = x.shape
     for a in range(n):
         bank.wide[a] = 0.0
     for i in range(modes):
         for j in range(modes):
             if i == j or chain.within:
-                _move_state(chain, x[i], told, row, j, own[j], bank.wide)
+                _move_state(chain, x[i], sent, j, own[j], bank.wide)
         for j in range(modes):
             for a in range(n):
                 apart[a] = own[j, a] - own[i, a] if chain.within else 0.0
                 bank.ahead_x[i, j, a] = own[i, a] + 0.5 * apart[a]
-            bend(chain, i, j, x[i], told, row, bent)
+            bend(chain, i, j, x[i], sent, bent)
             _spread_out(chain, bank, i, j, apart, bent)
 
 
 @inner_kernel
-def _move_state(chain, x, told, row, j, result, wide):
+def _move_state(chain, x, sent, j, result, wide):
     """What mode j makes of x over a period, and the size of its terms."""
-    Phi, Gamma, lag = chain.Phi, chain.Gamma, chain.lag
+    Phi, Gamma = chain.Phi, chain.Gamma
     for a in range(x.size):
         total = size = 0.0
         for b in range(x.size):
             term = Phi[j, a, b] * x[b]
             total += term
             size += abs(term)
-        for p in range(lag.size):
-            for b in range(told.shape[1]):
-                term = Gamma[j, p, a, b] * told[row - lag[p], b]
+        for p in range(sent.shape[0]):
+            for b in range(sent.shape[1]):
+                term = Gamma[j, p, a, b] * sent[p, b]
                 total += term
                 size += abs(term)
         result[a] = total
@@ -136,7 +203,7 @@ def _spread_out(chain, bank, i, j, apart, bent):
         for b in range(n):
             slope[a, b] = Phi[j, a, b] - Phi[i, a, b] if chain.within else 0.0
             middle[a, b] = Phi[i, a, b] + 0.5 * slope[a, b]
-            moved[i, j, a, b] = chain.noise[i, end, a, b] + apart[a] * apart[b] / 12.0
+            moved[i, j, a, b] = chain.noise[i, end, a, b] + apart[a] * apart[b] * (1.0 / 12.0)
         moved[i, j, a, a] += bent[a]
         if chain.within and i != j:
             moved[i, j, a, a] += CURVED * _form(chain.bend_x[i, j, a], P[i])
@@ -191,27 +258,22 @@ def _correct(form, bank, many, y):
     round-off of its prediction, so that nothing is divided by 0; and of a variance 1e-14 is left,
     as no less is told from round-off.
     """
-    C, density, modes = form.C, bank.chain.density, bank.x.shape[0]
+    C, density, modes, finite = form.C, bank.chain.density, bank.x.shape[0], True
     _size_outputs(C, bank, y)
     for i in range(many):
         for j in range(modes):
             density[i, j] = 0.0
-            if form.gain.size > 0:
-                _copy(bank.pair_x[i, j], bank.ahead_x[i, j])
-                _copy(bank.pair_P[i, j].reshape(-1), bank.ahead_P[i, j].reshape(-1))
     for a in range(y.size):
-        if not math.isfinite(y[a]):
-            continue
-        r = form.variance[a] + (ROUND_OFF * bank.size[a]) ** 2
+        off = ROUND_OFF * bank.size[a]
+        r = form.variance[a] + off * off
         # Where nothing moves, 0 is what every mode expects.
-        if _measure(C, bank, many, a, r):
-            for i in range(many):
-                for j in range(modes):
-                    _correct_by(C[j, a], bank, i, j, y[a], r)
-    finite = True
+        there = _measure(C, bank, many, a, r) & math.isfinite(y[a])
+        for i in range(many):
+            for j in range(modes):
+                _correct_by(C[j, a], bank, i, j, where(there, y[a], 0.0), r, there)
     for i in range(many):
         for j in range(modes):
-            finite &= math.isfinite(density[i, j])
+            finite = finite & math.isfinite(density[i, j])
             if form.gain.size > 0:
                 _observe(form, bank, i, j, y)
     return finite
@@ -221,7 +283,7 @@ def _correct(form, bank, many, y):
 def _size_outputs(C, bank, y):
     """The sizes of what is added up for every output, in the mode in which they are largest."""
     for a in range(y.size):
-        bank.size[a] = abs(y[a])
+        bank.size[a] = where(math.isfinite(y[a]), abs(y[a]), 0.0)
         for j in range(C.shape[0]):
             total = 0.0
             for b in range(C.shape[2]):
@@ -244,32 +306,33 @@ def _measure(C, bank, many, a, r):
                 toward[i, j, b] = total
                 s += total * C[j, a, b]
             spread[i, j] = s + r
-            there &= spread[i, j] > 0.0
+            there = there & (spread[i, j] > 0.0)
     return there
 
 
 @inner_kernel
-def _correct_by(c, bank, i, j, y, r):
-    """One pair by one output of the variance r about cᵀ x, its P in Joseph's form."""
+def _correct_by(c, bank, i, j, y, r, there):
+    """One pair by one output of the variance r about cᵀ x, its P in Joseph's form, where it is."""
     x, P, half = bank.pair_x[i, j], bank.pair_P[i, j], bank.spare[0]
-    toward, s, n = bank.toward[i, j], bank.spread[i, j], c.size
-    wrong = y
+    toward, s, n = bank.toward[i, j], where(there, bank.spread[i, j], 1.0), c.size
+    wrong, share = y, where(there, 1.0, 0.0) / s
     for b in range(n):
         wrong -= x[b] * c[b]
-    bank.chain.density[i, j] -= 0.5 * (wrong * wrong / s + math.log(s))
+    fit = 0.5 * (wrong * wrong / s + math.log(s))
+    bank.chain.density[i, j] -= where(there, fit, 0.0)
     for a in range(n):
-        gain = toward[a] / s
+        gain = toward[a] * share
         x[a] += gain * wrong
         for b in range(n):
             half[a, b] = P[a, b] - gain * toward[b]
     for a in range(n):
-        rest = 0.0
+        rest, gain = 0.0, toward[a] * share
         for b in range(n):
             rest += half[a, b] * c[b]
         for b in range(n):
-            half[a, b] += toward[b] / s * (r * (toward[a] / s) - rest)
+            half[a, b] += toward[b] * share * (r * gain - rest)
     for a in range(n):
-        left = SPENT * P[a, a]
+        left = where(there, SPENT * P[a, a], 0.0)
         for b in range(a + 1):
             P[a, b] = P[b, a] = 0.5 * (half[a, b] + half[b, a])
         P[a, a] += left
@@ -280,12 +343,9 @@ def _observe(form, bank, i, j, y):
     """A pair by the gains of observers, which need all of y."""
     gain, C, r, x, P = form.gain, form.C, form.variance, bank.pair_x[i, j], bank.pair_P[i, j]
     rest, half, n = bank.spare[0], bank.spare[1], bank.wide.size
-    before = bank.ahead_P[i, j]
-    _copy(bank.ahead_x[i, j], x)
-    _copy(before.reshape(-1), P.reshape(-1))
+    before, whole = bank.ahead_P[i, j], True
     for a in range(y.size):
-        if not math.isfinite(y[a]):
-            return
+        whole = whole & math.isfinite(y[a])
     for a in range(n):
         for b in range(n):
             rest[a, b] = 1.0 if a == b else 0.0
@@ -297,12 +357,17 @@ def _observe(form, bank, i, j, y):
     _even_out(P)
     for a in range(n):
         P[a, a] += SPENT * before[a, a]
+        x[a] = bank.ahead_x[i, j, a]
     for c in range(y.size):
         wrong = y[c]
         for b in range(n):
             wrong -= C[j, c, b] * bank.ahead_x[i, j, b]
         for a in range(n):
             x[a] += gain[j, a, c] * wrong
+    for a in range(n):
+        x[a] = where(whole, x[a], bank.ahead_x[i, j, a])
+        for b in range(n):
+            P[a, b] = where(whole, P[a, b], before[a, b])
 
 
 @inner_kernel
@@ -363,3 +428,15 @@ def _add_spread(share, x, P, mean, result):
     for a in range(x.size):
         for b in range(x.size):
             result[a, b] += share * (P[a, b] + (x[a] - mean[a]) * (x[b] - mean[b]))
+
+
+@inner_kernel
+def add_estimates(gains, share, x, u):
+    """u += Σ_c π_c F_c x̂, x̂ that of the mode of row c; gains (rows, m, n)."""
+    ages = share.size // x.shape[0]
+    for i in range(u.size):
+        for c in range(share.size):
+            total = 0.0
+            for a in range(x.shape[1]):
+                total += gains[c, i, a] * x[c // ages, a]
+            u[i] += share[c] * total

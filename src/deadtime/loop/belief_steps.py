@@ -1,0 +1,327 @@
+"""The steps of a `deadtime.feedback.belief.Belief`, for one scenario or for eight side by side.
+
+`advance_belief` is one sample of the filter, whoever runs it: it reads the states at two samples
+and a ring of inputs, u_{k−1} in row `row` and the one before in the row before. A number of these
+arrays is a float, or a vector of eight scenarios (`deadtime.numerics.numbers`); data of the form
+are floats.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.feedback.belief import Belief
+from deadtime.numerics.kernels import inner_kernel, kernel
+from deadtime.numerics.numbers import arrays_of, exponent, mantissa, ratio, where
+
+ROUND_OFF = 1e-12  # of the size of what a prediction adds up: residuals below say nothing
+SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
+CURVED = 8.0 / 15.0  # mean square of a parabola over its span, by its height in the middle
+_LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
+_LOG_2 = math.log(2.0)
+
+
+class BeliefState(NamedTuple):
+    """What of a belief changes from sample to sample, and room to work in.
+
+    now : (modes, ages), π_k
+    weight : (rows,), the share of every row of the law's table
+    density : (modes, modes), log p_ij of the period that ended, up to one constant
+    mass : (modes, modes), the probability of each of these before x_k was seen
+    sent : (lags, m), the inputs that act in that period
+    predicted : (modes, n), apart : (n,), size : (n,), root : (n, n), white : (n,), bent : (n,)
+    """
+
+    now: Float[np.ndarray, "mode age *lane"]
+    weight: Float[np.ndarray, row * lane]
+    density: Float[np.ndarray, "mode mode *lane"]
+    mass: Float[np.ndarray, "mode mode *lane"]
+    sent: Float[np.ndarray, "lag m *lane"]
+    predicted: Float[np.ndarray, "mode n *lane"]
+    apart: Float[np.ndarray, n * lane]
+    size: Float[np.ndarray, n * lane]
+    root: Float[np.ndarray, "n n *lane"]
+    white: Float[np.ndarray, n * lane]
+    bent: Float[np.ndarray, n * lane]
+
+    @classmethod
+    def of(cls, belief: Belief, rows: int, *lanes: int) -> BeliefState:
+        """The state at time 0, for a table of so many rows, of so many scenarios if any."""
+        modes, lags, n, m = belief.Gamma.shape
+        pairs, vector = (modes, modes), (n,)
+        shapes = belief.start.shape, (rows,), pairs, pairs, (lags, m), (modes, n)
+        state = cls(*arrays_of(*shapes, vector, vector, (n, n), vector, vector, lanes=lanes))
+        state.now.T[:] = belief.start.T
+        return state
+
+
+@kernel(eager=True, forceinline=True)
+def advance_belief(form, state, before, x, told, row):
+    """π_k in `state.now`, from π_{k−1}, x_{k−1} `before`, x_k and the inputs, u_{k−1} in row `row`.
+
+    Where a state is not finite, or nothing moves, nothing is learnt: the chain goes on by itself.
+    """
+    gather(form, state.sent, told, row)
+    seen = _predict(form, state, before, x)
+    for i in range(form.Phi.shape[0]):
+        seen = seen & _weigh(form, state, before, x, i)
+    move(form, state, seen)
+
+
+@inner_kernel
+def begin_belief(form, state):
+    """π_0."""
+    for i in range(form.start.shape[0]):
+        for a in range(form.start.shape[1]):
+            state.now[i, a] = form.start[i, a]
+
+
+@inner_kernel
+def gather(form, sent, told, row):
+    """The inputs that act in the period that ended, out of their ring."""
+    lag = form.lag
+    for p in range(lag.size):
+        place = row - min(lag[p], told.shape[0] - 1)
+        if place < 0:
+            place += told.shape[0]
+        for b in range(told.shape[1]):
+            sent[p, b] = told[place, b]
+
+
+@inner_kernel
+def _predict(form, state, before, x):
+    """What each mode makes of the period, and the size of its terms; whether that says anything."""
+    # Taken out of their tuples first: in a loop, compiled code would count who holds them.
+    Phi, Gamma, sent = form.Phi, form.Gamma, state.sent
+    largest, predicted = state.size, state.predicted
+    modes, lags, n, m = Gamma.shape
+    finite, moving = True, 0.0
+    for a in range(n):
+        finite = finite & math.isfinite(x[a] + before[a])
+        largest[a] = abs(x[a])
+    for i in range(modes):
+        for a in range(n):
+            total = size = 0.0
+            for b in range(n):
+                term = Phi[i, a, b] * before[b]
+                total += term
+                size += abs(term)
+            for p in range(lags):
+                for j in range(m):
+                    term = Gamma[i, p, a, j] * sent[p, j]
+                    total += term
+                    size += abs(term)
+            predicted[i, a] = total
+            largest[a] = max(largest[a], size)
+            finite = finite & math.isfinite(size)
+            moving = max(moving, size)
+    return finite & (moving > 0.0)
+
+
+@inner_kernel
+def _weigh(form, state, before, x, i):
+    """log p_ij of the periods that begin in mode i, up to a constant; whether they are finite."""
+    n, root, white, apart, bent = x.size, state.root, state.white, state.apart, state.bent
+    predicted, density = state.predicted, state.density
+    finite = True
+    for j in range(predicted.shape[0]):
+        if j == i or form.within:
+            for a in range(n):
+                white[a] = x[a] - predicted[i, a]
+            bend(form, i, j, before, state.sent, bent)
+            noise = form.noise[i, min(j, form.noise.shape[1] - 1)]
+            volume, doublings = factor(noise, state.size, bent, root)
+            eliminate(root, white)
+            square = 0.0
+            if j == i:
+                for a in range(n):
+                    square += white[a] * white[a] * root[a, a]
+            else:
+                for a in range(n):
+                    apart[a] = predicted[j, a] - predicted[i, a]
+                eliminate(root, apart)
+                square, wide = _between(root, white, apart)
+                volume *= wide
+            density[i, j] = -0.5 * (square + math.log(volume) + doublings * _LOG_2)
+            finite = finite & math.isfinite(density[i, j])
+    if not form.within:
+        for j in range(predicted.shape[0]):
+            density[i, j] = density[i, i]
+    return finite
+
+
+@inner_kernel
+def bend(form, i, j, x, sent, bent):
+    """The variance about the line from one prediction to the other that its bend leaves, per state.
+
+    With the change at a share s of the period spent in j, x_{k+1} is off the line by 4 s (1 − s)
+    times what it is in the middle, to second order where the same inputs act all period; where one
+    arrives within it, x_{k+1} is a broken line, of which this is a measure.
+    """
+    bend_x, bend_u = form.bend_x, form.bend_u
+    for a in range(bent.size):
+        bent[a] = 0.0
+    if i == j or not form.within:
+        return
+    for a in range(bent.size):
+        total = 0.0
+        for b in range(bent.size):
+            total += bend_x[i, j, a, b] * x[b]
+        for p in range(sent.shape[0]):
+            for b in range(sent.shape[1]):
+                total += bend_u[i, j, p, a, b] * sent[p, b]
+        bent[a] = CURVED * total * total
+
+
+@inner_kernel
+def factor(noise, size, more, root):
+    """L D Lᵀ of the noise, of round-off and of what a bend leaves; det D = v 2^e as (v, e).
+
+    L has ones on its diagonal, where 1/D is kept: 0 in a row without any of them, which is left
+    out.
+    """
+    volume, doublings = 1.0, 0.0
+    for a in range(size.size):
+        off = ROUND_OFF * size[a]
+        own = noise[a, a] + more[a] + off * off
+        rest = own
+        for b in range(a):
+            part = noise[a, b]
+            for c in range(b):
+                part -= root[a, c] * root[b, c]
+            root[a, b] = part  # L_ab D_b, until the row is done
+        for b in range(a):
+            unit = root[a, b] * root[b, b]
+            rest -= unit * root[a, b]
+            root[a, b] = unit
+        rest = max(rest, SPENT * own)
+        root[a, a] = ratio(1.0, rest)
+        # One logarithm for all, of a product that stays a number.
+        volume *= where(rest > 0.0, rest, 1.0)
+        doublings += exponent(volume)
+        volume = mantissa(volume)
+    return volume, doublings
+
+
+@inner_kernel
+def eliminate(root, vector):
+    """vector = L⁻¹ vector, the form of which is Σ vector_a² / D_a."""
+    for a in range(vector.size):
+        rest = vector[a]
+        for b in range(a):
+            rest -= root[a, b] * vector[b]
+        vector[a] = rest
+
+
+@inner_kernel
+def _between(root, white, apart):
+    """(square, wide) of the density of a residual about a point on its way to `apart`.
+
+    The point is spread evenly. A normal density about the middle, −2 log of which is square +
+    log wide, its variance along the way 1 + |d|²/12, d = `apart` where the noise is 1: split into
+    along and across before squaring, as d may be 1e12 times the noise.
+    """
+    length = along = across = 0.0
+    for a in range(white.size):
+        length += apart[a] * apart[a] * root[a, a]
+        along += apart[a] * (white[a] - 0.5 * apart[a]) * root[a, a]
+    along = ratio(along, length)
+    for a in range(white.size):
+        off = white[a] - (0.5 + along) * apart[a]
+        across += off * off * root[a, a]
+    wide = 1.0 + length * (1.0 / 12.0)
+    return across + along * along * length / wide, wide
+
+
+@inner_kernel
+def move(form, state, seen):
+    """Let the chain go on for a period, weighed by the densities where they say something.
+
+    Of each pair of modes `state.mass` is then the probability before, `state.density` the factor.
+    """
+    now, mass, hazard, jump, density = state.now, state.mass, form.hazard, form.jump, state.density
+    modes, ages = now.shape
+    for i in range(modes):
+        leave = stay = 0.0
+        for a in range(ages):
+            leave += hazard[i, a] * now[i, a]
+            stay += (1.0 - hazard[i, a]) * now[i, a]
+        for j in range(modes):
+            mass[i, j] = leave * jump[i, j]
+        mass[i, i] = stay
+    _factors(state, seen)
+    total = 0.0
+    for i in range(modes):
+        factor, last = density[i, i], ages - 1
+        kept = (1.0 - hazard[i, last]) * now[i, last] * factor
+        total += kept
+        for a in range(last, 0, -1):
+            part = (1.0 - hazard[i, a - 1]) * now[i, a - 1] * factor
+            now[i, a] = part
+            total += part
+        now[i, 0] = 0.0
+        now[i, last] += kept
+    for j in range(modes):
+        young = 0.0
+        for i in range(modes):
+            if i != j:
+                young += mass[i, j] * density[i, j]
+        now[j, 0] += young
+        total += young
+    share = (1.0 - form.forgetting) / total
+    for j in range(modes):
+        for a in range(ages):
+            now[j, a] *= share
+        now[j, 0] += form.forgetting / modes
+
+
+@inner_kernel
+def _factors(state, seen):
+    """density = p over that of the likeliest pair that there may be; 1 where nothing was seen.
+
+    With no probability below 1e-300, what e^−700 is lost of does not count beside the likeliest.
+    """
+    mass, density = state.mass, state.density
+    modes = mass.shape[0]
+    top = -math.inf
+    for i in range(modes):
+        for j in range(modes):
+            top = where((mass[i, j] >= _LEAST) & (density[i, j] > top), density[i, j], top)
+    for i in range(modes):
+        for j in range(modes):
+            factor = math.exp(min(density[i, j] - top, 0.0))
+            factor = where(mass[i, j] >= _LEAST, factor, 0.0)
+            density[i, j] = where(seen, factor, 1.0)
+
+
+@kernel(eager=True, forceinline=True)
+def share_rows(state):
+    """The share of every row of a table: ages past the table's count as its last."""
+    now, weight = state.now, state.weight
+    modes, ages = now.shape
+    rows = weight.size // modes
+    for c in range(weight.size):
+        weight[c] = 0.0
+    for i in range(modes):
+        for a in range(ages):
+            weight[i * rows + min(a, rows - 1)] += now[i, a]
+
+
+@kernel
+def believe(form, state, k, past, told, measured, trace):
+    """The belief at sample k of a run, its shares of the rows, and π_k over modes in the trace.
+
+    u_k is in row past + k of `told`, and what was seen of x at sample k in row k of `measured`.
+    """
+    if k > 0:
+        advance_belief(form, state, measured[k - 1], measured[k], told, past + k - 1)
+    share_rows(state)
+    for i in range(state.now.shape[0]):
+        total = 0.0
+        for a in range(state.now.shape[1]):
+            total += state.now[i, a]
+        trace[k, i] = total

@@ -1,0 +1,181 @@
+"""Vectors of eight as numbers: operators, functions, and arrays of them.
+
+One vector is a number of compiled code, one float of each of eight scenarios; a comparison is eight
+truths. `lanes_of` reads arrays of floats whose last axis is the scenario as arrays of such numbers.
+The functions of `deadtime.numerics.numbers` are compiled here, of floats, too.
+"""
+
+# Types of Numba are called to make signatures.
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import impl_ret_borrowed
+from numba.core.typeconv import Conversion
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+from numba.np.arrayobj import populate_array
+
+from deadtime.numerics import numbers
+from deadtime.numerics.lanes.choices import exponent_of, mantissa_of
+from deadtime.numerics.lanes.code import EIGHT, LANES, VECTOR, Code, Lanes
+from deadtime.numerics.lanes.functions import exponential_of, logarithm_of
+
+_TRUTHS = ir.VectorType(ir.IntType(1), LANES)
+
+
+class _Truths(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name="EightTruths")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        return Conversion.safe if other == types.boolean else None
+
+
+@register_model(_Truths)
+class _TruthsModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _TRUTHS)
+
+
+_EIGHT_TRUTHS = _Truths()
+
+
+def _same(builder: Any, kind: Any, value: Any) -> Any:
+    """One value for every scenario."""
+    undefined = ir.Constant(kind, ir.Undefined)
+    first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return builder.shuffle_vector(first, undefined, zeros)
+
+
+@lower_cast(types.float64, Lanes)
+def _widen(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
+    return _same(builder, VECTOR, value)
+
+
+@lower_cast(types.BooleanLiteral, _Truths)
+@lower_cast(types.boolean, _Truths)
+def _widen_truth(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
+    return _same(builder, _TRUTHS, value)
+
+
+def _register(functions: Any, work: Callable[..., Any], result: Any, *kinds: Any) -> None:
+    """Let compiled code call functions with arguments of these kinds: work(Code, values)."""
+
+    def lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return work(Code(context, builder), *arguments)
+
+    for function in functions if isinstance(functions, tuple) else (functions,):
+        fields = {"key": function, "cases": [signature(result, *kinds)]}
+        infer_global(function)(type("Operator", (ConcreteTemplate,), fields))
+        lower_builtin(function, *kinds)(lowered)
+
+
+def _operators() -> None:
+    fused = ("contract",)  # products and sums may be fused, as those of `lanes.sums` are
+    for functions, make in (
+        ((operator.add, operator.iadd), lambda c, a, b: c.builder.fadd(a, b, flags=fused)),
+        ((operator.sub, operator.isub), lambda c, a, b: c.builder.fsub(a, b, flags=fused)),
+        ((operator.mul, operator.imul), lambda c, a, b: c.builder.fmul(a, b, flags=fused)),
+        ((operator.truediv, operator.itruediv), lambda c, a, b: c.builder.fdiv(a, b)),
+        (max, lambda c, a, b: c.larger(b, a)),
+        (min, lambda c, a, b: c.smaller(b, a)),
+    ):
+        _register(functions, make, EIGHT, EIGHT, EIGHT)
+    for function, sign in ((operator.lt, "<"), (operator.gt, ">"), (operator.ge, ">=")):
+        _register(function, _compare(sign), _EIGHT_TRUTHS, EIGHT, EIGHT)
+    truths = _EIGHT_TRUTHS, _EIGHT_TRUTHS, _EIGHT_TRUTHS
+    _register(operator.and_, lambda c, a, b: c.builder.and_(a, b), *truths)
+    _register(operator.or_, lambda c, a, b: c.builder.or_(a, b), *truths)
+    _register(operator.neg, _negative, EIGHT, EIGHT)
+    _register(abs, _size, EIGHT, EIGHT)
+    _register(math.isfinite, _finite, _EIGHT_TRUTHS, EIGHT)
+    _register(math.exp, exponential_of, EIGHT, EIGHT)
+    _register(math.log, logarithm_of, EIGHT, EIGHT)
+    for truth, number in ((types.boolean, types.float64), (_EIGHT_TRUTHS, EIGHT)):
+        _register(numbers.where, _choose, number, truth, number, number)
+        _register(numbers.ratio, _ratio, number, number, number)
+        _register(numbers.mantissa, mantissa_of, number, number)
+        _register(numbers.exponent, exponent_of, number, number)
+
+
+def _compare(sign: str) -> Callable[..., Any]:
+    return lambda code, a, b: code.builder.fcmp_ordered(sign, a, b)
+
+
+def _choose(code: Code, condition: Any, a: Any, b: Any) -> Any:
+    return code.builder.select(condition, a, b)
+
+
+def _negative(code: Code, a: Any) -> Any:
+    return code.builder.fsub(ir.Constant(VECTOR, [-0.0] * LANES), a)
+
+
+def _size(code: Code, a: Any) -> Any:
+    kind = ir.FunctionType(VECTOR, [VECTOR])
+    name = f"llvm.fabs.v{LANES}f64"
+    return code.builder.call(code.builder.module.declare_intrinsic(name, fnty=kind), [a])
+
+
+def _finite(code: Code, a: Any) -> Any:
+    return code.builder.fcmp_ordered("<", _size(code, a), ir.Constant(VECTOR, [math.inf] * LANES))
+
+
+def _ratio(code: Code, a: Any, b: Any) -> Any:
+    zero, build = ir.Constant(a.type, None), code.builder
+    return build.select(build.fcmp_ordered(">", b, zero), build.fdiv(a, b), zero)
+
+
+_operators()
+
+
+@intrinsic
+def lanes_of(_, arrays):
+    """Arrays (…, 8) of floats as arrays of vectors, without a copy; of a tuple's arrays each."""
+    kind = _kind_of(arrays)
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        view = _view(context, builder, arrays, kind, arguments[0])
+        return impl_ret_borrowed(context, builder, kind, view)
+
+    return kind(arrays), code
+
+
+def _kind_of(given: Any) -> Any:
+    if isinstance(given, types.BaseNamedTuple):
+        kinds = [_kind_of(part) for part in given]
+        return types.BaseTuple.from_types(kinds, given.instance_class)
+    if isinstance(given, types.Array):
+        # Numbers that are said to lie anywhere: eight of them would be taken to be on a cache line.
+        return types.Array(EIGHT, given.ndim - 1, "C", aligned=False)
+    return given
+
+
+def _view(context: Any, builder: Any, given: Any, kind: Any, value: Any) -> Any:
+    if given == kind:
+        return value
+    if isinstance(given, types.BaseNamedTuple):
+        parts = cgutils.unpack_tuple(builder, value, len(given))
+        views = [_view(context, builder, *each) for each in zip(given, kind, parts, strict=True)]
+        return context.make_tuple(builder, kind, views)
+    source = context.make_array(given)(context, builder, value)
+    result = context.make_array(kind)(context, builder)
+    populate_array(
+        result,
+        data=builder.bitcast(source.data, result.data.type),
+        shape=cgutils.unpack_tuple(builder, source.shape)[:-1],
+        strides=cgutils.unpack_tuple(builder, source.strides)[:-1],
+        itemsize=ir.Constant(ir.IntType(64), 8 * LANES),
+        meminfo=source.meminfo,
+        parent=source.parent,
+    )
+    return result._getvalue()
