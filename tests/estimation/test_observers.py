@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_lyapunov
 import deadtime as dt
 import plants
 import reference
-from deadtime.estimation.estimator import Estimator
+from deadtime.loop.running_observer import RunningObserver
 from deadtime.plant import SampledPlant
 
 PLANT, C, STEP = plants.generic(), plants.OUTPUTS, 0.1
@@ -48,7 +48,10 @@ def run_estimator(observer, plant, modes, x0, estimate, inputs, history, outputs
     outputs = observer.C if outputs is None else outputs
     step, delay = Fraction(str(observer.step)), Fraction(str(plant.delay))
     model = reference.Model(plant.A.astype(reference.LONG), plant.B, delay)
-    estimator = Estimator(observer, np.asarray(estimate, float))
+    zero = np.zeros((plant.modes, plant.inputs, plant.states))
+    law = dt.DelayedStateFeedback(observer.plant, zero, allow_unstable=True)
+    law = dt.OutputFeedback(law, observer, estimate=estimate)
+    estimator = RunningObserver(law.memory(observer.step))
     estimator.begin(history)
 
     def held(j):

@@ -114,7 +114,7 @@ def test_all_that_knows_of_modes_agrees_on_who_reads_them():
     for model, reads in (("modes", True), *((one, False) for one in MODELS)):
         law = loop(model)
         table = recurrence_of(law, STEP)
-        memory = law.estimator(STEP).memory(None, 1)
+        memory = law.memory(STEP)
         assert (law.observer.reads_mode, memory.reads_mode) == (reads, reads)
         assert table.context == ("mode" if reads else "none")
         assert law.observer_alone_reads_mode == reads

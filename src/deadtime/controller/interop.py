@@ -21,6 +21,7 @@ from deadtime.estimation import OutputFeedback
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
+from deadtime.loop.running_observer import RunningObserver
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.sampled_plant import acting_inputs
 
@@ -129,10 +130,10 @@ class _Observed:
     """
 
     def __init__(self, law: OutputFeedback, step: float) -> None:
-        self._estimator = estimator = law.estimator(step)
-        self.past, r = len(estimator.ring), estimator.before.size
+        self._running = observer = RunningObserver(law.memory(step))
+        self.past, r = len(observer.ring), observer.before.size
         self.references = _each("r", r)
-        self.states = _each("z", estimator.z.size) + _each("tracked", r)
+        self.states = _each("z", observer.z.size) + _each("tracked", r)
 
     def __call__(
         self,
@@ -143,9 +144,9 @@ class _Observed:
         mode: int,
     ) -> tuple[Float[np.ndarray, " z"], Float[np.ndarray, " kept"]]:
         """z at this sample, and what is kept; `inputs` the latest first, `before` the last mode."""
-        estimator, place = self._estimator, self.past - 1
-        size, outputs = estimator.z.size, estimator.observer.outputs
-        estimator.load(
+        observer, place = self._running, self.past - 1
+        size, outputs = observer.z.size, observer.memory.sizes.p
+        observer.load(
             {
                 "z": kept[:size],
                 "ring": inputs[: self.past][::-1],
@@ -154,8 +155,8 @@ class _Observed:
                 "before": kept[size:],
             }
         )
-        z = estimator.update(inputs[0], given[:outputs], mode, given[outputs + 1 :])
-        return z.copy(), np.concatenate((z, estimator.before))
+        z = observer.update(inputs[0], given[:outputs], mode, given[outputs + 1 :])
+        return z.copy(), np.concatenate((z, observer.before))
 
 
 def plant_to_control(

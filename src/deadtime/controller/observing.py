@@ -12,6 +12,7 @@ from deadtime.base.checks import as_floats, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback.memory import Memory
+from deadtime.loop.running_observer import RunningObserver
 
 
 class Observing:
@@ -26,13 +27,14 @@ class Observing:
     """
 
     def __init__(self, law: OutputFeedback, step: float) -> None:
-        self._estimator, self.reference, self._step = law.estimator(step), law.reference, step
+        self._running = RunningObserver(law.memory(step))
+        self.reference, self._step = law.reference, step
         self._r = np.zeros(law.reference.size if law.reference else 0)
         self.reads_mode = self.memory.reads_mode
 
     def begin(self, history: Float[np.ndarray, "N m"]) -> None:
         """Start anew after these inputs, the oldest first."""
-        self._estimator.begin(history)
+        self._running.begin(history)
         if self.reference:
             self._r[:] = self.reference(0.0)
 
@@ -50,8 +52,8 @@ class Observing:
         """
         astray = self._follow(reference, samples)
         unknown = mode < 0 and self.reads_mode
-        z = self._estimator.update(latest, None if unknown else y, mode, self._r)
-        return z, not self._estimator.corrected, astray
+        z = self._running.update(latest, None if unknown else y, mode, self._r)
+        return z, not self._running.corrected, astray
 
     def _follow(self, reference: ArrayLike | None, samples: int) -> bool:
         if self.reference is None:
@@ -74,12 +76,12 @@ class Observing:
 
     def note(self, asked: Float[np.ndarray, " m"]) -> None:
         """What the law asked for, to be compared with what is applied."""
-        self._estimator.asked[:] = asked
+        self._running.asked[:] = asked
 
     @property
     def memory(self) -> Memory:
         """The observer as data, with the reference of the first sample alone."""
-        return self._estimator.memory(self.reference, 1)
+        return self._running.memory
 
     @property
     def tracked(self) -> int:
@@ -89,15 +91,15 @@ class Observing:
     @property
     def z(self) -> Float[np.ndarray, " z"]:
         """What the law was given last; a view that changes."""
-        return self._estimator.z
+        return self._running.z
 
     def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""
-        own = {f"observer_{name}": value for name, value in self._estimator.snapshot().items()}
+        own = {f"observer_{name}": value for name, value in self._running.snapshot().items()}
         return {**own, "reference": self._r.copy()}
 
     def load(self, saved: dict[str, Any]) -> None:
         """The opposite of `snapshot`."""
-        own = {name: saved[f"observer_{name}"] for name in self._estimator.arrays}
-        self._estimator.load(own)
+        own = {name: saved[f"observer_{name}"] for name in self._running.arrays}
+        self._running.load(own)
         self._r[:] = saved["reference"]

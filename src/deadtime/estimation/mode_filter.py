@@ -160,12 +160,7 @@ class ModeFilter(Frozen):
         """
         ages, modes = max(count("ages", ages), self.ages), self.plant.modes
         sampled = SampledPlant.of(self.plant, self.step)
-        periods = [sampled.period(mode) for mode in range(modes)]
-        lag = np.unique(np.concatenate([period.lags for period in periods]))[::-1]
-        Phi = np.stack([period.Phi for period in periods])
-        Gamma = np.zeros((modes, lag.size, *self.plant.B.shape[1:]))
-        for mode, period in enumerate(periods):
-            Gamma[mode, np.searchsorted(-lag, -np.array(period.lags))] = period.Gamma
+        Phi, Gamma, lag = sampled.periods()
         start = np.zeros((modes, ages))
         start[:, : self.ages] = self.initial
         hazard, jump = self._chain(ages)

@@ -9,17 +9,17 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, real_array, require_shape
+from deadtime.base.checks import instance, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation.estimator import Estimator, Tracked
 from deadtime.estimation.observer import Observer
 from deadtime.estimation.reference import Drawable, Reference
 from deadtime.estimation.servo import Servo
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Remembering, TableLaw, Update
-from deadtime.feedback.memory import Tables, WithMemory
+from deadtime.feedback.memory import Memory, MemorySizes, Tables, WithMemory
+from deadtime.loop.running_observer import RunningObserver
 from deadtime.numerics.streams import stream
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import weight_matrix
 from deadtime.switching import SwitchingSignal
 
@@ -207,22 +207,43 @@ class OutputFeedback(WithMemory, Law):
                 "observer for the period of the loop."
             )
 
-    def estimator(
-        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Estimator:
-        """The observer, ready to run period by period; `signal` and `steps` as in `Law.digital`."""
+    def memory(
+        self,
+        step: float,
+        signal: SwitchingSignal | None = None,
+        steps: int | None = None,
+        samples: int = 1,
+    ) -> Memory:
+        """The observer as data, with so many references; `signal`, `steps` as in `Law.digital`."""
         self.require_step(step)
-        if self.servo is None:
-            return Estimator(self.observer, self.estimate)
-        push = self._push(self.law.digital(step, signal, steps))
-        tracked = Tracked(self.servo.tracked, push, self.servo.integral)
-        return Estimator(self.observer, self.estimate, tracked)
+        observer, servo, modes = self.observer, self.servo, self.observer.plant.modes
+        Phi, Gamma, lag = SampledPlant.of(observer.plant, step).periods()
+        tracked = np.zeros((0, observer.outputs)) if servo is None else servo.tracked
+        q, r = 0 if servo is None else servo.sums, len(tracked)
+        push = np.zeros((modes, self.plant.inputs, q))
+        if q:
+            push = self._push(self.law.digital(step, signal, steps))
+        parts = Phi, Gamma, observer.C, observer.gain, push
+        reference = np.zeros((samples, r))
+        if self.reference is not None:
+            reference = self.reference.along(np.arange(samples) * step)
+        start = np.concatenate((self.estimate, np.zeros(q + r)))
+        return Memory(
+            read_only(np.concatenate([part.reshape(modes, -1) for part in parts], axis=1)),
+            read_only(lag),
+            MemorySizes(observer.plant.states, observer.outputs, q, r, self.plant.inputs, lag.size),
+            read_only(start),
+            read_only(tracked),
+            read_only(reference),
+            step,
+        )
 
     def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         if not isinstance(self.law, TableLaw):
             return None
-        memory = self.estimator(step, signal, steps).memory(self.reference, steps)
-        return Tables(self.law.digital(step, signal, steps), memory)
+        return Tables(
+            self.law.digital(step, signal, steps), self.memory(step, signal, steps, steps)
+        )
 
     def beginning_at(self, memory: Float[np.ndarray, " w"]) -> OutputFeedback:
         first = memory[: self.observer.plant.states]
@@ -240,28 +261,28 @@ class OutputFeedback(WithMemory, Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> OutputUpdate:
         inner = self.law.online(step, signal, steps)
-        return OutputUpdate(inner, self.estimator(step, signal, steps), self.reference, step)
+        observer = RunningObserver(self.memory(step, signal, steps))
+        return OutputUpdate(inner, observer, self.reference, step)
 
 
 class OutputUpdate(Remembering):
     """An `OutputFeedback` that runs: from y_k, the past inputs, mode and age to u_k."""
 
     def __init__(
-        self, inner: Update, estimator: Estimator, reference: Reference | None, step: float
+        self, inner: Update, observer: RunningObserver, reference: Reference | None, step: float
     ) -> None:
-        self._inner, self._estimator = inner, estimator
+        self._inner, self._observer = inner, observer
         self._reference, self._step = reference, step
         self.estimates: list[np.ndarray] = []
 
     def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
-        estimator, k = self._estimator, len(self.estimates)
+        observer, k = self._observer, len(self.estimates)
         if k == 0:
-            estimator.begin(past)
+            observer.begin(past)
         r = None if self._reference is None else self._reference(k * self._step)
-        z = estimator.update(past[-1], y, mode, r)
-        self.estimates.append(z.copy())
+        self.estimates.append(observer.update(past[-1], y, mode, r).copy())
         u = self._inner(self.estimates[-1], past, max(mode, 0), age)
-        estimator.asked[:] = u
+        observer.asked[:] = u
         return u
 
 

@@ -4,7 +4,7 @@ Beside its `Feedback`, such a law has a state z = (x̂, q, r) that its rows are 
 estimate, sums of errors, and a reference. In mode i, from the past inputs u that the law has and
 a measurement y,
 
-    x̄_k = Φ_j x̂_{k−1} + Σ Γ_j u,       j the mode of the sample before,
+    x̄_k = Φ_j x̂_{k−1} + Σ_l Γ_jl u_{k−1−l},    j the mode of the sample before,
     x̂_k = x̄_k + L_i (y_k − C_i x̄_k),   or x̄_k where y_k is missing,
     q_k = q_{k−1} + h (v_{k−1} + v_k)/2 − h r_{k−1},   v = H y,
 
@@ -14,6 +14,7 @@ the sum stopping where it asks for more of what an input was refused
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
@@ -29,40 +30,69 @@ from deadtime.feedback.table import Feedback
 from deadtime.switching import SwitchingSignal
 
 
-class Memory(NamedTuple):
-    """How z moves.
+class MemorySizes(NamedTuple):
+    """Of a `Memory`: estimates, outputs, sums of errors, tracked outputs, inputs and lags."""
 
+    n: int
+    p: int
+    q: int
+    r: int
+    m: int
+    lags: int
+
+
+class Memory(NamedTuple):
+    """How z moves: data that no run changes.
+
+    matrices : (modes, size), of each mode Φ (n, n), Γ (lags, n, m), C (p, n), L (n, p) and `push`
+        (m, q), how the input answers q, one after the other
+    lag : (lags,), of the inputs that reach the model over a period, the oldest first
+    sizes : MemorySizes, or in batches the same as constants of compiled code
     start : (z,), z before the first measurement
-    first : (modes + 1,), the pieces of mode i are first[i], …, first[i + 1] − 1
-    Phi : (pieces, n, n), Gamma : (pieces, n, m), lag : (pieces, m), as in a `PieceTable`
-    C : (modes, p, n), gain : (modes, n, p)
-    tracked : (r, p), H; push : (modes, m, q), how the input answers q
-    reference : (samples, r); value : (samples, r), v, which a run fills
+    tracked : (r, p), H
+    reference : (samples, r)
     step : float, h in seconds
     """
 
+    matrices: Float[np.ndarray, "mode size"]
+    lag: Int[np.ndarray, " lag"]
+    sizes: MemorySizes
     start: Float[np.ndarray, " z"]
-    first: Int[np.ndarray, " mode+1"]
-    Phi: Float[np.ndarray, "piece n n"]
-    Gamma: Float[np.ndarray, "piece n m"]
-    lag: Int[np.ndarray, "piece m"]
-    C: Float[np.ndarray, "mode p n"]
-    gain: Float[np.ndarray, "mode n p"]
     tracked: Float[np.ndarray, "r p"]
-    push: Float[np.ndarray, "mode m q"]
     reference: Float[np.ndarray, "sample r"]
-    value: Float[np.ndarray, "sample r"]
     step: float
+
+    def _part(self, place: int) -> np.ndarray:
+        n, p, q, _, m, lags = self.sizes
+        shapes = (n, n), (lags, n, m), (p, n), (n, p), (m, q)
+        ends = np.cumsum([0, *map(math.prod, shapes)])
+        part = self.matrices[:, ends[place] : ends[place + 1]]
+        return part.reshape(len(part), *shapes[place])
+
+    @property
+    def Phi(self) -> Float[np.ndarray, "mode n n"]:
+        return self._part(0)
+
+    @property
+    def Gamma(self) -> Float[np.ndarray, "mode lag n m"]:
+        return self._part(1)
+
+    @property
+    def C(self) -> Float[np.ndarray, "mode p n"]:
+        return self._part(2)
+
+    @property
+    def gain(self) -> Float[np.ndarray, "mode n p"]:
+        return self._part(3)
+
+    @property
+    def push(self) -> Float[np.ndarray, "mode m q"]:
+        return self._part(4)
 
     @property
     def reads_mode(self) -> bool:
         """Whether how z moves depends on the mode."""
-        counts = np.diff(self.first)
-        if (counts != counts[0]).any():
-            return True
-        each = [part.reshape(counts.size, -1) for part in (self.Phi, self.Gamma, self.lag)]
-        each += [self.C, self.gain, self.push]
-        return any(bool((part != part[:1]).any()) for part in each)
+        return bool((self.matrices != self.matrices[:1]).any())
 
 
 class Tables(NamedTuple):

@@ -137,8 +137,6 @@ def _row(
     estimate = x_bar + memory.gain[mode] @ (measured - memory.C[mode] @ x_bar)
     u = F[:, :n_o] @ estimate + F[:, n_o : n_o + sums] @ (s + h / 2.0 * v)
     u = u + feedback.latest_first[row] @ past[: feedback.taps * m]
-    line, channels = np.stack((u, *past.reshape(taps, m, -1))), np.arange(m)
-    for piece in range(memory.first[mode], memory.first[mode + 1]):
-        acting = line[memory.lag[piece], channels]
-        estimate = memory.Phi[piece] @ estimate + memory.Gamma[piece] @ acting
-    return np.concatenate((estimate, s + h * v, u))
+    line = np.stack((u, *past.reshape(taps, m, -1)))
+    ahead = memory.Phi[mode] @ estimate + (memory.Gamma[mode] @ line[memory.lag]).sum(axis=0)
+    return np.concatenate((ahead, s + h * v, u))

@@ -26,7 +26,7 @@ from jaxtyping import Float
 from deadtime.feedback.bank import BankForm
 from deadtime.loop.belief_steps import CURVED, ROUND_OFF, SPENT, BeliefState, bend, gather, move
 from deadtime.numerics.kernels import inner_kernel, kernel
-from deadtime.numerics.numbers import arrays_of, where
+from deadtime.numerics.numbers import arrays_of, flat, where
 
 
 class BankState(NamedTuple):
@@ -42,19 +42,19 @@ class BankState(NamedTuple):
     """
 
     chain: BeliefState
-    x: Float[np.ndarray, "mode n *lane"]
-    P: Float[np.ndarray, "mode n n *lane"]
-    ahead_x: Float[np.ndarray, "first second n *lane"]
-    ahead_P: Float[np.ndarray, "first second n n *lane"]
-    pair_x: Float[np.ndarray, "first second n *lane"]
-    pair_P: Float[np.ndarray, "first second n n *lane"]
-    toward: Float[np.ndarray, "first second n *lane"]
-    spread: Float[np.ndarray, "first second *lane"]
-    whole_x: Float[np.ndarray, n * lane]
-    whole_P: Float[np.ndarray, "n n *lane"]
-    spare: Float[np.ndarray, "3 n n *lane"]
-    wide: Float[np.ndarray, n * lane]
-    size: Float[np.ndarray, p * lane]
+    x: Float[np.ndarray, "mode n ..."]
+    P: Float[np.ndarray, "mode n n ..."]
+    ahead_x: Float[np.ndarray, "first second n ..."]
+    ahead_P: Float[np.ndarray, "first second n n ..."]
+    pair_x: Float[np.ndarray, "first second n ..."]
+    pair_P: Float[np.ndarray, "first second n n ..."]
+    toward: Float[np.ndarray, "first second n ..."]
+    spread: Float[np.ndarray, "first second ..."]
+    whole_x: Float[np.ndarray, "n ..."]
+    whole_P: Float[np.ndarray, "n n ..."]
+    spare: Float[np.ndarray, "3 n n ..."]
+    wide: Float[np.ndarray, "n ..."]
+    size: Float[np.ndarray, "p ..."]
 
     @classmethod
     def of(cls, form: BankForm, rows: int, *lanes: int) -> BankState:
@@ -69,7 +69,7 @@ class BankState(NamedTuple):
         return state
 
     @property
-    def mean(self) -> Float[np.ndarray, n]:
+    def mean(self) -> Float[np.ndarray, " n"]:
         """x̂_k of one scenario, whatever the mode."""
         return self.chain.now.sum(axis=1) @ self.x
 
@@ -83,15 +83,15 @@ def begin_bank(form, bank, y):
         for a in range(now.shape[1]):
             now[j, a] = form.chain.start[j, a]
         copy(bank.x[j], bank.pair_x[0, j])
-        copy(bank.P[j].reshape(-1), bank.pair_P[0, j].reshape(-1))
+        copy(flat(bank.P[j]), flat(bank.pair_P[0, j]))
         copy(bank.x[j], bank.ahead_x[0, j])
-        copy(bank.P[j].reshape(-1), bank.ahead_P[0, j].reshape(-1))
+        copy(flat(bank.P[j]), flat(bank.ahead_P[0, j]))
     for a in range(bank.wide.size):
         bank.wide[a] = abs(form.estimate[a])
     finite, top, total = _correct(form, bank, 1, y), -math.inf, 0.0
     for j in range(modes):
         copy(bank.pair_x[0, j], bank.x[j])
-        copy(bank.pair_P[0, j].reshape(-1), bank.P[j].reshape(-1))
+        copy(flat(bank.pair_P[0, j]), flat(bank.P[j]))
         for a in range(now.shape[1]):
             top = where((now[j, a] > 0.0) & (density[0, j] > top), density[0, j], top)
     for j in range(modes):
@@ -109,10 +109,11 @@ def begin_bank(form, bank, y):
 def advance_bank(form, bank, y, told, row):
     """One period: y_k at its end, and the inputs, u_{k−1} in row `row` of the ring `told`."""
     modes, n, seen = bank.x.shape[0], bank.wide.size, False
-    gather(form.chain, bank.chain.sent, told, row)
+    lag = form.chain.lag
+    gather(lag, lag.size, told.shape[1], bank.chain.sent, told, row)
     _predict(form, bank)
-    copy(bank.ahead_x.reshape(-1), bank.pair_x.reshape(-1))
-    copy(bank.ahead_P.reshape(-1), bank.pair_P.reshape(-1))
+    copy(flat(bank.ahead_x), flat(bank.pair_x))
+    copy(flat(bank.ahead_P), flat(bank.pair_P))
     for a in range(y.size):
         seen = seen | math.isfinite(y[a])
     seen = seen & _correct(form, bank, modes, y)
@@ -147,7 +148,7 @@ def start_anew(form, bank, known):
 @inner_kernel
 def _require_finite(form, bank):
     """Where numbers have left the range of doubles, nothing is known of x any more."""
-    x, P, finite = bank.x.reshape(-1), bank.P.reshape(-1), True
+    x, P, finite = flat(bank.x), flat(bank.P), True
     for i in range(x.size):
         finite = finite & math.isfinite(x[i])
     for i in range(P.size):
@@ -388,7 +389,7 @@ def _merge(form, bank):
             weight[i, j] /= total
     x, P = bank.whole_x, bank.whole_P
     _clear(x)
-    _clear(P.reshape(-1))
+    _clear(flat(P))
     for i in range(modes):
         for j in range(modes):
             _add_mean(weight[i, j], bank.pair_x[i, j], x)
@@ -400,7 +401,7 @@ def _merge(form, bank):
         for i in range(modes):
             own += (1.0 - part) * weight[i, j]
         _clear(bank.x[j])
-        _clear(bank.P[j].reshape(-1))
+        _clear(flat(bank.P[j]))
         _add_mean(part / modes / own, x, bank.x[j])
         for i in range(modes):
             _add_mean((1.0 - part) * weight[i, j] / own, bank.pair_x[i, j], bank.x[j])

@@ -36,17 +36,17 @@ class BeliefState(NamedTuple):
     predicted : (modes, n), apart : (n,), size : (n,), root : (n, n), white : (n,), bent : (n,)
     """
 
-    now: Float[np.ndarray, "mode age *lane"]
-    weight: Float[np.ndarray, row * lane]
-    density: Float[np.ndarray, "mode mode *lane"]
-    mass: Float[np.ndarray, "mode mode *lane"]
-    sent: Float[np.ndarray, "lag m *lane"]
-    predicted: Float[np.ndarray, "mode n *lane"]
-    apart: Float[np.ndarray, n * lane]
-    size: Float[np.ndarray, n * lane]
-    root: Float[np.ndarray, "n n *lane"]
-    white: Float[np.ndarray, n * lane]
-    bent: Float[np.ndarray, n * lane]
+    now: Float[np.ndarray, "mode age ..."]
+    weight: Float[np.ndarray, "row ..."]
+    density: Float[np.ndarray, "mode mode ..."]
+    mass: Float[np.ndarray, "mode mode ..."]
+    sent: Float[np.ndarray, "lag m ..."]
+    predicted: Float[np.ndarray, "mode n ..."]
+    apart: Float[np.ndarray, "n ..."]
+    size: Float[np.ndarray, "n ..."]
+    root: Float[np.ndarray, "n n ..."]
+    white: Float[np.ndarray, "n ..."]
+    bent: Float[np.ndarray, "n ..."]
 
     @classmethod
     def of(cls, belief: Belief, rows: int, *lanes: int) -> BeliefState:
@@ -65,7 +65,7 @@ def advance_belief(form, state, before, x, told, row):
 
     Where a state is not finite, or nothing moves, nothing is learnt: the chain goes on by itself.
     """
-    gather(form, state.sent, told, row)
+    gather(form.lag, form.lag.size, told.shape[1], state.sent, told, row)
     seen = _predict(form, state, before, x)
     for i in range(form.Phi.shape[0]):
         seen = seen & _weigh(form, state, before, x, i)
@@ -81,14 +81,13 @@ def begin_belief(form, state):
 
 
 @inner_kernel
-def gather(form, sent, told, row):
+def gather(lag, lags, m, sent, told, row):
     """The inputs that act in the period that ended, out of their ring."""
-    lag = form.lag
-    for p in range(lag.size):
+    for p in range(lags):
         place = row - min(lag[p], told.shape[0] - 1)
         if place < 0:
             place += told.shape[0]
-        for b in range(told.shape[1]):
+        for b in range(m):
             sent[p, b] = told[place, b]
 
 

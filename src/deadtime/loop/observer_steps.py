@@ -1,97 +1,169 @@
-"""The compiled steps of an observer, and of a `deadtime.feedback.memory.Memory` over a run."""
+"""The steps of a `deadtime.feedback.memory.Memory`: an observer, and the sum of tracking errors.
+
+Before a sample z goes over the period that ends, in the mode of its begin; `select_mode` takes the
+matrices of the mode at the sample; then what is measured corrects z. Numbers and inputs are as in
+`belief_steps.py`: of one scenario, or of eight, each with the matrices of its own mode.
+"""
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Float
 
-from deadtime.numerics.exponential import advance
-from deadtime.numerics.kernels import kernel
+from deadtime.feedback.memory import Memory
+from deadtime.loop.belief_steps import gather
+from deadtime.numerics.kernels import inner_kernel, kernel
+from deadtime.numerics.numbers import arrays_of, where
 
-_ROUND_OFF = 1e-9
+_ROUND_OFF = 1e-9  # of an input: what differs by less was not refused
 
 
-@kernel(eager=True)
-def correct(C, L, y, x, spare, innovation):
-    """x += L (y − C x), if y and the answer are finite; says whether it did."""
-    for i in range(y.size):
+class ObserverState(NamedTuple):
+    """What of an observer changes from sample to sample, and room to work in.
+
+    own : (size,), the matrices of the mode that applies, as in a row of `Memory.matrices`
+    z : (z,), the estimate, sums of errors and the reference
+    value : (2, r), v at the sample before and now
+    asked : (m,), the law's answer at the sample before, which whoever runs it writes here
+    used : (1,), 1 where the last measurement corrected z, else 0
+    sent : (lags, m), the inputs that act in the period that ended
+    innovation : (p,), change : (q,), spare : (n,)
+    """
+
+    own: Float[np.ndarray, "size ..."]
+    z: Float[np.ndarray, "z ..."]
+    value: Float[np.ndarray, "2 r ..."]
+    asked: Float[np.ndarray, "m ..."]
+    used: Float[np.ndarray, "1 ..."]
+    sent: Float[np.ndarray, "lag m ..."]
+    innovation: Float[np.ndarray, "p ..."]
+    change: Float[np.ndarray, "q ..."]
+    spare: Float[np.ndarray, "n ..."]
+
+    @classmethod
+    def of(cls, memory: Memory, *lanes: int) -> ObserverState:
+        """The state before the first sample, of so many scenarios if any."""
+        n, p, q, r, m, lags = memory.sizes
+        shapes = (n + q + r,), (2, r), (m,), (1,), (lags, m), (p,), (q,), (n,)
+        return cls(*arrays_of(memory.matrices.shape[1:], *shapes, lanes=lanes))
+
+
+@inner_kernel
+def begin_observer(memory, state):
+    """z before anything is measured."""
+    for i in range(memory.start.size):
+        state.z[i] = memory.start[i]
+
+
+@kernel(eager=True, nogil=True)
+def select_mode(table, own, known, mode):
+    """Put each scenario's row of a table into `own` (size, scenarios), where its mode is new."""
+    for lane in range(mode.size):
+        if mode[lane] != known[lane]:
+            known[lane] = mode[lane]
+            for i in range(table.shape[1]):
+                own[i, lane] = table[mode[lane], i]
+
+
+@kernel(eager=True, forceinline=True)
+def predict_observer(memory, state, told, row):
+    """Take the estimate over the period that ends, u_{k−1} in row `row` of the ring `told`."""
+    sizes = memory.sizes
+    n, m, lags = sizes.n, sizes.m, sizes.lags
+    own, z, ahead, sent = state.own, state.z, state.spare, state.sent
+    gather(memory.lag, lags, m, sent, told, row)
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += own[i * n + j] * z[j]
+        for p in range(lags):
+            for j in range(m):
+                total += own[n * n + (p * n + i) * m + j] * sent[p, j]
+        ahead[i] = total
+    for i in range(n):
+        z[i] = ahead[i]
+
+
+@kernel(eager=True, forceinline=True)
+def correct_observer(memory, state, y, applied, reference, k):
+    """z at sample k by what is measured, if all of it is finite, and with the reference there.
+
+    `applied` is what the plant was given in the period that ended.
+    """
+    sizes = memory.sizes
+    n, p, q, r = sizes.n, sizes.p, sizes.q, sizes.r
+    at_C = n * n + sizes.lags * n * sizes.m
+    at_gain = at_C + p * n
+    own, z, innovation, nearer = state.own, state.z, state.innovation, state.spare
+    use = True
+    for i in range(p):
         total = y[i]
-        for j in range(C.shape[1]):
-            total -= C[i, j] * x[j]
+        for j in range(n):
+            total -= own[at_C + i * n + j] * z[j]
         innovation[i] = total
-    for i in range(C.shape[1]):
-        total = x[i]
-        for j in range(y.size):
-            total += L[i, j] * innovation[j]
-        spare[i] = total
-        if not np.isfinite(total):
-            return False
-    for i in range(C.shape[1]):
-        x[i] = spare[i]
-    return True
+    for i in range(n):
+        total = z[i]
+        for j in range(p):
+            total += own[at_gain + i * p + j] * innovation[j]
+        nearer[i] = total
+        use = use & math.isfinite(total)
+    for i in range(n):
+        z[i] = where(use, nearer[i], z[i])
+    state.used[0] = where(use, 1.0, 0.0)
+    if r > 0:
+        for i in range(p):
+            total = 0.0
+            for j in range(n):
+                total += own[at_C + i * n + j] * z[j]
+            innovation[i] = where(use, y[i], total)
+        for i in range(r):
+            total = 0.0
+            for j in range(p):
+                total += memory.tracked[i, j] * innovation[j]
+            state.value[0, i] = state.value[1, i]
+            state.value[1, i] = total
+        if k > 0:
+            _integrate(memory, state, applied, at_gain + n * p)
+        for i in range(r):
+            z[n + q + i] = reference[i]
 
 
-@kernel(eager=True)
-def measure(C, H, x, y, use, value):
-    """value = H y, or H C x where y is of no use."""
-    for i in range(H.shape[0]):
-        value[i] = 0.0
-        for j in range(H.shape[1]):
-            output = y[j]
-            if not use:
-                output = 0.0
-                for k in range(C.shape[1]):
-                    output += C[j, k] * x[k]
-            value[i] += H[i, j] * output
-
-
-@kernel(eager=True)
-def integrate(step, before, now, reference, asked, applied, push, q):
-    """q += h ((before + now)/2 − reference), unless that asks for more of what was refused.
+@inner_kernel
+def _integrate(memory, state, applied, at_push):
+    """q += h ((before + now)/2 − r), unless that asks for more of what was refused.
 
     `push` is the law's answer to q. Where the input applied was not the one asked for, a change
     of q that drives it further the same way is left out, so that nothing winds up. Round-off of
     what was applied, as of one that was measured and told, refuses nothing.
     """
-    further = 0.0
-    for i in range(push.shape[0]):
-        change = 0.0
-        for j in range(q.size):
-            change += push[i, j] * step * (0.5 * (before[j] + now[j]) - reference[j])
-        refused = asked[i] - applied[i]
-        if abs(refused) > _ROUND_OFF * abs(asked[i]):
-            further += refused * change
-    if further > 0.0:
-        return
-    for j in range(q.size):
-        q[j] += step * (0.5 * (before[j] + now[j]) - reference[j])
+    sizes = memory.sizes
+    n, q, m = sizes.n, sizes.q, sizes.m
+    own, z, value, change, further = state.own, state.z, state.value, state.change, 0.0
+    for j in range(q):
+        change[j] = memory.step * (0.5 * (value[0, j] + value[1, j]) - z[n + q + j])
+    for i in range(m):
+        push = 0.0
+        for j in range(q):
+            push += own[at_push + i * q + j] * change[j]
+        refused = state.asked[i] - applied[i]
+        counts = abs(refused) > _ROUND_OFF * abs(state.asked[i])
+        further += where(counts, refused * push, 0.0)
+    for j in range(q):
+        z[n + j] += where(further > 0.0, 0.0, change[j])
 
 
 @kernel
-def remember(memory, mode, k, told, past, y, asked, estimates):
-    """z at sample k, in its row of the estimates; `mode` is that of every sample.
+def observe(memory, state, mode, known, k, told, past, y, estimates):
+    """z at sample k of a run, in its row of the estimates; `mode` is that of every sample.
 
-    `told` are the inputs that the law knows of, u_k in row past + k, and `asked` is its answer at
-    sample k − 1.
+    `told` are the inputs that the law knows of, u_k in row past + k.
     """
-    z, n, r = estimates[k], memory.gain.shape[1], memory.tracked.shape[0]
-    x, q, reference = z[:n], z[n : z.size - r], z[z.size - r :]
-    spare, acting, innovation = np.empty(n), np.empty(asked.size), np.empty(y.size)
-    for i in range(z.size):
-        z[i] = memory.start[i] if k == 0 else estimates[k - 1, i]
     if k > 0:
-        for piece in range(memory.first[mode[k - 1]], memory.first[mode[k - 1] + 1]):
-            for i in range(asked.size):
-                acting[i] = told[past + k - 1 - memory.lag[piece, i], i]
-            advance(memory.Phi[piece], memory.Gamma[piece], x, acting, spare)
-            for i in range(n):
-                x[i] = spare[i]
-    C = memory.C[mode[k]]
-    use = correct(C, memory.gain[mode[k]], y, x, spare, innovation)
-    if r > 0:
-        value = memory.value[k]
-        measure(C, memory.tracked, x, y, use, value)
-        if k > 0 and q.size > 0:
-            before, latest, push = memory.value[k - 1], told[past + k - 1], memory.push[mode[k]]
-            integrate(memory.step, before, value, reference, asked, latest, push, q)
-        for i in range(r):
-            reference[i] = memory.reference[k, i]
+        predict_observer(memory, state, told, past + k - 1)
+    select_mode(memory.matrices, state.own.reshape(-1, 1), known, mode[k : k + 1])
+    correct_observer(memory, state, y, told[past + k - 1], memory.reference[k], k)
+    for i in range(state.z.size):
+        estimates[k, i] = state.z[i]

@@ -33,6 +33,11 @@ def exponent(a):
     return math.frexp(a)[1] - 1.0
 
 
+def flat(array):
+    """All numbers of an array whose rows follow each other, in one row."""
+    return array.reshape(-1)
+
+
 def arrays_of(*shapes: tuple[int, ...], lanes: tuple[int, ...] = ()) -> list[np.ndarray]:
     """Arrays of zeros of these shapes in one buffer, of so many scenarios if any."""
     sizes = [math.prod(shape) * math.prod(lanes) for shape in shapes]

@@ -181,6 +181,18 @@ class SampledPlant(Frozen):
         """A whole period in which a mode is held."""
         return _composed([(p.Phi, p.Gamma, p.stretch.lag) for p in self.pieces(mode)])
 
+    def periods(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Whole periods in every mode: Φ (modes, n, n), Γ (modes, lags, n, m) and the lags.
+
+        The inputs u_{k−lag} that act in some mode, the oldest first; Γ is 0 in the others.
+        """
+        each = [self.period(mode) for mode in range(self.plant.modes)]
+        lag = np.unique(np.concatenate([period.lags for period in each]))[::-1]
+        Gamma = np.zeros((len(each), lag.size, *self.plant.B.shape[1:]))
+        for mode, period in enumerate(each):
+            Gamma[mode, np.searchsorted(-lag, -np.array(period.lags))] = period.Gamma
+        return np.stack([period.Phi for period in each]), Gamma, lag
+
     def cut_period(self, mode: int, after: int, offset: float) -> Period:
         """A period that begins in a mode and goes over to another one, `offset` seconds in.
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.loop.bank_steps import BankState, add_estimates, advance_bank, begin_bank
 from deadtime.loop.belief_steps import BeliefState, advance_belief, begin_belief, share_rows
@@ -23,47 +24,44 @@ from deadtime.numerics.lanes import (
     first_of,
     lanes_of,
     load,
-    own_product,
-    same,
     spread,
     store,
 )
 from deadtime.numerics.numbers import arrays_of, where
-from deadtime.scenarios.lane_types import BankLanes, LoopSizes
+from deadtime.scenarios.lane_types import LoopSizes
 from deadtime.scenarios.law_rows import dot
-from deadtime.scenarios.remembering import lay_out
 
 
 class BeliefLanes(NamedTuple):
     """Memory of eight scenarios.
 
     chain : BeliefState;  bank : BankState, around the same, or None
+    gains : (rows, m, n), F
     x, before : what is measured at this sample and at the one before, (n or p)
     answer : of every row, (rows, m);  u : their mean;  both : (lane, n + m), x and the latest input
-    outputs : the C of each one's plant, (p n), and `mode` of which mode
     """
 
     chain: BeliefState
     bank: BankState | None
+    gains: np.ndarray
     x: np.ndarray
     before: np.ndarray
     answer: np.ndarray
     u: np.ndarray
     both: np.ndarray
-    outputs: np.ndarray
-    mode: np.ndarray
 
 
 def belief_lanes(
-    shape: LoopSizes, belief: Belief, bank: BankLanes | None, rows: int
+    shape: LoopSizes, belief: Belief, bank: BankForm | None, gains: np.ndarray
 ) -> BeliefLanes:
-    """Room for eight scenarios of a law with so many rows."""
-    all_of = None if bank is None else BankState.of(bank.form, rows, LANES)
+    """Room for eight scenarios of a law with rows of these gains."""
+    rows = len(gains)
+    all_of = None if bank is None else BankState.of(bank, rows, LANES)
     chain = BeliefState.of(belief, rows, LANES) if all_of is None else all_of.chain
-    m, p, known = shape.u, shape.seen, shape.output * shape.x
-    x, before, answer, u, outputs = arrays_of((p,), (p,), (rows, m), (m,), (known,), lanes=(LANES,))
-    both, mode = np.empty((LANES, shape.x + m)), np.full(LANES, -1)
-    return BeliefLanes(chain, all_of, x, before, answer, u, both, outputs, mode)
+    m, p = shape.u, shape.seen
+    x, before, answer, u = arrays_of((p,), (p,), (rows, m), (m,), lanes=(LANES,))
+    both = np.empty((LANES, shape.x + m))
+    return BeliefLanes(chain, all_of, gains, x, before, answer, u, both)
 
 
 @inner_kernel
@@ -73,15 +71,14 @@ def believe_again(belief, bank, mind, line, row, seen, lost, k):
     `line` are the inputs, u_{k−1} in row `row`.
     """
     eight = lanes_of(mind)
-    missing = lanes_of(lost.reshape(1, LANES))
-    store(mind.x.reshape(-1), 0, seen)
+    store(mind.x, 0, seen)
     for a in range(eight.x.size):
-        eight.x[a] = where(missing[0] > 0.0, math.nan, eight.x[a])
+        eight.x[a] = where(lost[0] > 0.0, math.nan, eight.x[a])
     if bank is not None:
         if k > 0:
-            advance_bank(bank.form, eight.bank, eight.x, line, row)
+            advance_bank(bank, eight.bank, eight.x, line, row)
         else:
-            begin_bank(bank.form, eight.bank, eight.x)
+            begin_bank(bank, eight.bank, eight.x)
     else:
         if k > 0:
             advance_belief(belief, eight.chain, eight.before, eight.x, line, row)
@@ -93,17 +90,9 @@ def believe_again(belief, bank, mind, line, row, seen, lost, k):
 
 
 @inner_kernel
-def look_at_outputs(shape, bank, mind, mode, x):
-    """y of every scenario, by the C of its plant's mode."""
-    outputs = mind.outputs.reshape(-1)
-    lay_out(bank.outputs, outputs, mind.mode, mode)
-    return own_product(outputs, 0, x, same(0.0, shape.output))
-
-
-@inner_kernel
 def mean_row(shape, bank, mind, answers):
     """The mean of the answers of factorised rows."""
-    store(mind.answer.reshape(-1), 0, answers)
+    store(mind.answer, 0, answers)
     return _mean(shape, bank, mind)
 
 
@@ -111,7 +100,7 @@ def mean_row(shape, bank, mind, answers):
 def mean_dense_row(shape, bank, mind, dense, window, place, known, before):
     """The same of dense rows."""
     both = len(shape.both)
-    spread(mind.both.reshape(-1), 0, both, first_of(known, before, before, shape.both))
+    spread(mind.both, 0, both, first_of(known, before, before, shape.both))
     _answer_dense(mind, dense, window.line, place, len(shape.u), both)
     return _mean(shape, bank, mind)
 
@@ -143,5 +132,5 @@ def _mean(shape, bank, mind):
             total += share[c] * answer[c, i]
         u[i] = total
     if bank is not None:
-        add_estimates(bank.gains, share, eight.bank.x, u)
-    return load(mind.u.reshape(-1), 0, shape.u)
+        add_estimates(mind.gains, share, eight.bank.x, u)
+    return load(mind.u, 0, shape.u)

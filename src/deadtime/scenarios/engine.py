@@ -10,27 +10,26 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Feedback, memory as memories
+from deadtime.feedback import Feedback
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
-from deadtime.numerics.lanes import LANES
+from deadtime.feedback.memory import Memory
+from deadtime.numerics.lanes import LANES, KnownNumbers
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.belief_memory import belief_lanes
 from deadtime.scenarios.lane_loop import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.lane_types import (
     KINDS,
-    BankLanes,
     ClipLanes,
     Dense,
     Factored,
     Hearing,
     LoopSizes,
-    MemoryLanes,
     PlantLanes,
     RunLanes,
 )
-from deadtime.scenarios.memory_form import memory_form
 from deadtime.scenarios.model_ahead import ModelAhead
+from deadtime.scenarios.observer_memory import ObserverLanes, OutputLanes
 from deadtime.scenarios.preview_lanes import KnownSignalModel, stacks_of
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.scenario_sums import Path, ScenarioSums
@@ -46,18 +45,21 @@ class EngineTable(NamedTuple):
     """A law as `scenarios.lane_loop` takes it: one of three, its memory or belief, its window.
 
     `taps` is how many inputs it reads, and `feedback` what its rows are, where it has some and goes
-    by the modes that it is told.
+    by the modes that it is told; `outputs` the plant's C where these are measured, and `gains`
+    (rows, m, n) what its rows make of the state where a belief weighs them.
     """
 
     shape: LoopSizes
     factored: Factored | None
     dense: Dense | None
     model: KnownSignalModel | None
-    memory: MemoryLanes | None
+    memory: Memory | None
     belief: Belief | None
-    bank: BankLanes | None
+    bank: BankForm | None
     taps: int
     feedback: Feedback | None
+    outputs: np.ndarray | None = None
+    gains: np.ndarray | None = None
 
     @property
     def measured(self) -> int:
@@ -95,33 +97,32 @@ class Engine:
         return EngineTable(shape, own, None, None, None, None, None, taps, feedback)
 
     def remember(
-        self, feedback: Feedback, memory: memories.Memory, outputs: Float[np.ndarray, "mode p n"]
+        self, feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode p n"]
     ) -> EngineTable:
         """The rows of a law on what it remembers of y = C_σ x, `outputs` being the plant's C."""
-        table, form = self.table(feedback), memory_form(memory, outputs)
-        m, (_, p, n), r = self._loop.plant.inputs, memory.C.shape, memory.tracked.shape[0]
-        z, q, reaching = memory.start.size, form.sums, form.lags.size * m
-        sizes = {
-            "both": z + m, "seen": p, "known": z, "kept": z, "estimate": n, "estimates": 2 * n,
-            "sums": q, "two_sums": 2 * q, "tracked": r, "output": p, "outputs": 2 * p,
-            "reaching": reaching, "watched": n + reaching,
-        }  # fmt: skip
-        shape = replace(table.shape, **sizes)
-        taps = max(table.taps, int(form.lags.max()))
-        return table._replace(shape=shape, memory=form, taps=taps)
+        table, (_, p, _) = self.table(feedback), outputs.shape
+        z = memory.start.size
+        shape = replace(
+            table.shape, both=z + self._loop.plant.inputs, seen=p, known=z, kept=z, output=p
+        )
+        taps = max(table.taps, int(memory.lag.max()))
+        sizes: Any = KnownNumbers(memory.sizes._asdict())
+        return table._replace(
+            shape=shape, memory=memory._replace(sizes=sizes), taps=taps, outputs=outputs
+        )
 
     def believe(self, feedback: Feedback, belief: Belief) -> EngineTable:
         """The rows of a law weighed by a belief."""
-        return self.table(feedback)._replace(belief=belief, feedback=None)
+        gains = feedback.state_gain
+        return self.table(feedback)._replace(belief=belief, feedback=None, gains=gains)
 
     def estimate(
         self, feedback: Feedback, bank: BankForm, outputs: Float[np.ndarray, "mode p n"]
     ) -> EngineTable:
         """The rows of a law weighed by a belief from y = C_σ x, `outputs` being the plant's C."""
-        table, (modes, p, n) = self.believe(feedback, bank.chain), outputs.shape
+        table, (_, p, n) = self.believe(feedback, bank.chain), outputs.shape
         shape = replace(table.shape, seen=p, output=p, kept=n)
-        C, gains = read_only(outputs.reshape(modes, -1)), read_only(feedback.state_gain)
-        return table._replace(shape=shape, bank=BankLanes(bank, C, gains))
+        return table._replace(shape=shape, bank=bank, outputs=outputs)
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> EngineTable:
         """What a law that knows these signals does, of each of them."""
@@ -196,11 +197,13 @@ class Engine:
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
         work = work_of(shape, plant, self._run, table.taps, carry, count)
         ahead = None if table.model is None else stacks_of(shape, table.model)
+        kept = None if table.memory is None else ObserverLanes.of(table.memory)
         mind = None
-        if table.belief is not None:
-            rows = shape.rows // shape.u or table.dense.head.size // shape.head
-            mind = belief_lanes(shape, table.belief, table.bank, rows)
-        run_scenarios(*table[:8], *loop, first, count, path, keep, work, ahead, mind)
+        if table.belief is not None and table.gains is not None:
+            mind = belief_lanes(shape, table.belief, table.bank, table.gains)
+        outputs = None if table.outputs is None else OutputLanes.of(table.outputs)
+        room = work, ahead, kept, mind, outputs
+        run_scenarios(*table[:8], *loop, first, count, path, keep, *room)
         figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)
         return ScenarioSums(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
 

@@ -42,12 +42,7 @@ from deadtime.numerics.lanes import (
     times,
     where_larger,
 )
-from deadtime.scenarios.belief_memory import (
-    believe_again,
-    look_at_outputs,
-    mean_dense_row,
-    mean_row,
-)
+from deadtime.scenarios.belief_memory import believe_again, mean_dense_row, mean_row
 from deadtime.scenarios.hearing import (
     add_noise,
     command,
@@ -61,16 +56,13 @@ from deadtime.scenarios.hearing import (
 )
 from deadtime.scenarios.lane_types import LoopSizes, PlantLanes, RunLanes
 from deadtime.scenarios.law_rows import choose_rows, refill, sum_dense, window_of
-from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, sum_up, turn
-from deadtime.scenarios.remembering import (
-    correct,
-    follow_modes,
-    follow_outputs,
-    kept_of,
-    predict,
-    remembered,
-    sum_up_errors,
+from deadtime.scenarios.observer_memory import (
+    begin_observers,
+    look_at_outputs,
+    note_answer,
+    observe_again,
 )
+from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, sum_up, turn
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -185,7 +177,7 @@ def _turn_around(places, m, size):
 @kernel(eager=True, nogil=True)
 def run_scenarios(
     shape, factored, dense, model, memory, belief, bank, taps, plant, run, clip, relayed, sight,
-    force, start, count, path, keep, work, ahead, mind,
+    force, start, count, path, keep, work, ahead, kept, mind, outputs,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
@@ -195,7 +187,8 @@ def run_scenarios(
     the law hears (`layout.Hearing`), and `force`, what the plant feels (`forces`). `path`, unless
     it is empty, gets x and u of every sample from `keep` on. The last scenario fills the last group
     of eight.
-    `ahead` is the memory of a model and `mind` of a belief, None without one.
+    `ahead` is the memory of a model, `kept` of an observer and `mind` of a belief, None without
+    one; `outputs` what the plant shows of its state, None where that is measured itself.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     ring, own, carry, sizes = work.ring, work.own, work.carry, len(shape.rows)
@@ -210,8 +203,12 @@ def run_scenarios(
         # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
         P, Q, EP, EQ = one, one, none, none
         felt, y, z = same(0.0, shape.force), same(0.0, shape.output), same(0.0, shape.kept)
+        line, nothing_lost = (
+            lanes_of(ring.reshape(period, m, LANES)),
+            lanes_of(np.zeros((1, LANES))),
+        )
         if memory is not None:
-            kept = kept_of(shape, memory, run.samples, period)
+            begin_observers(memory, kept)
         # A plain 0 is a type of its own, for which what is called would be compiled once more.
         soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
         older = period - min(taps, run.samples)
@@ -223,10 +220,9 @@ def run_scenarios(
         if model is not None:
             enters = look_ahead(shape, model, ahead, begin, few, period)
             r = model.length
-        if belief is not None:
-            nothing_lost, line = np.zeros(LANES), lanes_of(ring.reshape(period, m, LANES))
         if relayed is not None:
             recent = recent_of(shape, relayed, sight)
+            lost_now = lanes_of(recent.lost.reshape(1, LANES))
             # Asked here, for what ends within a branch is counted by Numba in every period.
             late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
             by_told = relayed.row.size > 0
@@ -243,24 +239,17 @@ def run_scenarios(
                 if (k - run.late) % _GROUP == _GROUP - 1:
                     EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                     P, Q = mantissa(P), mantissa(Q)
-            before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-            if memory is not None:
-                if k > 0:
-                    predict(shape, kept, ring)
-                    _turn_around(kept.acting, m, ring.size)
-                follow_outputs(memory, kept, work.mode)
-                y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
-            if bank is not None:
-                y = look_at_outputs(shape, bank, mind, work.mode, x)
+            latest = period - 1 if now == 0 else now - 1
+            before, missing = load(ring, latest * m * LANES, shape.u), nothing_lost
+            if outputs is not None:
+                y = look_at_outputs(shape, outputs, work.mode, x)
             seen = first_of(y, x, x, shape.seen)
             if relayed is not None:
                 at = first * run.samples + k * LANES
                 if sight is not None:
                     there = see(shape, relayed, sight, recent, x, at)
-                    if memory is not None:
-                        y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
-                    if bank is not None:
-                        y = look_at_outputs(shape, bank, mind, work.mode, there)
+                    if outputs is not None:
+                        y = look_at_outputs(shape, outputs, work.mode, there)
                     seen = first_of(y, there, there, shape.seen)
                 elif late:
                     seen = hear(shape, relayed, recent, seen, at)
@@ -268,26 +257,18 @@ def run_scenarios(
                     seen = add_noise(shape, relayed, seen, at)
                 if by_told:
                     hear_rows(relayed, recent, at)
+                missing = lost_now
             if memory is not None:
-                lost, told = none, work.mode
-                if relayed is not None:
-                    lost = load(recent.lost, 0, _ONE)
+                told = work.mode
+                if relayed is not None:  # noqa: SIM102
                     if relayed.told.size > 0:
                         hear_modes(relayed, kept.told, at)
                         told = kept.told
-                follow_modes(memory, kept, told)
                 heard = first_of(seen, seen, seen, shape.output)
-                heard = correct(shape, memory, kept, heard, lost)
-                if clip is not None:
-                    store(kept.before, 0, before)
-                sum_up_errors(shape, memory, kept, heard, k, clip is not None)
-                z = remembered(shape, memory, kept, k)
+                given = line, latest, told, heard, missing, k
+                z = observe_again(shape, memory, kept, outputs, *given)
             known = first_of(z, seen, seen, shape.known)
             if belief is not None:
-                missing = nothing_lost
-                if relayed is not None:
-                    missing = recent.lost
-                latest = period - 1 if now == 0 else now - 1
                 believe_again(belief, bank, mind, line, latest, seen, missing, k)
             if model is not None:
                 if enters // LANES == k:
@@ -324,7 +305,7 @@ def run_scenarios(
                     sums = gather(window.sums, places, shape.u)
                     u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
             if memory is not None:
-                store(kept.asked, 0, u)
+                note_answer(kept, u)
             elif relayed is not None and bank is None:
                 u = command(shape, recent, u, asked)
                 asked = u

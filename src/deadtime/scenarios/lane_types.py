@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deadtime.feedback.bank import BankForm
-
 KINDS = {"none": 0, "mode": 1, "mode_age": 2}  # what a table's rows go by
 
 
@@ -23,10 +21,7 @@ class LoopSizes:
     rows : the inputs that all its rows ask for
     force : all forces of a period
     seen : what is measured;  known : what the law's rows are multiplied with
-    kept : that of a law with a memory, zeros of one with a bank, and of it the `estimate`, the
-        `sums` and what is `tracked`;  output : what it measures;  reaching, watched : `acting` and
-        `z` of its model
-    estimates, outputs, two_sums : two of each
+    kept : that of a law with a memory, zeros of one with a bank;  output : what it measures
     head : m (n + m), for the heads of dense rows
     square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
     """
@@ -42,15 +37,7 @@ class LoopSizes:
     seen: int = 0
     known: int = 0
     kept: int = 0
-    estimate: int = 0
-    estimates: int = 0
-    sums: int = 0
-    two_sums: int = 0
-    tracked: int = 0
     output: int = 0
-    outputs: int = 0
-    reaching: int = 0
-    watched: int = 0
     b: int = 0
     block: int = 0
     rows: int = 0
@@ -97,45 +84,6 @@ class Dense(NamedTuple):
     width: int
     kind: int
     ages: int
-
-
-class MemoryLanes(NamedTuple):
-    """What moves the z of a law that remembers (`feedback.memory.Memory`).
-
-    matrices : (modes, size), of each mode one after the other, flat: the map of its estimate over a
-        period, −C (`at_output`), the observer's gain (`at_gain`), how the input answers q
-        (`at_push`)
-    outputs : (modes, p n), the C of the plant
-    lags : of the inputs that the map takes, oldest first
-    start : the first estimate;  tracked (r, p), reference (samples, r), flat
-    sums : the entries of q;  step : seconds
-    """
-
-    matrices: np.ndarray
-    at_output: int
-    at_gain: int
-    at_push: int
-    outputs: np.ndarray
-    lags: np.ndarray
-    start: np.ndarray
-    tracked: np.ndarray
-    tracked_count: int
-    reference: np.ndarray
-    sums: int
-    step: float
-
-
-class BankLanes(NamedTuple):
-    """The filters of a law that weighs its rows by a belief from outputs (`feedback.bank`).
-
-    form : BankForm
-    outputs : (modes, p n), the C of the plant
-    gains : (rows, m, n), what each row makes of the estimate of its mode
-    """
-
-    form: BankForm
-    outputs: np.ndarray
-    gains: np.ndarray
 
 
 class PlantLanes(NamedTuple):

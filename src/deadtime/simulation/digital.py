@@ -14,6 +14,7 @@ from deadtime.feedback.memory import Tables
 from deadtime.feedback.table import OLDEST, follow
 from deadtime.imperfections import Disturbance
 from deadtime.loop.belief_steps import BeliefState
+from deadtime.loop.observer_steps import ObserverState
 from deadtime.plant.steps import snap
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.forcing import Forcing
@@ -95,10 +96,13 @@ def run_table(
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
     along = Along(sampled, signal, table)
     foreseen = Foreseen.of(tables.foresight, samples, along) if tables.foresight else None
-    state = None
+    state = observer = None
+    if memory is not None:
+        observer = ObserverState.of(memory)
+        observer.z[:] = memory.start
     if belief is not None:
         state = BeliefState.of(belief, rows.F.shape[0])
-    known = memory, belief, state, foreseen
+    known = memory, observer, belief, state, foreseen
     kept, path = closed_loop(table, rows, *known, line, sight, clip, shift, x0)
     record = DigitalRecord(
         sampled,

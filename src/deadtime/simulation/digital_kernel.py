@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.loop.belief_steps import believe
-from deadtime.loop.observer_steps import remember
+from deadtime.loop.observer_steps import observe
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.cut_pieces import up_to
@@ -135,25 +135,29 @@ def _move(Phi, Gamma, e, path, q, acting):
         path[q + 1, i] = total
 
 
-def _in_python(table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0):
+def _in_python(table, rows, memory, observer, belief, state, foreseen, *run):
     """`closed_loop` where it is not compiled: over lists where these will do."""
+    line, sight, clip, shift, x0 = run
     simple = memory is None and belief is None and foreseen is None
     if simple and is_bare(table, line, sight, clip, shift):
         return bare_loop(table, rows, line, x0)
-    parts = table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0
-    return closed_loop.function(*parts)
+    known = memory, observer, belief, state, foreseen
+    return closed_loop.function(table, rows, *known, *run)
 
 
 @kernel(plain=_in_python, large=_LONG)
-def closed_loop(table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0):
+def closed_loop(
+    table, rows, memory, observer, belief, state, foreseen, line, sight, clip, shift, x0
+):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
-    `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`,
-    `belief` and `state` of `deadtime.feedback.belief`, `foreseen` one of its file in place of rows,
-    or None each; the others are of `deadtime.simulation`, too: `rows` and `line` of `digital`,
-    `sight` of its file, `clip` of `compiled`; `shift` (pieces, n), or empty, is what disturbances
-    add. Returns (samples, path): how many samples were kept before |x| left the limit, and x at the
-    start of every piece that was run and at the end of the last.
+    `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`
+    and `observer` its state, `belief` a `deadtime.feedback.belief.Belief` and `state` its own,
+    `foreseen` one of its file in place of rows, or None each; the others are of
+    `deadtime.simulation`, too: `rows` and `line` of `loop_arrays`, `sight` of its file, `clip` of
+    `imperfection_arrays`; `shift` (pieces, n), or empty, is what disturbances add. Returns
+    (samples, path): how many samples were kept before |x| left the limit, and x at the start of
+    every piece that was run and at the end of the last.
     """
     first, entry, Phi, Gamma, lag = table.first, table.entry, table.Phi, table.Gamma, table.lag
     inputs, asked, told, flat = line.inputs, line.asked, line.told, line.told.reshape(-1)
@@ -164,7 +168,7 @@ def closed_loop(table, rows, memory, belief, state, foreseen, line, sight, clip,
     spare, seen = np.empty(n), np.empty(measured.shape[1])
     known = seen if memory is None else np.empty(line.estimates.shape[1])
     acting, answer = np.empty(m), np.zeros(m)
-    path = np.empty((entry.size + 1, n))
+    path, known_mode = np.empty((entry.size + 1, n)), np.full(1, -1)
     for i in range(n):
         path[0, i] = x0[i]
     for k in range(first.size - 1):
@@ -178,9 +182,10 @@ def closed_loop(table, rows, memory, belief, state, foreseen, line, sight, clip,
                 _go_on(table, sight, k, path[q], inputs, past, spare)
             _see(sight, k, spare, measured, seen)
             if memory is not None:
-                remember(memory, rows.mode, k, told, past, seen, answer, line.estimates)
+                estimates = line.estimates
+                observe(memory, observer, rows.mode, known_mode, k, told, past, seen, estimates)
                 for i in range(known.size):
-                    known[i] = line.estimates[k, i]
+                    known[i] = estimates[k, i]
             recent = flat[at * m - window : at * m]
             if foreseen is not None:
                 foresee(foreseen, k, past, told, known, answer)
@@ -191,6 +196,9 @@ def closed_loop(table, rows, memory, belief, state, foreseen, line, sight, clip,
                 for i in range(m):
                     own = _row_dot(F, row[k], i, known)
                     answer[i] = _dot(G[row[k], i], recent) + own
+            if memory is not None:
+                for i in range(m):
+                    observer.asked[i] = answer[i]
             held = not (_finite(seen) or _finite(answer))
             _apply(answer, held, at, asked, inputs, low, high, relative)
         for q in range(first[k], first[k + 1]):

@@ -1,7 +1,7 @@
 """The observer of a controller in C, and what a servo adds to it: tables, room and bounds.
 
 All of it comes from a `Memory` and the reference as a schedule. The C does what
-`estimation/estimator.py` does in the same order, so that both agree to round-off.
+`loop/observer_steps.py` does in the same order, so that both agree to round-off.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from deadtime.controller.observing import Observing
 from deadtime.feedback.memory import Memory
 
 _COUNTERS = 8  # bytes of integers in a controller's state
-_PIECES = ("Phi", "Gamma", "lag")
 _NEVER = 2**63  # samples
 # Of the input asked for: less is not told from the one applied, `_ROUND_OFF` of the kernel.
 _ROUND_OFF = {"double": 1e-9, "float": 1e-5}
@@ -39,9 +38,7 @@ class ObserverForm(NamedTuple):
         """
         memory, reference = observing.memory, observing.reference
         if not observing.reads_mode:
-            first = {name: getattr(memory, name)[:1] for name in ("C", "gain", "push")}
-            pieces = {name: getattr(memory, name)[: memory.first[1]] for name in _PIECES}
-            memory = memory._replace(first=memory.first[:2], **first, **pieces)
+            memory = memory._replace(matrices=memory.matrices[:1])
         if reference is None or reference.schedule is None:
             return cls(memory, [0], memory.reference)
         times, slack = reference.schedule.times, reference.schedule.slack
@@ -51,8 +48,7 @@ class ObserverForm(NamedTuple):
     @property
     def sizes(self) -> tuple[int, int, int, int]:
         """Of estimates, outputs, sums and tracked outputs."""
-        (n, p), r = self.memory.gain.shape[1:], len(self.memory.tracked)
-        return n, p, self.memory.start.size - n - r, r
+        return self.memory.sizes[:4]
 
 
 def _first_sample(time: float, slack: float, step: float) -> int:
@@ -91,8 +87,8 @@ def arrays(form: ObserverForm) -> dict[str, tuple[np.ndarray, str]]:
     start = memory.start.copy()
     start[n + q :] = form.values[0]
     found = {
-        "PREDICT_X": (memory.Phi, "the model over each piece of a period: the estimate"),
-        "PREDICT_U": (memory.Gamma, "an input, over each piece"),
+        "PREDICT_X": (memory.Phi, "the model over a period in each mode: the estimate"),
+        "PREDICT_U": (memory.Gamma, "inputs, by lag"),
         "MEASURE": (memory.C, "outputs of the estimate, by mode"),
         "CORRECT": (memory.gain, "the observer's gain, by mode"),
         "BEGIN": (start, "z before anything is measured"),
@@ -113,8 +109,7 @@ def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
         "outputs": p,
         "sums": q,
         "tracked": r,
-        "first": form.memory.first.tolist(),
-        "reads_mode": len(form.memory.C) > 1,
+        "reads_mode": len(form.memory.matrices) > 1,
         "lags": form.memory.lag.tolist(),
         "sent": _sent(form),
         "changes": form.changes,
@@ -126,7 +121,7 @@ def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
 def rom_bytes(form: ObserverForm, precision: Precision) -> int:
     """Of the observer's tables; integers take four bytes, samples eight."""
     numbers = sum(array.size for array, _ in arrays(form).values())
-    integers = form.memory.first.size + form.memory.lag.size
+    integers = form.memory.lag.size
     samples = len(form.changes) if len(form.changes) > 1 else 0
     return BYTES[precision] * numbers + 4 * integers + 8 * samples
 
@@ -134,7 +129,7 @@ def rom_bytes(form: ObserverForm, precision: Precision) -> int:
 def ram_bytes(form: ObserverForm, precision: Precision) -> int:
     """Of z, what was measured and asked for last, and the inputs that the observer reads."""
     *_, r = form.sizes
-    m = form.memory.lag.shape[1]
+    m = form.memory.sizes.m
     return BYTES[precision] * (form.memory.start.size + r + m + _sent(form) * m) + _COUNTERS
 
 
@@ -145,7 +140,7 @@ def gain(form: ObserverForm, largest: float) -> float:
     the gain there, must not overflow either.
     """
     memory, (n, p, q, _) = form.memory, form.sizes
-    m = memory.lag.shape[1]
+    m = memory.sizes.m * memory.lag.size
     output = max(n * _most(memory.C), 1.0)
     sums = [
         n * _most(memory.Phi) + m * _most(memory.Gamma),
@@ -154,7 +149,7 @@ def gain(form: ObserverForm, largest: float) -> float:
         1.0 + 2.0 * memory.step,
     ]
     change = 2.0 * memory.step * q * _most(memory.push)
-    square = math.sqrt(largest) * math.sqrt(2.0 * m * change / 16.0)
+    square = math.sqrt(largest) * math.sqrt(2.0 * memory.sizes.m * change / 16.0)
     return max(*sums, change, square)
 
 

@@ -26,8 +26,7 @@ class _ObserverMotion:
 
     def __init__(self, observing: Observing, rng: np.random.Generator, amplitude: float) -> None:
         self.memory, self.rng, self.amplitude = observing.memory, rng, amplitude
-        m = self.memory.lag.shape[1]
-        self.sent = np.zeros((int(self.memory.lag.max()) + 1, m))
+        self.sent = np.zeros((int(self.memory.lag.max()) + 1, self.memory.sizes.m))
         self.put()
 
     def put(self) -> None:
@@ -36,11 +35,11 @@ class _ObserverMotion:
 
     def go(self, mode: int, u: Float[np.ndarray, " m"]) -> None:
         """Over a period in which u was sent."""
-        memory, channels = self.memory, np.arange(u.size)
+        memory = self.memory
         self.sent = np.vstack((self.sent[1:], u))
-        for piece in range(memory.first[mode], memory.first[mode + 1]):
-            acting = self.sent[-1 - memory.lag[piece], channels]
-            self.x = memory.Phi[piece] @ self.x + memory.Gamma[piece] @ acting
+        self.x = memory.Phi[mode] @ self.x
+        for drive, lag in zip(memory.Gamma[mode], memory.lag, strict=True):
+            self.x += drive @ self.sent[-1 - lag]
         if np.abs(self.x).max() > FAR * self.amplitude:
             self.put()
 

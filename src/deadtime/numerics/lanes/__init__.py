@@ -17,7 +17,7 @@ from deadtime.numerics.lanes.choices import (
     smaller,
     where_larger,
 )
-from deadtime.numerics.lanes.code import LANES
+from deadtime.numerics.lanes.code import LANES, KnownNumbers
 from deadtime.numerics.lanes.moves import (
     first_of,
     gather,
@@ -42,6 +42,7 @@ from deadtime.numerics.lanes.sums import (
 
 __all__ = [
     "LANES",
+    "KnownNumbers",
     "block_product",
     "choose",
     "exponent",

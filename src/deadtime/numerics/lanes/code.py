@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.typeconv import Conversion
+from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
@@ -82,6 +82,47 @@ class _Fields(AttributeTemplate):
 @lower_getattr_generic(LaneSizes)
 def _zeros(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
     return context.get_constant_null(types.UniTuple(types.float64, kind.fields[name]))
+
+
+class KnownNumbers:
+    """Numbers that compiled code knows as constants, so that it unrolls loops over them."""
+
+    def __init__(self, numbers: dict[str, int]) -> None:
+        self._numba_type_ = KnownNumbersType(numbers)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._numba_type_.numbers.values())
+
+
+class KnownNumbersType(types.Type):
+    """The type of `KnownNumbers`; an attribute is one of the numbers."""
+
+    def __init__(self, numbers: dict[str, int]) -> None:
+        self.numbers = numbers
+        super().__init__(name=f"KnownNumbers({', '.join(f'{n}={k}' for n, k in numbers.items())})")
+
+
+@register_model(KnownNumbersType)
+class _KnownNumbersModel(models.OpaqueModel):
+    pass
+
+
+@unbox(KnownNumbersType)
+def _unbox_numbers(kind: Any, given: Any, c: Any) -> NativeValue:
+    return NativeValue(c.context.get_dummy_value())
+
+
+@infer_getattr
+class _Numbers(AttributeTemplate):
+    key = KnownNumbersType
+
+    def generic_resolve(self, kind: Any, name: str) -> Any:
+        return types.intp if name in kind.numbers else None
+
+
+@lower_getattr_generic(KnownNumbersType)
+def _number(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
+    return ir.Constant(WORD, kind.numbers[name])
 
 
 def vectors(count: int) -> types.UniTuple:

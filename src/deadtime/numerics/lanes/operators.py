@@ -5,8 +5,9 @@ truths. `lanes_of` reads arrays of floats whose last axis is the scenario as arr
 The functions of `deadtime.numerics.numbers` are compiled here, of floats, too.
 """
 
-# Types of Numba are called to make signatures.
-# pyright: reportCallIssue=false
+# Types of Numba are called to make signatures, and its named tuples are more than it declares.
+# pyright: reportCallIssue=false, reportOptionalCall=false, reportGeneralTypeIssues=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.imputils import impl_ret_borrowed
-from numba.core.typeconv import Conversion
-from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.core.typeconv.castgraph import Conversion
+from numba.core.typing.templates import AbstractTemplate, ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 from numba.np.arrayobj import populate_array
 
@@ -138,6 +139,25 @@ def _ratio(code: Code, a: Any, b: Any) -> Any:
 _operators()
 
 
+@infer_global(numbers.flat)
+class _Flat(AbstractTemplate):
+    key = numbers.flat
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        (array,) = args
+        return signature(types.Array(array.dtype, 1, "C", aligned=array.aligned), array)
+
+
+@lower_builtin(numbers.flat, types.Array)
+def _flattened(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    # NumPy's reshape is a call that looks at strides.
+    (given,), kind = signature.args, signature.return_type
+    source = context.make_array(given)(context, builder, arguments[0])
+    size = [source.nitems]
+    view = _new_view(context, builder, kind, source, size, [source.itemsize], source.itemsize)
+    return impl_ret_borrowed(context, builder, kind, view)
+
+
 @intrinsic
 def lanes_of(_, arrays):
     """Arrays (…, 8) of floats as arrays of vectors, without a copy; of a tuple's arrays each."""
@@ -154,7 +174,7 @@ def _kind_of(given: Any) -> Any:
     if isinstance(given, types.BaseNamedTuple):
         kinds = [_kind_of(part) for part in given]
         return types.BaseTuple.from_types(kinds, given.instance_class)
-    if isinstance(given, types.Array):
+    if isinstance(given, types.Array) and given.dtype == types.float64:
         # Numbers that are said to lie anywhere: eight of them would be taken to be on a cache line.
         return types.Array(EIGHT, given.ndim - 1, "C", aligned=False)
     return given
@@ -168,13 +188,24 @@ def _view(context: Any, builder: Any, given: Any, kind: Any, value: Any) -> Any:
         views = [_view(context, builder, *each) for each in zip(given, kind, parts, strict=True)]
         return context.make_tuple(builder, kind, views)
     source = context.make_array(given)(context, builder, value)
+    shape, strides = (
+        cgutils.unpack_tuple(builder, part)[:-1] for part in (source.shape, source.strides)
+    )
+    size = ir.Constant(ir.IntType(64), 8 * LANES)
+    return _new_view(context, builder, kind, source, shape, strides, size)
+
+
+def _new_view(
+    context: Any, builder: Any, kind: Any, source: Any, shape: Any, strides: Any, itemsize: Any
+) -> Any:
+    """The data of an array as another one."""
     result = context.make_array(kind)(context, builder)
     populate_array(
         result,
         data=builder.bitcast(source.data, result.data.type),
-        shape=cgutils.unpack_tuple(builder, source.shape)[:-1],
-        strides=cgutils.unpack_tuple(builder, source.strides)[:-1],
-        itemsize=ir.Constant(ir.IntType(64), 8 * LANES),
+        shape=shape,
+        strides=strides,
+        itemsize=itemsize,
         meminfo=source.meminfo,
         parent=source.parent,
     )

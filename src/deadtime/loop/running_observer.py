@@ -1,0 +1,102 @@
+"""An observer that runs, one sample per call, for whoever runs it: a law or a controller."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.feedback.memory import Memory
+from deadtime.loop.observer_steps import (
+    ObserverState,
+    begin_observer,
+    correct_observer,
+    predict_observer,
+)
+
+
+class RunningObserver:
+    """A `Memory` that runs; `begin`, then `update` once a period.
+
+    Attributes
+    ----------
+    memory : Memory
+    state : ObserverState
+        What the law is given is `state.z`, as of the last update; whoever runs it writes what the
+        law asked for into `state.asked`.
+    """
+
+    # z, the inputs, how many samples, place in the ring and mode, what was asked for and tracked.
+    arrays: ClassVar = ("z", "ring", "counters", "asked", "before")
+
+    def __init__(self, memory: Memory) -> None:
+        self.memory, self.state = memory, ObserverState.of(memory)
+        _, p, _, r, m, _ = memory.sizes
+        self.ring = np.zeros((int(memory.lag.max()) + 1, m))
+        self.counters, self._known = np.zeros(3, np.int64), np.full(1, -1)
+        self._nothing, self._none = np.full(p, np.nan), np.zeros(r)
+
+    @property
+    def z(self) -> Float[np.ndarray, " z"]:
+        return self.state.z
+
+    @property
+    def asked(self) -> Float[np.ndarray, " m"]:
+        return self.state.asked
+
+    @property
+    def before(self) -> Float[np.ndarray, " r"]:
+        """What was tracked at the last sample."""
+        return self.state.value[1]
+
+    @property
+    def corrected(self) -> bool:
+        """Whether the last update had a measurement that it could use."""
+        return bool(self.state.used[0])
+
+    def begin(self, history: Float[np.ndarray, "past m"]) -> None:
+        """Start anew; `history` are the inputs before, at least N of them, the oldest first."""
+        for name in self.arrays:
+            getattr(self, name)[...] = 0
+        begin_observer.function(self.memory, self.state)
+        self.ring[2:] = history[len(history) + 1 - len(self.ring) : -1]
+        self.asked[:] = history[-1]
+
+    def update(
+        self,
+        latest: Float[np.ndarray, " m"],
+        y: Float[np.ndarray, " p"] | None,
+        mode: int,
+        reference: Float[np.ndarray, " r"] | None = None,
+    ) -> Float[np.ndarray, " z"]:
+        """z at this sample, from the input that ends as applied and from what was measured.
+
+        A y that is None or not finite corrects nothing. `mode` is the sampled mode; below 0 it is
+        not known, and the last one goes on, mode 0 before any was known.
+        """
+        samples, place, before = self.counters.tolist()
+        self.ring[place], self.counters[1] = latest, (place + 1) % len(self.ring)
+        if samples:
+            self._select(before)
+            predict_observer(self.memory, self.state, self.ring, place)
+        mode = before if mode < 0 else mode
+        self._select(mode)
+        y = self._nothing if y is None else y
+        r = self._none if reference is None else reference
+        correct_observer(self.memory, self.state, y, self.ring[place], r, samples)
+        self.counters[0], self.counters[2] = samples + 1, mode
+        return self.z
+
+    def _select(self, mode: int) -> None:
+        if self._known[0] != mode:
+            self.state.own[:], self._known[0] = self.memory.matrices[mode], mode
+
+    def snapshot(self) -> dict[str, Any]:
+        """Copies of everything that changes."""
+        return {name: getattr(self, name).copy() for name in self.arrays}
+
+    def load(self, saved: dict[str, Any]) -> None:
+        """The opposite of `snapshot`."""
+        for name in self.arrays:
+            getattr(self, name)[...] = saved[name]
