@@ -9,9 +9,9 @@ from scipy.stats import expon
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.problems.file.schema import SemiMarkovSwitching
-from deadtime.problems.file.switching import build_model
 from deadtime.problems.law_registry import LEVELS
+from deadtime.problems.switching_registry import build_model
+from deadtime.problems.switching_registry.entries.semi_markov import SemiMarkovSwitching
 from deadtime.reports.study import run_study
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import best, summary

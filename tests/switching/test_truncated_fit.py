@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from deadtime import ArgumentError, SwitchingSignal
+from deadtime import ArgumentError, SemiMarkov, SwitchingSignal
 from deadtime.cli.application import main
-from deadtime.problems.file.schema import SemiMarkovSwitching
-from deadtime.problems.file.switching import build_model
-from deadtime.switching import SemiMarkov
+from deadtime.problems.switching_registry import build_model
+from deadtime.problems.switching_registry.entries.semi_markov import SemiMarkovSwitching
 from deadtime.switching.models.fit import sojourns_of
 from shares import mostly_long
 

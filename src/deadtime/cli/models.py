@@ -66,7 +66,8 @@ def fit(
     from deadtime.problems.asked import one_or_all
     from deadtime.reports.figures.fit import plot_fit
     from deadtime.reports.tables import fit as fit_report
-    from deadtime.switching import SemiMarkov, SwitchingSignal
+    from deadtime.switching import SwitchingSignal
+    from deadtime.switching.models.semi_markov import SemiMarkov
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
@@ -86,7 +87,7 @@ def fit(
         print_json(fit_report.fit_record(model, names), [out])
         return
     print_table(fit_report.HEADINGS, fit_report.fit_rows(model, names))
-    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{fit_report.switching_section(model)}")
+    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{model.section()}")
     print(f"\nFigure: {out}")
 
 

@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import real_array
+from deadtime.base.checks import positive, real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.models.jump_process import JumpProcess
-from deadtime.switching.models.model import JumpModel
+from deadtime.switching.models.jump_process import JumpProcess, Switches
+from deadtime.switching.models.model import SampledChain, SwitchingModel, rows_text
 from deadtime.switching.models.quantiles import Quantiles
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Markov(JumpModel):
+class Markov(SwitchingModel):
     """A Markov process of modes: in mode i, a switch to mode j comes at the rate Λ_ij.
 
         P(σ(t + s) = j | σ(t) = i) = (e^{sΛ})_ij
@@ -45,7 +45,7 @@ class Markov(JumpModel):
 
     Examples
     --------
-    >>> from deadtime.switching import Markov
+    >>> from deadtime import Markov
     >>> model = Markov([[0.0, 2.0], [1.0, 0.0]])
     >>> model.generator
     array([[-2.,  2.],
@@ -102,11 +102,26 @@ class Markov(JumpModel):
         with np.errstate(divide="ignore"):
             return 1.0 / self.rates.sum(axis=1)
 
-    @property
-    def process(self) -> JumpProcess:
+    def ages(self, step: float, most: int | None = None) -> None:
+        """None: how long a mode has been active says nothing."""
+        return None
+
+    def chain(self, step: float, ages: int = 1) -> SampledChain:
+        """P = e^{hΛ}, returns within a period among what stays."""
+        from deadtime.numerics.covariance import transition
+
+        P = transition(self.generator, positive("step", step))
+        return SampledChain.of_matrix(P, within=True)
+
+    def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Exponential sojourns, and jumps by the rates."""
-        mean = self.mean
-        return JumpProcess(Quantiles(np.zeros(self.modes), mean), self.rates, float(mean.max()))
+        sojourn = Quantiles(np.zeros(self.modes), self.mean)
+        process = JumpProcess(sojourn, self.rates, float(self.mean.max()))
+        return process.draw(horizon, seed, first, count)
+
+    def section(self) -> str:
+        """The [switching] section of a problem file that describes the model."""
+        return f'[switching]\nkind = "markov"\n{rows_text("rates", self.rates)}'
 
     def __repr__(self) -> str:
         means = ", ".join(f"{mean:.3g}" for mean in self.mean)

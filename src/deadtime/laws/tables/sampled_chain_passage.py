@@ -1,7 +1,7 @@
-"""The table of the expected law under a semi-Markov forecast where delays differ.
+"""The table of the expected law under any model at samples, where delays differ.
 
-Switches are seen at samples, as in `semi_markov`, and what the law foresees ends where the mode of
-that instant reads u_k, as in `markov_passage`. Going backwards from t_{k+p+1} to t_{k+p},
+Switches are seen at samples, as in `sampled_chain`, and what the law foresees ends where the mode
+of that instant reads u_k, as in `markov_passage`. Going backwards from t_{k+p+1} to t_{k+p},
 functionals of (mode, age) are
 
     R   of the expected state,
@@ -20,38 +20,32 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.feedback import Feedback
 from deadtime.plant import SampledPlant
+from deadtime.switching.models.model import SampledChain
 
 
-def semi_markov_passage(
-    K: Float[np.ndarray, "mode m n"],
-    hazard: Float[np.ndarray, "mode total"],
-    transition: Float[np.ndarray, "mode mode"],
-    ages: int,
-    sampled: SampledPlant,
-) -> Feedback:
-    """The (mode, age) table; `hazard` reaches N ages past the table's."""
+def chain_passage(
+    K: Float[np.ndarray, "mode m n"], chain: SampledChain, ages: int, sampled: SampledPlant
+) -> tuple[Float[np.ndarray, "mode age m n"], Float[np.ndarray, "mode age tap m m"]]:
+    """State and input gains by mode and age; `chain` reaches N ages past them, or has one."""
     modes, m, n = K.shape
     longest = sampled.longest_lag
     F, G = np.empty((modes, ages, m, n)), np.zeros((modes, ages, longest, m, m))
     for target in range(m):
-        march = _PassageMarch(K, hazard, transition, ages + longest, sampled, target)
+        march = _PassageMarch(K, chain, sampled, target)
         for p in range(longest, -1, -1):
             march.back(p)
         F[:, :, target] = march.R[:, :ages]
         G[:, :, :, target] = march.g[:, :ages]
-    F, G = F.reshape(modes * ages, m, n), G.reshape(modes * ages, longest, m, m)
-    return Feedback(F, G, "mode_age", sampled.step, ages)
+    return F, G
 
 
 class _PassageMarch:
     """The functionals of one input's feedback at a sample ahead, by mode and age."""
 
-    def __init__(self, K, hazard, transition, total, sampled: SampledPlant, target):
-        modes, m, n = K.shape
-        self.K, self.target, self.transition = K, target, transition
-        self.hazard = hazard[:, :total, None]
+    def __init__(self, K, chain: SampledChain, sampled: SampledPlant, target: int):
+        (modes, total), m, n = chain.hazard.shape, *K.shape[1:]
+        self.K, self.target, self.chain = K, target, chain
         self.pieces = [sampled.pieces(i) for i in range(modes)]
         self.R, self.w = np.zeros((modes, total, n)), np.zeros((modes, total, m))
         self.g = np.zeros((modes, total, sampled.longest_lag, m))
@@ -72,13 +66,13 @@ class _PassageMarch:
         result = []
         for value, fresh in zip((self.R, self.w, self.g), first, strict=True):
             older = np.concatenate((value[:, 1:], value[:, -1:]), axis=1)
-            hazard = self.hazard.reshape(*self.hazard.shape[:2], *[1] * (value.ndim - 2))
+            hazard = self.chain.hazard.reshape(*value.shape[:2], *[1] * (value.ndim - 2))
             result.append(older + hazard * (fresh[:, None] - older))
         return result
 
     def _entered(self, p: int) -> list[np.ndarray]:
         """R, w and g of a switch out of each mode at the end of period p."""
-        T = self.transition
+        T = self.chain.jump
         R, w, g = (np.tensordot(T, value[:, 0], 1) for value in (self.R, self.w, self.g))
         read = [p - pieces[-1].stretch.lag >= 0 for pieces in self.pieces]
         reads = [p + 1 - pieces[0].stretch.lag >= 0 for pieces in self.pieces]

@@ -1,4 +1,4 @@
-"""The table of the expected law under a semi-Markov forecast, exact on the sampling grid.
+"""The table of the expected law under any model at samples: a chain of mode and age, exactly.
 
 Switches are seen at samples, so a mode lasts whole periods and (mode, age) is a Markov chain:
 from (i, a) the next sample finds (i, a + 1) with probability 1 − haz_i(a), or (j, 0) with
@@ -15,7 +15,8 @@ The model is in mode i all through period p, so, with φ = h,
 and p times ⟨·⟩ brings that weight back to t_k. With φ < h the last period is a part, R_{N−1} =
 K_i Φ_i(φ), and each earlier one has two inputs: u_{k+p−N} for φ and then u_{k+p−N+1} for h − φ.
 
-Averaging a weight back costs (modes)(ages + N) m² products a period, the table (N²/2) of these.
+Averaging a weight back costs (modes)(ages + N) m² products a period, the table (N²/2) of these;
+where age says nothing there is one age, which lasts, in place of ages + N.
 """
 
 from __future__ import annotations
@@ -27,12 +28,16 @@ from deadtime.feedback import Feedback
 from deadtime.numerics.exponential import discretise_modes, multiply
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
+from deadtime.switching.models.model import SampledChain
 
 
 @kernel(eager=True, fastmath={"contract"})
 def _one_sample_back(R, hazard, transition, ages, fresh):
-    """R ← ⟨R⟩ in place for the ages below `ages`; R (modes, entries, ages), `fresh` is scratch."""
-    modes, entries = R.shape[:2]
+    """R ← ⟨R⟩ in place for the ages below `ages`; R (modes, entries, ages), `fresh` is scratch.
+
+    The oldest age of all lasts.
+    """
+    modes, entries, total = R.shape
     for i in range(modes):
         for e in range(entries):
             fresh[i, e] = 0.0
@@ -41,8 +46,10 @@ def _one_sample_back(R, hazard, transition, ages, fresh):
     for i in range(modes):
         for e in range(entries):
             row, new = R[i, e], fresh[i, e]
-            for a in range(ages):
+            for a in range(min(ages, total - 1)):
                 row[a] = row[a + 1] + hazard[i, a] * (new - row[a + 1])
+            if ages >= total:
+                row[total - 1] += hazard[i, total - 1] * (new - row[total - 1])
 
 
 @kernel(eager=True)
@@ -74,10 +81,10 @@ def _constant(matrices, ages):
 
 
 @kernel(eager=True)
-def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
-    """F (modes, m·n, ages) and G (modes, N, m·m, ages); `hazard` (modes, ages + N)."""
+def chain_rows(A, B, K, hazard, transition, ages, step, phase, count):
+    """F (modes, m·n, ages) and G (modes, N, m·m, ages); `hazard` (modes, ages + N or 1)."""
     modes, m, n = K.shape
-    total = ages + count
+    total = hazard.shape[1]
     partial = phase < step
     Phi, Gamma = discretise_modes(A, B, step)
     Phi_first, Gamma_first = discretise_modes(A, B, phase)
@@ -90,7 +97,7 @@ def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
     fresh, fresh_weight = np.empty((modes, m * n)), np.empty((modes, m * m))
     early, late = np.zeros((modes, m * m, total)), np.zeros((modes, m * m, total))
     for p in range(count - 1, -1, -1):
-        reach = ages + p
+        reach = min(ages + p, total)
         last = partial and p == count - 1
         if not last:
             _one_sample_back(R, hazard, transition, reach, fresh)
@@ -113,23 +120,20 @@ def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
     return R[:, :, :ages], G
 
 
-def semi_markov_table(
-    K: Float[np.ndarray, "mode m n"],
-    hazard: Float[np.ndarray, "mode total"],
-    transition: Float[np.ndarray, "mode mode"],
-    ages: int,
-    sampled: SampledPlant,
+def chain_table(
+    K: Float[np.ndarray, "mode m n"], chain: SampledChain, ages: int | None, sampled: SampledPlant
 ) -> Feedback:
-    """The (mode, age) table; `hazard` reaches N ages past the table's."""
+    """The table by mode and age, or by mode alone; `chain` reaches N ages past it, or has one."""
+    count, (modes, m, n) = ages or 1, K.shape
     if not sampled.plant.has_one_delay:
-        from deadtime.laws.tables.semi_markov_passage import semi_markov_passage
+        from deadtime.laws.tables.sampled_chain_passage import chain_passage
 
-        return semi_markov_passage(K, hazard, transition, ages, sampled)
-    A, B, window = sampled.plant.A, sampled.plant.B, sampled.window
-    modes, m, n = K.shape
-    F, G = semi_markov_rows(
-        A, B, K, hazard, transition, ages, window.step, window.phase, window.count
-    )
-    F = F.transpose(0, 2, 1).reshape(modes * ages, m, n)
-    G = G.transpose(0, 3, 1, 2).reshape(modes * ages, window.count, m, m)
-    return Feedback(np.ascontiguousarray(F), np.ascontiguousarray(G), "mode_age", window.step, ages)
+        F, G = chain_passage(K, chain, count, sampled)
+    else:
+        A, B, window = sampled.plant.A, sampled.plant.B, sampled.window
+        hazard, jump = chain.hazard, chain.jump
+        F, G = chain_rows(A, B, K, hazard, jump, count, window.step, window.phase, window.count)
+        F, G = F.transpose(0, 2, 1), np.ascontiguousarray(G.transpose(0, 3, 1, 2))
+    F, G = F.reshape(modes * count, m, n), G.reshape(modes * count, -1, m, m)
+    context = "mode" if ages is None else "mode_age"
+    return Feedback(np.ascontiguousarray(F), G, context, sampled.step, count)
