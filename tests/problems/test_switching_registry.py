@@ -17,8 +17,8 @@ from deadtime.problems.switching_registry import (
     ENTRIES,
     SwitchingSection,
     build_model,
-    collect,
 )
+from deadtime.problems.toml.entries import collect
 from deadtime.switching import SwitchingModel
 from deadtime.switching.models.model import SampledChain
 
@@ -87,7 +87,7 @@ def test_a_distribution_without_a_name_is_refused_in_a_file():
 
 
 def test_an_entry_that_is_whole_is_taken():
-    assert collect([module(HeldSwitching)]) == (HeldSwitching,)
+    assert collect("switching model", SwitchingSection, [module(HeldSwitching)]) == (HeldSwitching,)
 
 
 @pytest.mark.parametrize("name", ["build", "promise"])
@@ -101,7 +101,7 @@ def test_an_entry_that_lacks_something_is_refused_by_its_name(name):
     with pytest.raises(
         dt.ArgumentError, match=f"switching model entry Lacking in mine lacks {name}"
     ):
-        collect([module(lacking)])
+        collect("switching model", SwitchingSection, [module(lacking)])
 
 
 def test_a_model_of_other_modes_than_the_plant_is_refused_by_its_kind():

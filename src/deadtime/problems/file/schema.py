@@ -24,7 +24,8 @@ from deadtime.problems.law_registry.entry import (
     Plants,
     Square,
 )
-from deadtime.problems.switching_registry import ENTRIES as MODELS, SwitchingSection, Times
+from deadtime.problems.switching_registry import ENTRIES as MODELS, SwitchingSection
+from deadtime.problems.switching_registry.entry import Times
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import (
     Integers,

@@ -4,7 +4,7 @@ A model is known to files once it has an entry: a file in
 `deadtime.problems.switching_registry.entries`.
 """
 
-from deadtime.problems.switching_registry.entry import SwitchingSection, Times
-from deadtime.problems.switching_registry.registry import ENTRIES, build_model, collect
+from deadtime.problems.switching_registry.entry import SwitchingSection
+from deadtime.problems.switching_registry.registry import ENTRIES, build_model
 
-__all__ = ["ENTRIES", "SwitchingSection", "Times", "build_model", "collect"]
+__all__ = ["ENTRIES", "SwitchingSection", "build_model"]
