@@ -97,7 +97,7 @@ def test_every_file_lies_in_a_room():
 KINDS = {
     "audit certificates comparison constants design drawn_plants experiment fit identify loop maps "
     "monte_carlo report robustness runs sweep tracking witness",
-    "markov semi_markov sampled_chain",
+    "markov markov_chain semi_markov sampled_chain",
     "mode_filter observer servo",
     "load schema",
     "entry registry",
@@ -119,7 +119,9 @@ def test_files_and_classes_share_no_name_but_for_one_thing_of_several_kinds():
 
 
 def test_laws_filters_and_batches_ask_for_a_switching_model_and_know_none_by_name():
-    models = {f"deadtime.switching.models.{name}" for name in ("markov", "semi_markov")}
+    models = {
+        f"deadtime.switching.models.{name}" for name in ("markov", "markov_chain", "semi_markov")
+    }
     rooms = {"feedback", "estimation", "spectrum", "laws", "simulation", "certificates", "margins"}
     rooms |= {"synthesis", "controller", "app"}
     knowing = {name for name, imported in imports().items() if imported & models}

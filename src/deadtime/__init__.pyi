@@ -99,6 +99,7 @@ from .switching import (
     SwitchingSignal as SwitchingSignal,
 )
 from .switching.models.markov import Markov as Markov
+from .switching.models.markov_chain import MarkovChain as MarkovChain
 from .switching.models.semi_markov import SemiMarkov as SemiMarkov
 from .synthesis import (
     DelayLimit as DelayLimit,

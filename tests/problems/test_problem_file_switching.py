@@ -71,6 +71,22 @@ def test_a_markov_model_runs_the_ideal_loop_too(tmp_path):
     assert not run.record.held
 
 
+def test_a_chain_at_samples_runs_laws_and_filters_which_take_its_switches_to_be_there(tmp_path):
+    text = '[switching]\nkind = "markov-chain"\nP = [[0.9, 0.1], [0.2, 0.8]]\nstep = 0.1\n'
+    problem = load(tmp_path, text, FROM_MODEL, "[mode_filter]\ndisturbance = 1e-4\n")
+    model = dt.MarkovChain([[0.9, 0.1], [0.2, 0.8]], 0.1)
+    assert np.array_equal(problem.signal.times, model.sample(4.0 + 0.35 + 0.1, seed=3).times)
+    assert problem.dwell_time == 0.1
+    assert problem.laws["belief"].filter.switches == "samples"
+    same = dt.ExpectedPredictor(problem.plant, problem.gains, model).digital(0.1)
+    assert np.array_equal(problem.laws["expected"].digital(0.1).input_gain, same.input_gain)
+    anywhere = '[mode_filter]\ndisturbance = 1e-4\nswitches = "anywhere"\n'
+    assert load(tmp_path, text, FROM_MODEL, anywhere).laws["belief"].filter.switches == "anywhere"
+    other = load(tmp_path, text.replace("step = 0.1", "step = 0.04"), FROM_MODEL, law("expected"))
+    with pytest.raises(dt.ArgumentError, match=r"step = 0\.1 s must be that of the MarkovChain"):
+        other.simulate("expected")
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("lines", "same"),

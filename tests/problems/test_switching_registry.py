@@ -25,6 +25,7 @@ from deadtime.switching.models.model import SampledChain
 TURNS = [[0.0, 0.3, 0.7], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]]
 MODELS = {
     "markov": dt.Markov([[0.0, 2.0], [1.0, 0.0]]),
+    "markov-chain": dt.MarkovChain([[0.9, 0.1], [0.25, 0.75]], 0.05),
     "semi-markov": dt.SemiMarkov(
         [stats.gamma(3.0, scale=0.2), 0.4, stats.expon(loc=0.3, scale=0.5)],
         TURNS,
