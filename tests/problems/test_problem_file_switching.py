@@ -279,6 +279,16 @@ def test_fit_and_a_problem_file_take_the_unit_of_a_clock(tmp_path, capsys, log):
     assert load(tmp_path, section).signal.dwell_time < 2.0
 
 
+def test_fit_with_a_step_prints_the_chain_that_a_problem_file_takes(tmp_path, capsys, log):
+    code, section, err = fit(capsys, "log.csv", *LABELS, "--step", "0.1")
+    assert (code, err) == (0, "")
+    pasted = load(tmp_path, section, FROM_MODEL).laws["expected"].model
+    signal = dt.SwitchingSignal.from_csv(log, labels={"throttle": 0, "brake": 1})
+    assert np.array_equal(pasted.P, dt.MarkovChain.fit(signal, 0.1).P)
+    _, out, _ = fit(capsys, "log.csv", *LABELS, "--step", "0.1", "--json")
+    assert json.loads(out) == {"P": pasted.P.tolist(), "step": 0.1, "written": []}
+
+
 def test_fit_as_json_names_families_and_goodness(capsys, log):
     code, out, err = fit(capsys, "log.csv", *LABELS, "--family", "gamma", "--json")
     assert (code, err) == (0, "")
@@ -296,6 +306,7 @@ def test_fit_as_json_names_families_and_goodness(capsys, log):
         (("none.csv",), "none.csv cannot be read"),
         (("log.csv",), "mode must be an integer counted from 0, got 'brake'"),
         (("log.csv", *LABELS, "--family", "gama"), "family"),
+        (("log.csv", *LABELS, "--family", "gamma", "--step", "0.1"), "step fits a chain"),
         (("short.csv",), "5"),
     ],
 )
