@@ -29,8 +29,6 @@ from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
 from deadtime.scenarios.sweeps.study_laws import COARSE, INPUT_WEIGHT, kinds_of
 from deadtime.switching import SwitchingModel
-from deadtime.switching.models.semi_markov import SemiMarkov
-from deadtime.switching.random import mean_or_twice
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
 
@@ -160,15 +158,9 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> SwitchingModel
             return build_model(file.switching, modes, folder)
     signal = file.signal
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
-        from scipy.stats import expon
-
         own = promise_of(file, None, modes)
         assert own is not None
-        if not own.is_plain:
-            return random_model(own, signal.mean_sojourn)
-        least = own.dwell_time[0]
-        rest = mean_or_twice(least, signal.mean_sojourn) - least
-        return SemiMarkov(expon(loc=least, scale=rest), modes=modes)
+        return random_model(own, signal.mean_sojourn)
     raise ArgumentError(
         "a study draws its signals: give grid.dwell_time, or the problem file a [switching] "
         "section."

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive, real_array
+from deadtime.base.checks import positive, read_only, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.models.jump_process import JumpProcess, Switches
 from deadtime.switching.models.model import SampledChain, SwitchingModel, rows_text
@@ -33,6 +33,8 @@ class Markov(SwitchingModel):
     ----------
     rates : (modes, modes) array
         The rates, with 0 on the diagonal.
+    generator : (modes, modes) array
+        Λ: the rates, with minus their sum on the diagonal, so that rows sum to 0; 1/s.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class Markov(SwitchingModel):
     """
 
     rates: Float[np.ndarray, "mode mode"]
+    generator: Float[np.ndarray, "mode mode"]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(self, rates: ArrayLike) -> None:
         given = real_array("rates", rates, "(modes, modes)", 2)
@@ -78,8 +81,7 @@ class Markov(SwitchingModel):
                 f"rates[{i}, {i}] must be 0 or minus the sum of the other rates in its row, "
                 f"{-exits[i]:g}, got {diagonal[i]:g}: give the rates off the diagonal only."
             )
-        off.flags.writeable = False
-        vars(self).update(rates=off)
+        vars(self).update(rates=read_only(off), generator=read_only(off - np.diag(exits)))
 
     @property
     def modes(self) -> int:
@@ -92,19 +94,13 @@ class Markov(SwitchingModel):
         return self.rates > 0.0
 
     @property
-    def generator(self) -> Float[np.ndarray, "mode mode"]:
-        """Λ: the rates, with minus their sum on the diagonal, so that rows sum to 0; 1/s."""
-        return self.rates - np.diag(self.rates.sum(axis=1))
-
-    @property
     def mean(self) -> Float[np.ndarray, " mode"]:
         """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
         with np.errstate(divide="ignore"):
             return 1.0 / self.rates.sum(axis=1)
 
     def ages(self, step: float, most: int | None = None) -> None:
-        """None: how long a mode has been active says nothing."""
-        return None
+        return None  # how long a mode has been active says nothing
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
         """P = e^{hΛ}, returns within a period among what stays."""
@@ -120,7 +116,6 @@ class Markov(SwitchingModel):
         return process.draw(horizon, seed, first, count)
 
     def section(self) -> str:
-        """The [switching] section of a problem file that describes the model."""
         return f'[switching]\nkind = "markov"\n{rows_text("rates", self.rates)}'
 
     def __repr__(self) -> str:

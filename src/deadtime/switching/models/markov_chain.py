@@ -92,14 +92,8 @@ class MarkovChain(SwitchingModel):
         """1 − P_ii, of the entries that are added up."""
         return np.minimum(np.where(np.eye(self.modes), 0.0, self.P).sum(axis=1), 1.0)
 
-    @property
-    def generator(self) -> None:
-        """None: a chain has no rates."""
-        return None
-
     def ages(self, step: float, most: int | None = None) -> None:
-        """None: how long a mode has been active says nothing."""
-        return None
+        return None  # how long a mode has been active says nothing
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
         """P^r at a period of r steps; within a period of one nothing switches.
@@ -202,7 +196,6 @@ class MarkovChain(SwitchingModel):
         return cls(N / total, step)
 
     def section(self) -> str:
-        """The [switching] section of a problem file that describes the model."""
         rows = rows_text("P", self.P)
         return f'[switching]\nkind = "markov-chain"\n{rows}\nstep = {self.step!r}'
 

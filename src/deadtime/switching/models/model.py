@@ -52,7 +52,14 @@ class SwitchingModel(Frozen, ABC):
     """A random model of switching, each signal of which is a function of a seed and a number.
 
     Signals start in a uniformly drawn mode, at the beginning of its sojourn.
+
+    Attributes
+    ----------
+    generator : (modes, modes) array or None
+        Λ of a Markov process in continuous time, rows summing to 0, 1/s; else None.
     """
+
+    generator: Float[np.ndarray, "mode mode"] | None = None
 
     @property
     @abstractmethod
@@ -77,11 +84,6 @@ class SwitchingModel(Frozen, ABC):
     @abstractmethod
     def mean(self) -> Float[np.ndarray, " mode"]:
         """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
-
-    @property
-    @abstractmethod
-    def generator(self) -> Float[np.ndarray, "mode mode"] | None:
-        """Λ of a Markov process in continuous time, rows summing to 0, 1/s; else None."""
 
     @abstractmethod
     def ages(self, step: float, most: int | None = None) -> int | None:

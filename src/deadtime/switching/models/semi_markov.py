@@ -150,11 +150,6 @@ class SemiMarkov(SwitchingModel):
         means.flags.writeable = False
         return means
 
-    @property
-    def generator(self) -> None:
-        """None: a mode's age matters."""
-        return None
-
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Sojourns by the inverse survival functions, and jumps by the transition."""
         sojourn = Quantiles.of(self.sojourn)
