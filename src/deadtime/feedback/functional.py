@@ -2,7 +2,7 @@
 
 It is the twin of `Forecast` for a law whose model has several delays and which believes in no
 particular switch, as `Outlook` is for laws that do; it is filled by `deadtime.laws.tables.windows`
-and `deadtime.laws.tables.passage_windows`.
+and `deadtime.laws.tables.markov_windows`.
 """
 
 from __future__ import annotations

@@ -151,9 +151,12 @@ class ExpectedPredictor(TableLaw):
         if plant.has_one_delay:
             law = markov_forecast(plant.A, plant.B, self.gains, generator, plant.delay, signal)
         else:
+            from deadtime.laws.tables.markov_windows import markov_functional
             from deadtime.laws.tables.passage_windows import passage_functional
 
-            law = passage_functional(plant, self.gains, generator, signal, CLOSED_FORM)
+            alike = (plant.delays == plant.delays[0]).all()
+            functional = markov_functional if alike else passage_functional
+            law = functional(plant, self.gains, generator, signal, CLOSED_FORM)
         if law is None:
             raise ArgumentError(
                 "step must be given: the closed form of ExpectedPredictor in continuous time "

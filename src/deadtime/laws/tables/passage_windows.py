@@ -1,4 +1,4 @@
-"""The functional of the expected law under a Markov forecast, with a delay of each input and mode.
+"""The functional of the expected law where an input's delay differs between modes: a first passage.
 
 It is the limit of `markov_passage` as the period tends to 0. With d_1 < d_2 < … the distinct delays
 of all modes and inputs, and U the modes that do not read what is sent to input j at t yet, i ∈ U
@@ -11,13 +11,13 @@ d_{r−1} < θ < d_r
 
 and at θ = D_i,j the law takes K_i,j X_i: u_j(t) is what a and these add up to. An input that is
 sent at t or later is the feedback of the mode that reads it, at once. So every stage is one system,
-of (X, a), fed through the probabilities, which move on as they do with one delay (`markov`):
+of (X, a), fed through the probabilities, and as in `markov_windows`
 
     e^{S (d_r − θ)} b_i,k p_i(θ) = (q_cᵀ ⊗ I) e^{S' (d_r − θ)} (e_i ⊗ b_i,k),
     S' = I ⊗ S − Λ_UU ⊗ I,
 
 q_c the probabilities at d_r from mode c: a window on input k, from D_i,k − d_r to D_i,k − d_{r−1},
-for every target j, stage r and delay of an i ∈ U. Targets that nobody has read before share theirs.
+for every target j, stage r and delay of an i ∈ U.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.feedback import Functional
-from deadtime.laws.tables.windows import distinct, functional_of
+from deadtime.laws.tables.windows import functional_of
 from deadtime.numerics.covariance import transition
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -59,9 +59,7 @@ def passage_functional(
 ) -> Functional | None:
     """The law in continuous time; None where its closed form loses more digits than tolerated."""
     modes, m, n = K.shape
-    ends, stage_of = distinct(plant.delays)
-    plant = plant.like(plant.A, plant.B, ends[stage_of])
-    F, windows = np.empty((modes, m, n)), {}
+    F, windows = np.empty((modes, m, n)), []
     for j in range(m):
         row = np.append(np.zeros(modes * n), 1.0)  # of (X, a), from the end of a stage to u_j
         for stage in reversed(_stages(plant.delays, j, generator)):
@@ -78,14 +76,10 @@ def passage_functional(
             fed = _places(stage.left, n)
             if not lost[:, fed].max() <= tolerance * np.abs(direct[:, fed]).max():
                 return None
-            for window in _windows(plant, stage, C, whole):
-                key = window[1].tobytes(), window[2].tobytes(), *window[3:]
-                if key in windows:
-                    window = (window[0] + windows[key][0], *window[1:])
-                windows[key] = window
+            windows += _windows(plant, stage, C, whole)
             row = before
         F[:, j] = row[:-1].reshape(modes, n)
-    return functional_of(F, [*windows.values()], signal)
+    return functional_of(F, windows, signal)
 
 
 def _stages(delays: np.ndarray, j: int, generator: np.ndarray) -> list[_WindowStage]:

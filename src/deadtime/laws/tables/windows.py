@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from deadtime.feedback import Functional
 from deadtime.plant import SwitchedSystem
@@ -85,7 +85,9 @@ def stages(
     """
     from deadtime.numerics.exponential import discretise
 
-    ends, stage = distinct(delays)
+    ends = np.unique(delays)
+    ends = ends[np.append(True, np.diff(ends) > _SAME * ends[-1])]
+    stage = np.searchsorted(ends, delays * (1.0 + _SAME), "right") - 1
     starts = np.concatenate(([0.0], ends[:-1]))
     ahead, Q = [], np.zeros_like(K)
     for r in range(ends.size - 1, -1, -1):
@@ -96,15 +98,6 @@ def stages(
             ahead.append(Stage(Q.copy(), S, stage == s, near, far, float(ends[r])))
         Q = Q @ discretise(S, B, ends[r] - starts[r])[0]
     return Q, ahead
-
-
-def distinct(
-    delays: Float[np.ndarray, "*mode m"],
-) -> tuple[Float[np.ndarray, " stage"], Int[np.ndarray, "*mode m"]]:
-    """The distinct delays in order, and which of them each is."""
-    ends = np.unique(delays)
-    ends = ends[np.append(True, np.diff(ends) > _SAME * ends[-1])]
-    return ends, np.searchsorted(ends, delays * (1.0 + _SAME), "right") - 1
 
 
 def functional_of(
