@@ -16,7 +16,6 @@ from deadtime.problems.file.schema import Switching
 from deadtime.problems.switching_registry import (
     ENTRIES,
     SwitchingSection,
-    build_model,
 )
 from deadtime.problems.toml.entries import collect
 from deadtime.switching import SwitchingModel
@@ -65,7 +64,7 @@ def test_what_a_model_writes_of_itself_is_read_as_the_same_model(kind):
     model = MODELS[kind]
     table = tomllib.loads(model.section())["switching"]
     assert table["kind"] == kind
-    read = build_model(TypeAdapter(Switching).validate_python(table), model.modes, Path())
+    read = TypeAdapter(Switching).validate_python(table).model(model.modes, Path())
     assert type(read) is type(model)
     one, other = model.chain(0.05, 30), read.chain(0.05, 30)
     np.testing.assert_allclose(one.hazard, other.hazard, rtol=0.0, atol=1e-14)
@@ -107,7 +106,7 @@ def test_an_entry_that_lacks_something_is_refused_by_its_name(name):
 
 def test_a_model_of_other_modes_than_the_plant_is_refused_by_its_kind():
     with pytest.raises(dt.ArgumentError, match="kind = 'held' describes 3 modes, the plant has 2"):
-        build_model(HeldSwitching(kind="held"), 2, Path())
+        HeldSwitching(kind="held").model(2, Path())
 
 
 class Alternating(SwitchingModel):

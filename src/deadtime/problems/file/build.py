@@ -28,7 +28,6 @@ from deadtime.problems.file.switching import (
 )
 from deadtime.problems.file.units import labels, require_units
 from deadtime.problems.problem import Problem
-from deadtime.problems.switching_registry import build_model
 from deadtime.problems.toml import section as _section
 from deadtime.switching import Rule, SwitchingModel, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
@@ -52,7 +51,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     model = None
     if file.switching is not None:
         with _section("switching"):
-            model = build_model(file.switching, plant.modes, source.parent)
+            model = file.switching.model(plant.modes, source.parent)
     rule = _rule(file, plant)
     weight = _weight(file, plant)
     laws, servos = Laws(file, plant, gains, model, rule, weight, step, following).build()

@@ -17,9 +17,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, final
 
+from deadtime.base.errors import ArgumentError
 from deadtime.problems.toml import Shape
+from deadtime.problems.toml.entries import kinds_of
 from deadtime.problems.toml.sections import Matrix, Section, Vector
 from deadtime.switching import SwitchingModel
 
@@ -35,6 +37,17 @@ class SwitchingSection(Section):
     @abstractmethod
     def build(self, modes: int, folder: Path) -> SwitchingModel:
         """The model that the section asks for; relative paths start at `folder`."""
+
+    @final
+    def model(self, modes: int, folder: Path) -> SwitchingModel:
+        """What `build` gives; refused where it is for another number of modes."""
+        model = self.build(modes, folder)
+        if model.modes != modes:
+            kind = kinds_of(type(self))[0]
+            raise ArgumentError(
+                f"kind = {kind!r} describes {model.modes} modes, the plant has {modes}."
+            )
+        return model
 
     @abstractmethod
     def promise(self, model: SwitchingModel) -> Promise:

@@ -23,7 +23,6 @@ from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.file.mode_filter import build_mode_filter
 from deadtime.problems.file.switching import promise_of
 from deadtime.problems.law_registry import LawSetting
-from deadtime.problems.switching_registry import build_model
 from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
@@ -155,7 +154,7 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> SwitchingModel
     """[switching], or the sojourns of a random signal."""
     if file.switching is not None:
         with section("switching"):
-            return build_model(file.switching, modes, folder)
+            return file.switching.model(modes, folder)
     signal = file.signal
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
         own = promise_of(file, None, modes)
