@@ -131,7 +131,7 @@ class ModeFilter(Frozen):
         if not allow_alike:
             require_distinct(plant)
         own = model.ages(step, None if ages is None else count("ages", ages))
-        if own is None and ages is not None:
+        if own is None and ages not in (None, 1):
             raise ArgumentError(
                 f"ages must be left out of a {type(model).__name__} model, in which age says "
                 "nothing."
