@@ -2,21 +2,26 @@
 
 Switches are seen at samples, so a mode lasts whole periods and (mode, age) is a Markov chain:
 from (i, a) the next sample finds (i, a + 1) with probability 1 − haz_i(a), or (j, 0) with
-haz_i(a) T_ij, where haz_i(a) = P(S_i ≤ (a + 1) h | S_i > a h). Let R_p(i, a) be the expected
-functional K_σ(t_k+D) x(t_k + D) of the state at t_{k+p}, and ⟨R⟩(i, a) its mean one sample later,
+haz_i(a) T_ij, where haz_i(a) = P(S_i ≤ (a + 1) h | S_i > a h). Going backwards from t_{k+p+1} to
+t_{k+p}, functionals of (mode, age) are
 
-    ⟨R⟩(i, a) = (1 − haz_i(a)) R(i, a + 1) + haz_i(a) Σ_j T_ij R(j, 0).
+    R   of the expected state,
+    w   of each input that is held and was computed after t_k in that future,
+    g   of each input in flight, a weight,
 
-The model is in mode i all through period p, so, with φ = h,
+all averaged over what the sample t_{k+p+1} finds,
 
-    R_N(i, a) = K_i,    R_p = ⟨R_{p+1}⟩ Φ_i(h),
-    weight of u_{k+p−N} seen from t_{k+p}: ⟨R_{p+1}⟩ Γ_i(h),
+    ⟨R⟩(i, a) = (1 − haz_i(a)) R(i, a + 1) + haz_i(a) Σ_j T_ij R(j, 0),
 
-and p times ⟨·⟩ brings that weight back to t_k. With φ < h the last period is a part, R_{N−1} =
-K_i Φ_i(φ), and each earlier one has two inputs: u_{k+p−N} for φ and then u_{k+p−N+1} for h − φ.
+then carried through the stretches of period p in mode i: R Γ is added to the w or g of the input
+that acts, and R becomes R Φ. Where an input to come is first read, R + w K and w = 0; where the
+mode reads u_k itself, R = K and what comes later counts no more, as in `markov_passage`. With one
+delay of N periods that is R_N = K_i and R_p = ⟨R_{p+1}⟩ Φ_i, and ⟨R_{p+1}⟩ Γ_i is the weight of
+u_{k+p−N}, seen from t_{k+p}; p times ⟨·⟩ brings it back to t_k.
 
 Averaging a weight back costs (modes)(ages + N) m² products a period, the table (N²/2) of these;
-where age says nothing there is one age, which lasts, in place of ages + N.
+where age says nothing there is one age, which lasts, in place of ages + N. A weight to which no
+mode adds any more is brought back at once: then it stays in a processor's fastest memory.
 """
 
 from __future__ import annotations
@@ -24,25 +29,28 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
-from deadtime.numerics.exponential import discretise_modes, multiply
+from deadtime.numerics.exponential import discretise_each
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
 from deadtime.switching.models.model import SampledChain
 
 
-@kernel(eager=True, fastmath={"contract"})
-def _one_sample_back(R, hazard, transition, ages, fresh):
-    """R ← ⟨R⟩ in place for the ages below `ages`; R (modes, entries, ages), `fresh` is scratch.
-
-    The oldest age of all lasts.
-    """
-    modes, entries, total = R.shape
-    for i in range(modes):
-        for e in range(entries):
+@kernel(eager=True)
+def _fresh(R, jump, fresh):
+    """fresh(i) = Σ_j T_ij R(j, 0), entry by entry; R (modes, entries, ages)."""
+    for i in range(fresh.shape[0]):
+        for e in range(fresh.shape[1]):
             fresh[i, e] = 0.0
-            for j in range(modes):
-                fresh[i, e] += transition[i, j] * R[j, e, 0]
+            for j in range(fresh.shape[0]):
+                fresh[i, e] += jump[i, j] * R[j, e, 0]
+
+
+@kernel(eager=True, fastmath={"contract"})
+def _one_sample_back(R, hazard, fresh, ages):
+    """R ← ⟨R⟩ in place for the ages below `ages`; the oldest age of all lasts."""
+    modes, entries, total = R.shape
     for i in range(modes):
         for e in range(entries):
             row, new = R[i, e], fresh[i, e]
@@ -52,72 +60,94 @@ def _one_sample_back(R, hazard, transition, ages, fresh):
                 row[total - 1] += hazard[i, total - 1] * (new - row[total - 1])
 
 
-@kernel(eager=True)
-def _apply(R, M, ages, result):
-    """result(i, a) = R(i, a) M_i, the matrices of R and result flattened into entries."""
-    modes, inner, columns = M.shape
-    rows = R.shape[1] // inner
-    for i in range(modes):
-        for r in range(rows):
-            for c in range(columns):
-                entry = result[i, r * columns + c]
-                entry[:ages] = 0.0
-                for k in range(inner):
-                    factor, source = M[i, k, c], R[i, r * inner + k]
-                    for a in range(ages):
-                        entry[a] += factor * source[a]
+@kernel(eager=True, fastmath={"contract"})
+def _add(result, factor, row, ages):
+    """result += factor · row, up to an age."""
+    for a in range(ages):
+        result[a] += factor * row[a]
 
 
 @kernel(eager=True)
-def _constant(matrices, ages):
-    """The functional that is matrices[i] at every age, as (modes, entries, ages)."""
-    modes, rows, columns = matrices.shape
-    result = np.empty((modes, rows * columns, ages))
-    for i in range(modes):
-        for r in range(rows):
-            for c in range(columns):
-                result[i, r * columns + c] = matrices[i, r, c]
-    return result
-
-
-@kernel(eager=True)
-def chain_rows(A, B, K, hazard, transition, ages, step, phase, count):
-    """F (modes, m·n, ages) and G (modes, N, m·m, ages); `hazard` (modes, ages + N or 1)."""
+def _entered(R, w, jump, K, p, first, last, fresh_R, fresh_w):
+    """What only the mode that is entered at the end of period p reads, so for the first time."""
     modes, m, n = K.shape
-    total = hazard.shape[1]
-    partial = phase < step
-    Phi, Gamma = discretise_modes(A, B, step)
-    Phi_first, Gamma_first = discretise_modes(A, B, phase)
-    Phi_rest, Gamma_rest = discretise_modes(A, B, step - phase)
-    through = np.empty_like(Gamma)
     for i in range(modes):
-        through[i] = multiply(Phi_rest[i], Gamma_first[i])
-    G = np.zeros((modes, count, m * m, ages))
-    R, moved = _constant(K, total), np.empty((modes, m * n, total))
-    fresh, fresh_weight = np.empty((modes, m * n)), np.empty((modes, m * m))
-    early, late = np.zeros((modes, m * m, total)), np.zeros((modes, m * m, total))
-    for p in range(count - 1, -1, -1):
-        reach = min(ages + p, total)
-        last = partial and p == count - 1
-        if not last:
-            _one_sample_back(R, hazard, transition, reach, fresh)
-            # u_{k+p−N+1} in the rest of period p joins the same input's part in period p + 1.
-            if partial:
-                _apply(R, Gamma_rest, reach, late)
-                _one_sample_back(early, hazard, transition, reach, fresh_weight)
-                for i in range(modes):
-                    late[i, :, :reach] += early[i, :, :reach]
+        for after in range(modes):
+            for j in range(m):
+                weight = jump[i, after] * w[after, j, 0]
+                if weight != 0.0 and p < last[i, j] and p + 1 >= first[after, j]:
+                    fresh_w[i, j] -= weight
+                    for x in range(n):
+                        fresh_R[i, x] += weight * K[after, j, x]
+
+
+@kernel(eager=True)
+def _through(R, w, g, i, K, Phi, Gamma, lag, arrives, p, target, ages, moved):
+    """Back through a stretch of mode i in period p; g (slots, modes, m, ages) of the taps."""
+    (m, n), slots = K.shape, g.shape[0]
+    for j in range(m):
+        s = p - lag[j]
+        for x in range(n):
+            _add(w[i, j] if s >= 0 else g[(-1 - s) % slots, i, j], Gamma[x, j], R[i, x], ages)
+    for x in range(n):
+        moved[x, :ages] = 0.0
+        for y in range(n):
+            _add(moved[x], Phi[y, x], R[i, y], ages)
+    for x in range(n):
+        for a in range(ages):
+            R[i, x, a] = moved[x, a]
+    for j in range(m):
+        if arrives[j] and p >= lag[j]:
+            for x in range(n):
+                _add(R[i, x], K[j, x], w[i, j], ages)
+            w[i, j] = 0.0
+    if p >= lag[target]:
+        w[i], g[:, i] = 0.0, 0.0
+        for x in range(n):
+            R[i, x] = K[target, x]
+
+
+@kernel(eager=True)
+def chain_rows(K, hazard, jump, ages, A, B, length, lag, arrives, begin):
+    """F (modes, m, n, ages) and G (modes, N, m, m, ages); `hazard` (modes, ages + N or 1).
+
+    Stretches of mode i are begin[i], …, begin[i + 1] − 1, A and B those of its mode; `arrives`
+    (stretches, m) says whether a stretch is the first that reads its input.
+    """
+    Phi, Gamma = discretise_each(A, B, length)
+    (modes, m, n), total = K.shape, hazard.shape[1]
+    least, N = lag.min(), lag.max()
+    slots = N - least + 1
+    first, last = lag[begin[:-1]], lag[begin[1:] - 1]
+    F, G = np.zeros((modes, m, n, ages)), np.zeros((modes, N, m, m, ages))
+    fresh_R, fresh_w, moved = np.empty((modes, n)), np.empty((modes, m)), np.empty((n, total))
+    for target in range(m):
+        R, w = np.zeros((modes, n, total)), np.zeros((modes, m, total))
+        g = np.zeros((slots, modes, m, total))
+        for p in range(N, -1, -1):
+            reach = min(ages + p, total)
+            _fresh(R, jump, fresh_R)
+            _fresh(w, jump, fresh_w)
+            _entered(R, w, jump, K, p, first, last, fresh_R, fresh_w)
+            _one_sample_back(R, hazard, fresh_R, reach)
+            _one_sample_back(w, hazard, fresh_w, reach)
+            for tap in range(max(least - 1 - p, 0), max(N - 1 - p, 0)):
+                _fresh(g[tap % slots], jump, fresh_w)
+                _one_sample_back(g[tap % slots], hazard, fresh_w, reach)
+            for i in range(modes):
+                for e in range(begin[i + 1] - 1, begin[i] - 1, -1):
+                    piece = K[i], Phi[e], Gamma[e], lag[e], arrives[e]
+                    _through(R, w, g, i, *piece, p, target, reach, moved)
+            # No earlier period adds to this weight, nor does an earlier one read u_k.
+            for tap in range(max(least - 1 - p, 0), N if p == 0 else max(least - p, 0)):
+                weight = g[tap % slots]
                 for back in range(p, 0, -1):
-                    _one_sample_back(late, hazard, transition, ages + back - 1, fresh_weight)
-                G[:, count - p - 2] = late[:, :, :ages]
-        _apply(R, Gamma_first if last else through if partial else Gamma, reach, early)
-        if not partial or p == 0:
-            for back in range(p, 0, -1):
-                _one_sample_back(early, hazard, transition, ages + back - 1, fresh_weight)
-            G[:, count - p - 1] = early[:, :, :ages]
-        _apply(R, Phi_first if last else Phi, reach, moved)
-        R, moved = moved, R
-    return R[:, :, :ages], G
+                    _fresh(weight, jump, fresh_w)
+                    _one_sample_back(weight, hazard, fresh_w, min(ages + back - 1, total))
+                G[:, tap, target] = weight[:, :, :ages]
+                weight[:] = 0.0
+        F[:, target] = R[:, :, :ages]
+    return F, G
 
 
 def chain_table(
@@ -125,15 +155,12 @@ def chain_table(
 ) -> Feedback:
     """The table by mode and age, or by mode alone; `chain` reaches N ages past it, or has one."""
     count, (modes, m, n) = ages or 1, K.shape
-    if not sampled.plant.has_one_delay:
-        from deadtime.laws.tables.sampled_chain_passage import chain_passage
-
-        F, G = chain_passage(K, chain, count, sampled)
-    else:
-        A, B, window = sampled.plant.A, sampled.plant.B, sampled.window
-        hazard, jump = chain.hazard, chain.jump
-        F, G = chain_rows(A, B, K, hazard, jump, count, window.step, window.phase, window.count)
-        F, G = F.transpose(0, 2, 1), np.ascontiguousarray(G.transpose(0, 3, 1, 2))
-    F, G = F.reshape(modes * count, m, n), G.reshape(modes * count, -1, m, m)
-    context = "mode" if ages is None else "mode_age"
-    return Feedback(np.ascontiguousarray(F), G, context, sampled.step, count)
+    begin, start, stop, lag = sampled.every_stretch
+    of = np.repeat(np.arange(modes), np.diff(begin))
+    parts = map(read_only, (sampled.plant.A[of], sampled.plant.B[of], stop - start))
+    before = np.roll(lag, 1, axis=0)
+    before[begin[:-1]] = lag[begin[1:] - 1] + 1  # of the period before
+    F, G = chain_rows(K, chain.hazard, chain.jump, count, *parts, lag, lag < before, begin)
+    F = np.ascontiguousarray(F.transpose(0, 3, 1, 2)).reshape(modes * count, m, n)
+    G = np.ascontiguousarray(G.transpose(0, 4, 1, 2, 3)).reshape(modes * count, -1, m, m)
+    return Feedback(F, G, "mode" if ages is None else "mode_age", sampled.step, count)
