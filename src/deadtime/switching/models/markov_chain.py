@@ -28,10 +28,9 @@ class MarkovChain(SwitchingModel):
 
         P(σ((k + 1) h_c) = j | σ(k h_c) = i, the past) = P_ij
 
-    Between these instants the mode is held, so a mode lasts whole periods, geometrically many.
-    Signals start in a uniformly drawn mode. A law or filter of period h_c sees every switch: its
-    sums are exact. One whose period is r h_c sees the chain P^r, and takes what happens within a
-    period to happen at its end.
+    Between these instants the mode is held: it lasts whole periods, geometrically many. Signals
+    start in a uniformly drawn mode. A law or filter of period h_c sees every switch and is exact;
+    one of period r h_c sees the chain P^r, and takes a switch within a period to be at its end.
 
     Parameters
     ----------
@@ -48,8 +47,8 @@ class MarkovChain(SwitchingModel):
     Raises
     ------
     ArgumentError
-        If P is not square, a row holds no probabilities, or the period is not positive; by laws and
-        filters, if theirs is no multiple of it.
+        If P is not square, a row holds no probabilities, or the period is not positive; by laws
+        and filters whose period is no multiple of it.
 
     References
     ----------
@@ -96,13 +95,7 @@ class MarkovChain(SwitchingModel):
         return None  # how long a mode has been active says nothing
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
-        """P^r at a period of r steps; within a period of one nothing switches.
-
-        Raises
-        ------
-        ArgumentError
-            If the period is no multiple of the chain's.
-        """
+        """P^r at a period of r steps; within a period of one nothing switches."""
         from deadtime.plant.steps import snap
 
         periods = snap(positive("step", step) / self.step)
@@ -116,7 +109,7 @@ class MarkovChain(SwitchingModel):
         return SampledChain.of_matrix(P, within=periods > 1.0)
 
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
-        """What is drawn: sojourns of whole periods, and instants that are multiples of one."""
+        """Sojourns of whole periods; every instant is a multiple of the period, to the bit."""
         from deadtime.plant.steps import snap
 
         periods = np.ceil(snap(positive("horizon", horizon) / self.step))
@@ -141,22 +134,9 @@ class MarkovChain(SwitchingModel):
 
             P_ij = N_ij / Σ_j N_ij,    N_ij: how often a sample of mode i is followed by one of j
 
-        Of two switches within a period the first is not seen. What follows the last switch of a log
-        without an end says nothing.
-
-        Parameters
-        ----------
-        signals : SwitchingSignal, or list of them
-            The logs.
-        step : float
-            Period of the chain, seconds.
-        modes : int, optional
-            Number of modes; by default the largest in the logs, plus one.
-
-        Raises
-        ------
-        ArgumentError
-            If no sample follows one of some mode.
+        Of two switches within a period the first is not seen; what follows the last switch of a
+        log without an end says nothing. There are as many modes as the largest in the logs tells,
+        unless `modes` says more. A mode that no sample follows is refused.
 
         References
         ----------
