@@ -191,6 +191,15 @@ def test_a_belief_is_the_sum_over_all_paths_and_takes_switches_to_be_at_samples(
         plants.close(found[count], mode_paths.beliefs(density[:count], prior), 1e-12)
 
 
+def test_a_filter_from_outputs_takes_switches_to_be_where_the_model_has_them():
+    plant, C = plants.generic().apart(0.4), [[1.0, 0.0, 0.2], [0.0, 1.0, 0.0]]
+    options = {"covariance": 1.0, "disturbance": 0.1, "noise": 0.1}
+    for model, switches in ((CHAIN, "samples"), (plants.markov(3), "anywhere")):
+        filt = dt.OutputModeFilter(plant, model, STEP, C, **options)
+        assert filt.chain.switches == switches
+        assert filt.bank().chain.within == (switches == "anywhere")
+
+
 def test_a_process_seen_at_samples_is_the_chain_of_its_exponential():
     """Of a process in continuous time, filters that take switches to be at samples see P alone."""
     process = plants.markov(3)
