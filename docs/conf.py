@@ -49,7 +49,10 @@ autodoc_inherit_docstrings = False  # what a law shares with all laws is on the 
 autodoc_member_order = "bysource"
 # Their bases have no page of their own: what they inherit is on theirs.
 autosummary_context = {
-    "whole": [f"deadtime.{n}" for n in ("Controller", "Identification", "Markov", "SemiMarkov")]
+    "whole": [
+        f"deadtime.{n}"
+        for n in ("Controller", "Identification", "Markov", "MarkovChain", "SemiMarkov")
+    ]
 }
 python_maximum_signature_line_length = 88
 

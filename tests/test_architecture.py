@@ -97,7 +97,7 @@ def test_every_file_lies_in_a_room():
 KINDS = {
     "audit certificates comparison constants design drawn_plants experiment fit identify loop maps "
     "monte_carlo report robustness runs sweep tracking witness",
-    "markov semi_markov",
+    "markov markov_chain semi_markov sampled_chain",
     "mode_filter observer servo",
     "load schema",
     "entry registry",
@@ -116,6 +116,18 @@ def test_files_and_classes_share_no_name_but_for_one_thing_of_several_kinds():
         if isinstance(node, ast.ClassDef)
     ]
     assert {name for name in classes if classes.count(name) > 1} == SHARED_CLASSES
+
+
+def test_laws_filters_and_batches_ask_for_a_switching_model_and_know_none_by_name():
+    models = {
+        f"deadtime.switching.models.{name}" for name in ("markov", "markov_chain", "semi_markov")
+    }
+    rooms = {"feedback", "estimation", "spectrum", "laws", "simulation", "certificates", "margins"}
+    rooms |= {"synthesis", "controller", "app"}
+    knowing = {name for name, imported in imports().items() if imported & models}
+    assert {room_of(name) for name in knowing}.isdisjoint(rooms)
+    asking = [text for _, text in texts(SOURCE) if re.search(r"isinstance\([^)]*Markov", text)]
+    assert asking == []
 
 
 def texts(folder: Path) -> list[tuple[str, str]]:

@@ -93,13 +93,14 @@ from .spectrum import (
 from .switching import (
     FunctionRule as FunctionRule,
     HalfSpace as HalfSpace,
-    Markov as Markov,
     Polyhedra as Polyhedra,
     QuadraticRegions as QuadraticRegions,
-    SemiMarkov as SemiMarkov,
     SignalBatch as SignalBatch,
     SwitchingSignal as SwitchingSignal,
 )
+from .switching.models.markov import Markov as Markov
+from .switching.models.markov_chain import MarkovChain as MarkovChain
+from .switching.models.semi_markov import SemiMarkov as SemiMarkov
 from .synthesis import (
     DelayLimit as DelayLimit,
     Design as Design,

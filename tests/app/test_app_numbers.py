@@ -181,10 +181,26 @@ poles = [-5.0, -6.0]
 """
 
 
-@pytest.mark.parametrize("more", mostly_long(["regions", "observer"], "observer"))
-def test_scripts_of_rules_and_observers_run(more, tmp_path, monkeypatch):
+BELIEF = """
+[switching]
+kind = "markov-chain"
+P = [[0.8, 0.1, 0.1], [0.2, 0.7, 0.1], [0.0, 0.5, 0.5]]
+step = 0.05
+
+[mode_filter]
+disturbance = 1e-4
+
+[[law]]
+kind = "belief"
+"""
+
+
+@pytest.mark.parametrize(
+    "more", mostly_long(["regions", "observer", "belief"], "observer", "belief")
+)
+def test_scripts_of_rules_observers_and_beliefs_run(more, tmp_path, monkeypatch):
     head, tail = OWN.split("[signal]")
-    text = OWN + OBSERVER
+    text = OWN + (BELIEF if more == "belief" else OBSERVER)
     if more == "regions":
         text = f'{head}[signal]\nkind = "polyhedra"\n{REGIONS}\n[run]{tail.split("[run]")[1]}'
     path = tmp_path / "mine.toml"

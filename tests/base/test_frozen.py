@@ -70,6 +70,7 @@ OBJECTS = {
     "SwitchingSignal": lambda: SIGNAL,
     "SignalBatch": lambda: dt.SignalBatch.of([SIGNAL, SIGNAL]),
     "Markov": lambda: dt.Markov([[0.0, 1.0], [2.0, 0.0]]),
+    "MarkovChain": lambda: dt.MarkovChain([[0.9, 0.1], [0.2, 0.8]], 0.1),
     "SemiMarkov": lambda: dt.SemiMarkov([0.3, 0.5]),
     "HalfSpace": lambda: HALF,
     "Polyhedra": lambda: dt.Polyhedra([([[1.0, 0.0]], [0.0]), ([[-1.0, 0.0]], [0.0])]),

@@ -10,7 +10,7 @@ from scipy import stats
 import deadtime as dt
 import plants
 import reference
-from deadtime.switching.models.checked_models import require_model
+from deadtime.switching.models.model import require_model
 from reference import LONG
 from shares import mostly_long
 
@@ -291,7 +291,9 @@ def test_a_model_with_other_modes_than_the_plant_is_refused():
 
 
 def test_what_is_no_switching_model_is_refused():
-    with pytest.raises(dt.ArgumentError, match="model must be a Markov or a SemiMarkov model"):
+    with pytest.raises(
+        dt.ArgumentError, match="model must be a switching model, such as Markov or SemiMarkov"
+    ):
         require_model(stats.expon(scale=0.2), 3)
 
 

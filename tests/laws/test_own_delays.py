@@ -10,7 +10,6 @@ from scipy import stats
 import deadtime as dt
 from deadtime.laws.tables.along_signal import rows_along
 from deadtime.laws.tables.markov_passage import passage_table
-from deadtime.laws.tables.semi_markov_passage import semi_markov_passage
 from deadtime.plant import SampledPlant
 from delay_reference import Reference
 from shares import mostly_long
@@ -171,18 +170,12 @@ def close(table, other, tolerance=1e-13):
 
 
 @pytest.mark.parametrize("delay", [0.05, 0.234, 0.3])
-def test_first_passages_with_one_delay_are_the_closed_forms(delay):
+def test_first_passages_with_one_delay_are_the_closed_form(delay):
     plant, K = two_delays(delay=delay)
     sampled = SampledPlant(plant, STEP)
     markov = dt.Markov(np.array([[0.0, 1.0, 2.0], [0.5, 0.0, 0.7], [2.5, 1.0, 0.0]]))
     law = dt.ExpectedPredictor(plant, K, markov, allow_unstable=True)
     close(law.digital(STEP), passage_table(K, markov.generator, sampled))
-    model = dt.SemiMarkov(
-        stats.expon(loc=0.2, scale=0.2), [[0, 0.3, 0.7], [0.5, 0, 0.5], [1, 0, 0]]
-    )
-    table = dt.ExpectedPredictor(plant, K, model, allow_unstable=True).digital(STEP)
-    hazard = model.hazard(STEP, table.ages + sampled.longest_lag)
-    close(table, semi_markov_passage(K, hazard, model.transition, table.ages, sampled))
 
 
 def test_a_markov_model_that_never_switches_is_the_current_mode_held():

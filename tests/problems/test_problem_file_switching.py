@@ -71,6 +71,22 @@ def test_a_markov_model_runs_the_ideal_loop_too(tmp_path):
     assert not run.record.held
 
 
+def test_a_chain_at_samples_runs_laws_and_filters_which_take_its_switches_to_be_there(tmp_path):
+    text = '[switching]\nkind = "markov-chain"\nP = [[0.9, 0.1], [0.2, 0.8]]\nstep = 0.1\n'
+    problem = load(tmp_path, text, FROM_MODEL, "[mode_filter]\ndisturbance = 1e-4\n")
+    model = dt.MarkovChain([[0.9, 0.1], [0.2, 0.8]], 0.1)
+    assert np.array_equal(problem.signal.times, model.sample(4.0 + 0.35 + 0.1, seed=3).times)
+    assert problem.dwell_time == 0.1
+    assert problem.laws["belief"].filter.switches == "samples"
+    same = dt.ExpectedPredictor(problem.plant, problem.gains, model).digital(0.1)
+    assert np.array_equal(problem.laws["expected"].digital(0.1).input_gain, same.input_gain)
+    anywhere = '[mode_filter]\ndisturbance = 1e-4\nswitches = "anywhere"\n'
+    assert load(tmp_path, text, FROM_MODEL, anywhere).laws["belief"].filter.switches == "anywhere"
+    other = load(tmp_path, text.replace("step = 0.1", "step = 0.04"), FROM_MODEL, law("expected"))
+    with pytest.raises(dt.ArgumentError, match=r"step = 0\.1 s must be that of the MarkovChain"):
+        other.simulate("expected")
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("lines", "same"),
@@ -263,6 +279,16 @@ def test_fit_and_a_problem_file_take_the_unit_of_a_clock(tmp_path, capsys, log):
     assert load(tmp_path, section).signal.dwell_time < 2.0
 
 
+def test_fit_with_a_step_prints_the_chain_that_a_problem_file_takes(tmp_path, capsys, log):
+    code, section, err = fit(capsys, "log.csv", *LABELS, "--step", "0.1")
+    assert (code, err) == (0, "")
+    pasted = load(tmp_path, section, FROM_MODEL).laws["expected"].model
+    signal = dt.SwitchingSignal.from_csv(log, labels={"throttle": 0, "brake": 1})
+    assert np.array_equal(pasted.P, dt.MarkovChain.fit(signal, 0.1).P)
+    _, out, _ = fit(capsys, "log.csv", *LABELS, "--step", "0.1", "--json")
+    assert json.loads(out) == {"P": pasted.P.tolist(), "step": 0.1, "written": []}
+
+
 def test_fit_as_json_names_families_and_goodness(capsys, log):
     code, out, err = fit(capsys, "log.csv", *LABELS, "--family", "gamma", "--json")
     assert (code, err) == (0, "")
@@ -280,6 +306,7 @@ def test_fit_as_json_names_families_and_goodness(capsys, log):
         (("none.csv",), "none.csv cannot be read"),
         (("log.csv",), "mode must be an integer counted from 0, got 'brake'"),
         (("log.csv", *LABELS, "--family", "gama"), "family"),
+        (("log.csv", *LABELS, "--family", "gamma", "--step", "0.1"), "step fits a chain"),
         (("short.csv",), "5"),
     ],
 )

@@ -9,9 +9,8 @@ from scipy.stats import expon
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.problems.file.schema import SemiMarkovSwitching
-from deadtime.problems.file.switching import build_model
 from deadtime.problems.law_registry import LEVELS
+from deadtime.problems.switching_registry.entries.semi_markov import SemiMarkovSwitching
 from deadtime.reports.study import run_study
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import best, summary
@@ -118,7 +117,7 @@ def test_problems_that_no_study_can_use_are_refused(tmp_path):
 @pytest.mark.parametrize("family", FAMILIES)
 def test_families_compare_no_sojourn_below_the_dwell_time_and_mean_twice_that(family):
     section = SemiMarkovSwitching(kind="semi-markov", sojourn=sojourn_section(family, 0.4))
-    model = build_model(section, 2, Path())
+    model = section.model(2, Path())
     np.testing.assert_allclose(model.mean, 0.8, rtol=1e-9)
     assert model.sample(400.0, seed=1).dwell_time >= 0.4 * (1.0 - 1e-12)
 

@@ -12,10 +12,9 @@ from scipy import stats
 from scipy.linalg import expm
 
 from batches import equal
-from deadtime import ArgumentError
+from deadtime import ArgumentError, Markov, SemiMarkov, SignalBatch, SwitchingSignal
 from deadtime.numerics import streams
 from deadtime.numerics.philox import block_words, uniform, uniforms
-from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 from deadtime.switching.models import jump_process
 from deadtime.switching.models.quantiles import Quantiles
 from shares import mostly_long

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import expon
 
-from deadtime.switching import SemiMarkov
+from deadtime import SemiMarkov
 from deadtime.switching.models.sojourns import ShiftedExponential, describe
 
 

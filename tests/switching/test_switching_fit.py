@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deadtime import ArgumentError, SwitchingSignal
-from deadtime.switching import SemiMarkov
+from deadtime import ArgumentError, SemiMarkov, SwitchingSignal
 from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of
 from deadtime.switching.models.sojourn_families import Observed, estimate
 from shares import mostly_long

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deadtime import ArgumentError
-from deadtime.switching import SemiMarkov
+from deadtime import ArgumentError, SemiMarkov
 
 STEP, AGES = 0.07, np.arange(200)
 

@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 from scipy.linalg import expm
 
-from deadtime import ArgumentError
-from deadtime.switching import Markov, SemiMarkov
+from deadtime import ArgumentError, Markov, SemiMarkov
 from deadtime.switching.models import jump_process
 
 RATES = np.array([[0.0, 2.0, 1.0], [0.5, 0.0, 1.5], [4.0, 1.0, 0.0]])

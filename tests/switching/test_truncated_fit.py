@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from deadtime import ArgumentError, SwitchingSignal
+from deadtime import ArgumentError, SemiMarkov, SwitchingSignal
 from deadtime.cli.application import main
-from deadtime.problems.file.schema import SemiMarkovSwitching
-from deadtime.problems.file.switching import build_model
-from deadtime.switching import SemiMarkov
+from deadtime.problems.switching_registry.entries.semi_markov import SemiMarkovSwitching
 from deadtime.switching.models.fit import sojourns_of
 from shares import mostly_long
 
@@ -173,7 +171,7 @@ def test_the_command_line_fits_between_limits_and_prints_a_section_that_says_so(
     section = capsys.readouterr().out.split("[switching]\n")[1].split("\n\n")[0]
     table = tomllib.loads(section)
     assert (table["dwell_time"], table["maximum_dwell"]) == ([0.2, 0.2], [1.3, math.inf])
-    model = build_model(SemiMarkovSwitching(**table), 2, tmp_path)
+    model = SemiMarkovSwitching(**table).model(2, tmp_path)
     limits = {"dwell_time": LOW, "maximum_dwell": [HIGH, math.inf]}
     fitted = SemiMarkov.fit(SwitchingSignal.from_csv(path), family="gamma", **limits)
     t = np.linspace(0.0, 3.0, 50)

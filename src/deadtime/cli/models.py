@@ -24,6 +24,7 @@ from deadtime.cli.printing import (
         "deadtime fit week-*.csv --first drop",
         "deadtime fit log.csv --dwell-time 0.2 --maximum-dwell 3,inf",
         "deadtime fit log.csv --labels.throttle 0 --labels.brake 1",
+        "deadtime fit log.csv --step 0.05",
     ),
 )
 def fit(
@@ -34,6 +35,7 @@ def fit(
     unit: Literal["s", "ms", "us", "ns"] | None = None,
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
+    step: float | None = None,
     out: Folder = Path("fit.png"),
     json_output: AsJson = False,
 ) -> None:
@@ -57,6 +59,9 @@ def fit(
         families are fitted as truncated there.
     maximum_dwell
         The longest sojourn likewise, inf for none.
+    step
+        Fit a Markov chain of this period, seconds, in place of sojourns: it switches at samples
+        only. It has no family and no figure.
     out
         The figure, PNG, SVG, PDF or PGF.
     json_output
@@ -66,12 +71,26 @@ def fit(
     from deadtime.problems.asked import one_or_all
     from deadtime.reports.figures.fit import plot_fit
     from deadtime.reports.tables import fit as fit_report
-    from deadtime.switching import SemiMarkov, SwitchingSignal
+    from deadtime.switching import SwitchingSignal
+    from deadtime.switching.models.markov_chain import MarkovChain
+    from deadtime.switching.models.semi_markov import SemiMarkov
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
     out = output_file("out", out)
     signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
+    if step is not None:
+        if family != "auto" or dwell_time is not None or maximum_dwell is not None:
+            raise ArgumentError(
+                "step fits a chain, which has neither families nor limits of sojourns: leave out "
+                "family, dwell-time and maximum-dwell, or the step."
+            )
+        chain = MarkovChain.fit(signals, step)
+        if json_output:
+            print_json({"P": chain.P.tolist(), "step": chain.step}, [])
+        else:
+            print(chain.section())
+        return
     least, most = (
         None if text is None else one_or_all(numbers_of(name, text))
         for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
@@ -86,7 +105,7 @@ def fit(
         print_json(fit_report.fit_record(model, names), [out])
         return
     print_table(fit_report.HEADINGS, fit_report.fit_rows(model, names))
-    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{fit_report.switching_section(model)}")
+    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{model.section()}")
     print(f"\nFigure: {out}")
 
 

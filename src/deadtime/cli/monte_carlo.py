@@ -28,10 +28,9 @@ if TYPE_CHECKING:
 
     from deadtime.problems import Problem
     from deadtime.problems.asked import SourcedTime
-    from deadtime.problems.law_registry import Model
     from deadtime.reports.tables.monte_carlo import Summary
     from deadtime.scenarios.dataset import Comparison
-    from deadtime.switching import SemiMarkov, SwitchingSignal
+    from deadtime.switching import SwitchingModel, SwitchingSignal
 
 _DATA = (".nc", ".csv")
 
@@ -252,10 +251,10 @@ def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) 
     return dwell_time_of(problem, signal, dwell)
 
 
-def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SemiMarkov:
+def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SwitchingModel:
     """Sojourns of dwell + Exp(mean − dwell), then any mode that may follow."""
     from deadtime.problems.asked import AS_ASKED, random_model, signals_of
-    from deadtime.switching import SemiMarkov
+    from deadtime.switching.models.semi_markov import SemiMarkov
     from deadtime.switching.models.sojourns import ShiftedExponential
 
     if _is_limited(problem):
@@ -276,7 +275,7 @@ def _is_limited(problem: Problem) -> bool:
 
 def _print(
     problem: Problem,
-    model: Model,
+    model: SwitchingModel,
     sojourn: Sojourn | None,
     data: Comparison,
     outcome: Summary,
@@ -329,7 +328,7 @@ def _print(
 
 def _drawn(
     problem: Problem,
-    model: Model,
+    model: SwitchingModel,
     sojourn: Sojourn | None,
     data: Comparison,
     outcome: Summary,
@@ -351,7 +350,7 @@ def _drawn(
 
 def _record(
     problem: Problem,
-    model: Model,
+    model: SwitchingModel,
     sojourn: Sojourn | None,
     data: Comparison,
     outcome: Summary,

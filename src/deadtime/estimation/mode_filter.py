@@ -23,27 +23,27 @@ from deadtime.estimation.filter_arguments import (
 )
 from deadtime.estimation.running_filter import RunningFilter
 from deadtime.feedback.belief import Belief, frozen, held_noise
-from deadtime.numerics.covariance import noise_covariances, switched_covariances, transition
+from deadtime.numerics.covariance import noise_covariances, switched_covariances
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.switching import Markov, SemiMarkov
-from deadtime.switching.models.checked_models import require_model
+from deadtime.switching import SwitchingModel
+from deadtime.switching.models.model import require_model
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ModeFilter(Frozen):
     """The belief over the modes of a plant of which x is measured and the mode is not (immutable).
 
-        π_k(j) ∝ Σ_i π_{k−1}(i) P_ij p(x_k | x_{k−1}, inputs, i then j),    P = e^{hΛ} or hazards
+        π_k(j) ∝ Σ_i π_{k−1}(i) P_ij p(x_k | x_{k−1}, inputs, i then j),    P: the model at samples
 
     p is normal about what the model predicts over a period in mode i; of a switch within it, about
-    the middle of what i and j predict, and as much wider as its instant is unknown. Under a
-    `SemiMarkov` model the belief is over modes and ages.
+    the middle of what i and j predict, and as much wider as its instant is unknown. Where age
+    matters, as under a `SemiMarkov` model, the belief is over modes and ages.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The filter's model of the plant; any delays.
-    model : Markov or SemiMarkov
+    model : switching model
         How the mode switches.
     step : float
         Sampling period h, in seconds.
@@ -53,9 +53,9 @@ class ModeFilter(Frozen):
         and state is W = s².
     noise : array_like
         Standard deviation of `imperfections.Noise`, in units of x: a number or (n,).
-    switches : "anywhere" or "samples"
+    switches : "anywhere" or "samples", optional
         Whether the plant switches within periods, treated to first order in h, or at samples only,
-        which is then exact.
+        which is then exact; by default as the model does.
     forgetting : float
         The part of the belief, in (0, 1), that all modes share alike after every sample, so that
         none is ever ruled out.
@@ -63,21 +63,21 @@ class ModeFilter(Frozen):
         The belief at the first sample; by default as the model's signals begin, every mode alike,
         just begun.
     ages : int, optional
-        The most ages, in samples, that a semi-Markov model tells apart; older ones count as that
-        old. By default as many as matter to the model (`SemiMarkov.ages`).
+        The most ages, in samples, that are told apart where age matters; older ones count as that
+        old. By default as many as matter to the model (`SwitchingModel.ages`).
     allow_alike : bool
         Accept modes that nothing in x tells apart: they share what the switching model gives them.
 
     Attributes
     ----------
     ages : int
-        How many ages the switching model needs; 1 of a Markov model.
+        How many ages the switching model needs; 1 where age says nothing.
 
     Raises
     ------
     ArgumentError
-        If two modes cannot be told apart, an argument is malformed, or the step is too long for the
-        model's sojourns.
+        If two modes cannot be told apart, an argument is malformed, or the model cannot be sampled
+        at the step.
 
     References
     ----------
@@ -98,7 +98,7 @@ class ModeFilter(Frozen):
     """
 
     plant: SwitchedSystem
-    model: Markov | SemiMarkov
+    model: SwitchingModel
     step: float
     disturbance: Float[np.ndarray, "*mode n n"]
     noise: Float[np.ndarray, " n"]
@@ -110,12 +110,12 @@ class ModeFilter(Frozen):
     def __init__(
         self,
         plant: SwitchedSystem,
-        model: Markov | SemiMarkov,
+        model: SwitchingModel,
         step: float,
         *,
         disturbance: ArrayLike = 0.0,
         noise: ArrayLike = 0.0,
-        switches: str = "anywhere",
+        switches: str | None = None,
         forgetting: float = 1e-9,
         initial: ArrayLike | None = None,
         ages: int | None = None,
@@ -124,20 +124,22 @@ class ModeFilter(Frozen):
         instance("plant", plant, SwitchedSystem)
         require_model(model, plant.modes)
         step = SampledPlant.of(plant, step).step
-        if switches not in ("anywhere", "samples"):
+        if switches not in (None, "anywhere", "samples"):
             raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
         forgetting = number("forgetting", forgetting)
         if not 0.0 < forgetting < 1.0:
             raise ArgumentError(f"forgetting must be in (0, 1), got {forgetting:g}.")
         if not allow_alike:
             require_distinct(plant)
-        own = 1
-        if isinstance(model, SemiMarkov):
-            own = model.ages(step, None if ages is None else count("ages", ages))
-        elif ages is not None:
+        own = model.ages(step, None if ages is None else count("ages", ages))
+        if own is None and ages not in (None, 1):
             raise ArgumentError(
-                "ages must be left out of a Markov model, in which age says nothing."
+                f"ages must be left out of a {type(model).__name__} model, in which age says "
+                "nothing."
             )
+        own = own or 1
+        if switches is None:
+            switches = "anywhere" if model.chain(step, own).within else "samples"
         vars(self).update(
             plant=plant,
             model=model,
@@ -163,22 +165,13 @@ class ModeFilter(Frozen):
         Phi, Gamma, lag = sampled.periods()
         start = np.zeros((modes, ages))
         start[:, : self.ages] = self.initial
-        hazard, jump = self._chain(ages)
+        chain = self.model.chain(self.step, self.ages)
+        last = np.repeat(chain.hazard[:, -1:], ages - self.ages, axis=1)
+        hazard = np.hstack((chain.hazard, last))
         within = self.switches == "anywhere"
         bend = _bend(sampled, Phi, Gamma, lag) if within else (Phi[:0, None], Gamma[:0, None])
-        parts = start, Phi, Gamma, lag, self._covariance(Phi), hazard, jump
+        parts = start, Phi, Gamma, lag, self._covariance(Phi), hazard, chain.jump
         return frozen(Belief(*parts, self.forgetting, within, *bend))
-
-    def _chain(self, ages: int) -> tuple[np.ndarray, np.ndarray]:
-        """The hazard of every mode and age in a period, and the probabilities of the next mode."""
-        if isinstance(self.model, SemiMarkov):
-            own = self.model.hazard(self.step, self.ages)
-            last = np.repeat(own[:, -1:], ages - self.ages, axis=1)
-            return np.hstack((own, last)), self.model.transition
-        P = np.maximum(transition(self.model.generator, self.step), 0.0)
-        np.fill_diagonal(P, 0.0)
-        leave = P.sum(axis=1)
-        return np.tile(leave[:, None], ages), P / np.where(leave > 0.0, leave, 1.0)[:, None]
 
     def _covariance(self, Phi: np.ndarray) -> Float[np.ndarray, "mode end n n"]:
         """Of x_{k+1} − Φ_i x_k, both as they are measured, by the mode at the end if it matters.

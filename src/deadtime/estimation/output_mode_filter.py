@@ -21,7 +21,7 @@ from deadtime.estimation.observer_design import require_detectable
 from deadtime.estimation.running_filter import RunningOutputFilter
 from deadtime.feedback.bank import BankForm, frozen_bank
 from deadtime.plant import SwitchedSystem
-from deadtime.switching import Markov, SemiMarkov
+from deadtime.switching import SwitchingModel
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -37,7 +37,7 @@ class OutputModeFilter(Frozen):
     ----------
     plant : SwitchedSystem
         The filter's model of the plant; any delays. What a mode hides from C must decay.
-    model : Markov or SemiMarkov
+    model : switching model
         How the mode switches.
     step : float
         Sampling period h, in seconds.
@@ -95,7 +95,7 @@ class OutputModeFilter(Frozen):
     def __init__(
         self,
         plant: SwitchedSystem,
-        model: Markov | SemiMarkov,
+        model: SwitchingModel,
         step: float,
         C: ArrayLike | Observer,
         *,
@@ -103,7 +103,7 @@ class OutputModeFilter(Frozen):
         disturbance: ArrayLike = 0.0,
         noise: ArrayLike = 0.0,
         estimate: ArrayLike | None = None,
-        switches: str = "anywhere",
+        switches: str | None = None,
         forgetting: float = 1e-9,
         initial: ArrayLike | None = None,
         ages: int | None = None,

@@ -18,7 +18,7 @@ from deadtime.identification.levels import rest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.results.sentences import doubts_of, odd_readings, sentences_of
 from deadtime.identification.unknowns import Unknowns
-from deadtime.switching import SemiMarkov
+from deadtime.switching import SwitchingModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +44,7 @@ class Identification(Findings):
         sensors are noisy.
     noise : (p,) array
         Standard deviations of the sensors; 0 where measurements are taken as exact.
-    model : SemiMarkov or None
+    model : switching model or None
         How the mode switches, where enough sojourns were logged.
     tests : ResidualTests
         Whether what is left looks like chance.
@@ -70,7 +70,7 @@ class Identification(Findings):
         cls,
         found: Estimate,
         recording: Recording,
-        model: SemiMarkov | None,
+        model: SwitchingModel | None,
         why: str,
         C: Float[np.ndarray, "p n"],
         states: tuple[str, ...],

@@ -17,7 +17,7 @@ from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.unknowns import Unknowns
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
-from deadtime.switching import SemiMarkov
+from deadtime.switching import SwitchingModel
 
 _SINGULAR = 1e9  # a condition number: rests are not found beyond it
 
@@ -31,7 +31,7 @@ class Findings(Frozen):
     step: float
     disturbance: Float[np.ndarray, "mode n n"]
     noise: Float[np.ndarray, " p"]
-    model: SemiMarkov | None
+    model: SwitchingModel | None
     tests: ResidualTests
     states: tuple[str, ...]
     inputs: tuple[str, ...]

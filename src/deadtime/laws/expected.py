@@ -15,9 +15,9 @@ from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, remember_table, require_room, room
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.gains.checked_gains import check_gains
-from deadtime.plant import SwitchedSystem
-from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
-from deadtime.switching.models.checked_models import require_model
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.switching import SwitchingModel, SwitchingSignal
+from deadtime.switching.models.model import SampledChain, require_model
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -26,10 +26,10 @@ class ExpectedPredictor(TableLaw):
 
         u(t) = E[ K_σ(t+D) P(t) | σ(t), age(t) ],    P(t) = x(t + D) for that future
 
-    Under a Markov model the age tells nothing and the table has one row per mode, from block
-    exponentials without a time grid. Under a semi-Markov model it has one row per mode and age;
-    switches are taken to happen at samples, which is exact for switches on the grid and O(h)
-    otherwise.
+    Under a Markov process in continuous time the table has one row per mode, from block
+    exponentials without a time grid. Under any other model switches are taken to happen at samples,
+    which is exact for switches on the grid and O(h) otherwise, and there is one row per mode and
+    age, or per mode where age says nothing.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ class ExpectedPredictor(TableLaw):
         The law's model of the plant.
     gains : array_like, shape (modes, m, n)
         K_i of u = +K_i x.
-    model : Markov or SemiMarkov
+    model : switching model
         How the mode switches, with as many modes as the plant.
     ages : int, optional
-        The most ages (samples) that a semi-Markov table tells apart; older modes count as that
-        old. By default as many as matter to the model.
+        The most ages (samples) that the table tells apart, where age matters; older modes count as
+        that old. By default as many as matter to the model.
     allow_unstable : bool
         Accept gains that leave some A_i + B_i K_i unstable.
 
@@ -49,9 +49,9 @@ class ExpectedPredictor(TableLaw):
     ------
     ArgumentError
         If the model has another number of modes than the plant or is no switching model;
-        `digital` raises it if the step is too long for the model's sojourns, or the table would
-        take more than 1 GB; `simulate` with `step=None` if the model is semi-Markov or switches
-        many times per delay.
+        `digital` raises it if the model cannot be sampled at the step, or the table would take more
+        than 1 GB; `simulate` with `step=None` if the model is no Markov process in continuous time,
+        or switches many times per delay.
 
     Notes
     -----
@@ -79,7 +79,7 @@ class ExpectedPredictor(TableLaw):
 
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m n"]
-    model: Markov | SemiMarkov
+    model: SwitchingModel
     ages: int | None
     allow_unstable: bool
 
@@ -87,7 +87,7 @@ class ExpectedPredictor(TableLaw):
         self,
         plant: SwitchedSystem,
         gains: ArrayLike,
-        model: Markov | SemiMarkov,
+        model: SwitchingModel,
         *,
         ages: int | None = None,
         allow_unstable: bool = False,
@@ -107,18 +107,20 @@ class ExpectedPredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        plant, model, sampled = self.plant, self.model, self.sampled_plant(step)
-        if isinstance(model, Markov):
+        plant, generator, sampled = self.plant, self.model.generator, self.sampled_plant(step)
+        if generator is not None:
             from deadtime.laws.tables.markov import markov_table
 
-            return markov_table(plant.A, plant.B, self.gains, model.generator, sampled)
-        from deadtime.laws.tables.semi_markov import semi_markov_table
+            return markov_table(plant.A, plant.B, self.gains, generator, sampled)
+        from deadtime.laws.tables.sampled_chain import chain_table
 
-        h, longest = sampled.step, sampled.longest_lag
-        most = room(8 * plant.modes * longest * plant.inputs**2)
-        ages = table_ages(model, h, self.ages, most)
-        chain = model.hazard(h, ages + longest), model.transition
-        return semi_markov_table(self.gains, *chain, ages, sampled)
+        most = room(8 * plant.modes * sampled.longest_lag * plant.inputs**2)
+        ages = table_ages(self.model, sampled.step, self.ages, most)
+        return chain_table(self.gains, self._chain(sampled, ages), ages, sampled)
+
+    def _chain(self, sampled: SampledPlant, ages: int | None) -> SampledChain:
+        """The model at samples, up to the oldest age that a forecast from the table's reaches."""
+        return self.model.chain(sampled.step, (ages or 1) + sampled.longest_lag)
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
         gains = extended_gains(self.gains, rows)
@@ -127,53 +129,50 @@ class ExpectedPredictor(TableLaw):
     def spread(
         self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
-        sampled = self.sampled_plant(step)
-        if isinstance(self.model, Markov):
+        sampled, generator = self.sampled_plant(step), self.model.generator
+        if generator is not None:
             from deadtime.laws.spread.markov import markov_spread
 
-            return markov_spread(sampled, self.model.generator, known, W)
-        from deadtime.laws.spread.semi_markov import semi_markov_spread
+            return markov_spread(sampled, generator, known, W)
+        from deadtime.laws.spread.sampled_chain import chain_spread
 
         ages = self.digital(step).ages
-        hazard = self.model.hazard(step, ages + sampled.longest_lag)
-        return semi_markov_spread(sampled, hazard, self.model.transition, ages, known, W)
+        return chain_spread(sampled, self._chain(sampled, ages), ages, known, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
-        plant, model = self.plant, self.model
-        if not isinstance(model, Markov):
+        plant, generator = self.plant, self.model.generator
+        if generator is None:
             raise ArgumentError(
                 "step must be given: ExpectedPredictor has no closed form in continuous time "
-                "under a SemiMarkov model."
+                f"under a {type(self.model).__name__} model."
             )
         from deadtime.laws.tables.markov import CLOSED_FORM, markov_forecast
 
         if plant.has_one_delay:
-            law = markov_forecast(
-                plant.A, plant.B, self.gains, model.generator, plant.delay, signal
-            )
+            law = markov_forecast(plant.A, plant.B, self.gains, generator, plant.delay, signal)
         else:
             from deadtime.laws.tables.markov_windows import markov_functional
             from deadtime.laws.tables.passage_windows import passage_functional
 
             alike = (plant.delays == plant.delays[0]).all()
             functional = markov_functional if alike else passage_functional
-            law = functional(plant, self.gains, model.generator, signal, CLOSED_FORM)
+            law = functional(plant, self.gains, generator, signal, CLOSED_FORM)
         if law is None:
             raise ArgumentError(
                 "step must be given: the closed form of ExpectedPredictor in continuous time "
                 f"loses its digits where the mode switches many times per delay, as here with "
-                f"rates up to {model.rates.max():g} 1/s and a delay of {plant.longest_delay:g} s."
+                f"rates up to {generator.max():g} 1/s and a delay of {plant.longest_delay:g} s."
             )
         return law
 
 
-def table_ages(model: SemiMarkov, step: float, asked: int | None, most: int) -> int:
-    """How many ages a table tells apart: as many as matter, or no more than asked for."""
+def table_ages(model: SwitchingModel, step: float, asked: int | None, most: int) -> int | None:
+    """How many ages a table tells apart: as many as matter, or no more than asked for, if any."""
     if asked is not None:
         require_room("ages", asked, step, most)
         return model.ages(step, most=asked)
     ages = model.ages(step, most=most + 1)
-    if ages > most:
+    if ages is not None and ages > most:
         raise ArgumentError(
             f"step = {step:g} s asks for a table of more than the {most:,} ages that there is "
             "room for, so long are the model's sojourns: lengthen it, or give `ages`, the most to "

@@ -15,8 +15,8 @@ from deadtime.feedback.law import TableLaw, require_room, room
 from deadtime.laws.expected import table_ages
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_matrix
-from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
-from deadtime.switching.models.checked_models import require_model
+from deadtime.switching import SwitchingModel, SwitchingSignal
+from deadtime.switching.models.model import require_model
 
 MOST_MEMORY = 4e9
 
@@ -44,16 +44,16 @@ class OptimalPredictor(TableLaw):
     ----------
     plant : SwitchedSystem
         The law's model of the plant.
-    model : Markov or SemiMarkov
-        How the mode switches, with as many modes as the plant. A mode's age is counted, and
-        matters, under a semi-Markov model only.
+    model : switching model
+        How the mode switches, with as many modes as the plant. A mode's age is counted where it
+        matters, as under a semi-Markov model.
     Q : array_like, shape (n, n)
         State weight, symmetric, positive definite.
     R : array_like, shape (m, m)
         Input weight, symmetric, positive definite.
     ages : int, optional
-        The most ages (samples) that a semi-Markov table tells apart; older modes count as that
-        old. By default as many as matter to the model.
+        The most ages (samples) that the table tells apart, where age matters; older modes count as
+        that old. By default as many as matter to the model.
 
     Raises
     ------
@@ -90,7 +90,7 @@ class OptimalPredictor(TableLaw):
 
     plant: SwitchedSystem
     gains: None
-    model: Markov | SemiMarkov
+    model: SwitchingModel
     Q: Float[np.ndarray, "n n"]
     R: Float[np.ndarray, "m m"]
     ages: int | None
@@ -98,7 +98,7 @@ class OptimalPredictor(TableLaw):
     def __init__(
         self,
         plant: SwitchedSystem,
-        model: Markov | SemiMarkov,
+        model: SwitchingModel,
         Q: ArrayLike,
         R: ArrayLike,
         *,
@@ -164,26 +164,14 @@ class OptimalPredictor(TableLaw):
         modes, n, m = plant.B.shape
         most = room(8.0 * modes * (n + N * m) ** 2, MOST_MEMORY)
         require_room("the lifted state", 1, h, most)
-        hazard, transition = self._chain(h, most)
-        ages = hazard.shape[1]
+        ages = table_ages(self.model, h, self.ages, most)
+        context = "mode" if ages is None else "mode_age"
+        ages = ages or 1
+        chain = self.model.chain(h, ages)
         L, stage = period(sampled, self.Q)
-        P, gain = solve(L, stage, h * self.R, hazard, transition, N, h)
+        P, gain = solve(L, stage, h * self.R, chain.hazard, chain.jump, N, h)
         F = gain[..., :n].reshape(modes * ages, m, n).copy()
         G = gain[..., n:].reshape(modes * ages, m, N, m)[:, :, ::-1].transpose(0, 2, 1, 3).copy()
         cost = P[:, 0, :n, :n]
         cost = np.tril(cost) + np.tril(cost, -1).transpose(0, 2, 1)
-        context = "mode" if isinstance(self.model, Markov) else "mode_age"
         return Feedback(F, G, context, h, ages), read_only(cost)
-
-    def _chain(self, step: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Chances of a switch by the next sample (modes, ages), and of each mode after one."""
-        model = self.model
-        if isinstance(model, SemiMarkov):
-            ages = table_ages(model, step, self.ages, most)
-            return model.hazard(step, ages), model.transition.copy()
-        from scipy.linalg import expm
-
-        off = expm(step * model.generator)
-        np.fill_diagonal(off, 0.0)
-        chance = off.sum(axis=1)[:, None]
-        return chance, off / np.maximum(chance, np.finfo(float).tiny)

@@ -53,7 +53,7 @@ class Weight(Frozen):
     R: Float[np.ndarray, ...]
 
     def __init__(self, Q: ArrayLike = 1.0, R: ArrayLike = 1.0) -> None:
-        parts = {"Q": _part("Q", Q, "n"), "R": _part("R", R, "m")}
+        parts = {"Q": weight_part("Q", Q, "n"), "R": weight_part("R", R, "m")}
         if not any(part.any() for part in parts.values()):
             raise ArgumentError("Q and R must not both be 0: every run would cost the same.")
         vars(self).update(parts)
@@ -155,8 +155,8 @@ def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: b
     return (weight + weight.T) / 2.0
 
 
-def _part(name: str, value: ArrayLike, letter: str) -> np.ndarray:
-    """Q or R: a number as it is, a diagonal or a matrix as a matrix."""
+def weight_part(name: str, value: ArrayLike, letter: str) -> np.ndarray:
+    """A number as it is; a diagonal or a matrix, positive semidefinite, as a matrix."""
     form = f"({letter}, {letter}), ({letter},) or ()"
     ndim = as_floats(name, value, f"of shape {form}").ndim
     if ndim not in (0, 1, 2):

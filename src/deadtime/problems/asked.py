@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
-from deadtime.switching import Rule, SemiMarkov, SwitchingSignal
+from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching.models.semi_markov import SemiMarkov
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential
 from deadtime.switching.random import mean_or_twice
 

@@ -22,7 +22,7 @@ from deadtime.laws import (
 )
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant, Weight
 from deadtime.simulation import Trajectory, simulate
-from deadtime.switching import Markov, Rule, SemiMarkov, SwitchingSignal
+from deadtime.switching import Rule, SwitchingModel, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
 
 
@@ -73,7 +73,7 @@ class Problem(Frozen):
         which certificates ask for; None where none is promised.
     mean_sojourn : float or None
         The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
-    switching : Markov, SemiMarkov or None
+    switching : switching model or None
         A model of how its mode switches, which Monte Carlo draws from; None: it states none.
     model : SwitchedSystem or None
         What gains and laws were made for, where `plant`, the truth, differs from it.
@@ -108,7 +108,7 @@ class Problem(Frozen):
     constants: Mapping[str, float] = field(default_factory=dict)
     dwell_time: float | None = None
     mean_sojourn: float | None = None
-    switching: Markov | SemiMarkov | None = None
+    switching: SwitchingModel | None = None
     model: SwitchedSystem | None = None
     imperfections: tuple[Imperfection, ...] = ()
     seed: int = 0

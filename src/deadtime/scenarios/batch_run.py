@@ -31,18 +31,18 @@ from deadtime.scenarios.block_threads import Progress, run_blocks, show_progress
 from deadtime.scenarios.dataset import METRICS, Comparison, Results, dataset_of
 from deadtime.scenarios.memory_needed import require_memory
 from deadtime.scenarios.named_laws import named_laws
-from deadtime.scenarios.source import SwitchingModel, source_of
+from deadtime.scenarios.source import SignalSampler, source_of
 from deadtime.simulation.outcome import is_pushed
 from deadtime.simulation.simulate import require_steps
 from deadtime.simulation.step_figures import TRACKING
 from deadtime.simulation.tracking import Followed
-from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
+from deadtime.switching import SignalBatch, SwitchingModel, SwitchingSignal
 
 if TYPE_CHECKING:
     import xarray as xr
 
     Laws = Sequence[Law] | Mapping[str, Law]
-    Model = SwitchingModel | Sequence[SwitchingSignal] | SignalBatch
+    Model = SignalSampler | Sequence[SwitchingSignal] | SignalBatch
 else:
     Laws = Model = object  # `named_laws` and `source_of` check them, with better messages
 
@@ -91,8 +91,8 @@ def monte_carlo(
     laws : list of Law, or mapping of names to laws
         A list is named by the laws' labels, which must differ.
     model : switching model, list of SwitchingSignal, or SignalBatch
-        Something with a method ``sample(horizon, seed)``, and better one with ``draw``, such as
-        `Markov` and `SemiMarkov`; it is asked for signals that reach the horizon plus the longest
+        A `deadtime.switching.SwitchingModel`, which draws whole batches, or anything with a method
+        ``sample(horizon, seed)``; it is asked for signals that reach the horizon plus the longest
         delay. Or the signals themselves, one per scenario. One that ends before the horizon goes
         on in its last mode, as in `simulate`, and ``attrs["message"]`` counts these.
     x0 : array_like, shape (n,)
@@ -286,10 +286,9 @@ def _whole(name: str, value: object, least: int) -> int:
 
 def _unseen(model: object, plant: SwitchedSystem) -> str:
     """That a model knows of fewer modes than the plant has: they are left out at times."""
-    modes = getattr(model, "modes", plant.modes)
-    if not isinstance(model, (Markov, SemiMarkov)) or modes == plant.modes:
+    if not isinstance(model, SwitchingModel) or model.modes == plant.modes:
         return ""
-    return f"the model has {modes} modes, the plant {plant.modes}: the others never occur."
+    return f"the model has {model.modes} modes, the plant {plant.modes}: the others never occur."
 
 
 def _message(

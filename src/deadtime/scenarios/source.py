@@ -11,11 +11,11 @@ from jaxtyping import UInt64
 
 from deadtime.base.errors import ArgumentError
 from deadtime.numerics.seeds import states
-from deadtime.switching import SignalBatch, SwitchingSignal
+from deadtime.switching import SignalBatch, SwitchingModel, SwitchingSignal
 
 
 @runtime_checkable
-class SwitchingModel(Protocol):
+class SignalSampler(Protocol):
     """Anything that draws switching signals."""
 
     def sample(self, horizon: float, seed: int = 0) -> SwitchingSignal:
@@ -62,20 +62,20 @@ class GivenSignals(Source):
 
 
 class DrawnSignals(Source):
-    """A model that draws whole batches: `Markov` and `SemiMarkov`."""
+    """A switching model, which draws whole batches."""
 
-    def __init__(self, model: object, seed: int, reach: float, modes: int) -> None:
+    def __init__(self, model: SwitchingModel, seed: int, reach: float, modes: int) -> None:
         self._model, self._seed, self._reach, self._modes = model, seed, reach, modes
 
     def batch(self, first: int, count: int) -> SignalBatch:
-        draw = self._model.draw  # pyright: ignore[reportAttributeAccessIssue]
-        return draw(self._reach, self._seed, first, count).require_modes(self._modes)
+        drawn = self._model.draw(self._reach, self._seed, first, count)
+        return drawn.require_modes(self._modes)
 
 
 class Sampled(Source):
     """Any model, asked for one signal at a time, with `scenario_seed`."""
 
-    def __init__(self, model: SwitchingModel, seed: int, reach: float, modes: int) -> None:
+    def __init__(self, model: SignalSampler, seed: int, reach: float, modes: int) -> None:
         self._model, self._seed, self._reach, self._modes = model, seed, reach, modes
 
     def batch(self, first: int, count: int) -> SignalBatch:
@@ -114,17 +114,18 @@ def source_of(
     if isinstance(model, Sequence):
         given = _check_list(model, modes)
         return GivenSignals(SignalBatch.of(given)), len(given)
-    if isinstance(model, type) or not isinstance(model, SwitchingModel):
+    if isinstance(model, type) or not isinstance(model, SignalSampler):
         raise ArgumentError(
             "model must have a method sample(horizon, seed) that returns a SwitchingSignal, or "
             f"be a list of signals, got {type(model).__name__}."
         )
-    kind = DrawnSignals if callable(getattr(model, "draw", None)) else Sampled
-    return kind(model, seed, reach, modes), scenarios
+    if isinstance(model, SwitchingModel):
+        return DrawnSignals(model, seed, reach, modes), scenarios
+    return Sampled(model, seed, reach, modes), scenarios
 
 
 def draw_signals(
-    model: SwitchingModel, horizon: float, seed: int = 0, first: int = 0, count: int = 1
+    model: SignalSampler, horizon: float, seed: int = 0, first: int = 0, count: int = 1
 ) -> SignalBatch:
     """The signals that `monte_carlo` runs on scenarios first, …, first + count − 1.
 
@@ -141,7 +142,7 @@ def draw_signals(
 
     Examples
     --------
-    >>> from deadtime.switching import Markov
+    >>> from deadtime import Markov
     >>> batch = draw_signals(Markov([[0, 2], [2, 0]]), 5.0, seed=1, first=10, count=3)
     >>> len(batch), float(batch.end[0])
     (3, 5.0)

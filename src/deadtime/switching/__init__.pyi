@@ -1,6 +1,5 @@
 from .batch import SignalBatch as SignalBatch
-from .models.markov import Markov as Markov
-from .models.semi_markov import SemiMarkov as SemiMarkov
+from .models.model import SwitchingModel as SwitchingModel
 from .rules.quadratic import QuadraticRegions as QuadraticRegions
 from .rules.rule import (
     FunctionRule as FunctionRule,

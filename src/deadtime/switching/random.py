@@ -67,16 +67,15 @@ def _process(allowed: SwitchingConstraint, mean: np.ndarray, ways: np.ndarray) -
     Where there is a longest sojourn, given that they are no longer.
     """
     shift, most = np.array(allowed.dwell_time), np.array(allowed.maximum_dwell)
-    scale, longest = mean - shift, float(mean.max())
-    if np.isinf(most).all():
-        return JumpProcess(Quantiles(shift, scale), ways, longest)
     drawn = [
         Fixed(low) if wide == 0.0 or high == low else ShiftedExponential(low, wide)
-        for low, wide, high in zip(shift.tolist(), scale.tolist(), most.tolist(), strict=True)
+        for low, wide, high in zip(
+            shift.tolist(), (mean - shift).tolist(), most.tolist(), strict=True
+        )
     ]
     ends = zip(drawn, allowed.dwell_time, allowed.maximum_dwell, strict=True)
     sojourn = [truncate("dwell_time", *each) for each in ends]
-    return JumpProcess(Quantiles.of(sojourn), ways, min(longest, float(most.max())))
+    return JumpProcess(Quantiles.of(sojourn), ways, min(float(mean.max()), float(most.max())))
 
 
 def _passes(

@@ -34,7 +34,7 @@ from deadtime.base.checks import as_floats, number, read_only, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.weight import weight_matrix
+from deadtime.plant.weight import weight_part
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -78,7 +78,7 @@ class StationaryNoise(Frozen):
             raise ArgumentError(f"probability must be above 0 and below 1, got {part:g}.")
         parts = {
             "process": _process(process),
-            "measurement": _part("measurement", measurement),
+            "measurement": weight_part("measurement", measurement, "n"),
         }
         if not any(one.any() for one in parts.values()):
             raise ArgumentError("process and measurement must not both be 0: nothing would move.")
@@ -127,21 +127,9 @@ def level_of(deviation: Float[np.ndarray, " m"], probability: float) -> Float[np
 
 
 def _process(value: ArrayLike) -> Float[np.ndarray, ...]:
-    """W as `_part` has it, or one matrix for every mode."""
+    """W as `weight_part` has it, or one matrix for every mode."""
     if as_floats("process", value, "of shape (modes, n, n), (n, n), (n,) or ()").ndim != 3:
-        return _part("process", value)
+        return weight_part("process", value, "n")
     given = real_array("process", value, "(modes, n, n)", 3)
-    each = [_part(f"process[{mode}]", W) for mode, W in enumerate(given)]
+    each = [weight_part(f"process[{mode}]", W, "n") for mode, W in enumerate(given)]
     return read_only(np.stack(each))
-
-
-def _part(name: str, value: ArrayLike) -> Float[np.ndarray, ...]:
-    """A number as it is, a diagonal or a matrix as a matrix."""
-    form = "(n, n), (n,) or ()"
-    ndim = as_floats(name, value, f"of shape {form}").ndim
-    if ndim not in (0, 1, 2):
-        raise ArgumentError(f"{name} must have shape {form}, got {ndim} axes.")
-    given = np.array([[number(name, value)]]) if ndim == 0 else real_array(name, value, form, ndim)
-    whole = np.diag(given) if ndim == 1 else given
-    whole = read_only(weight_matrix(name, whole, len(whole), "n", strict=False))
-    return whole if ndim else whole.reshape(())

@@ -33,7 +33,8 @@ from deadtime.identification.noisy.noise_intervals import exact_holds
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls
-from deadtime.switching import SemiMarkov
+from deadtime.switching import SwitchingModel
+from deadtime.switching.models.semi_markov import SemiMarkov
 
 _CERTAIN = 1e-12  # a stay of so nearly all probability is never left
 _Fit = TypeVar("_Fit", Fitted, NoisyFit)
@@ -50,7 +51,7 @@ class Hidden(NamedTuple):
     estimate: Estimate | None
     modes: HiddenModes | None
     recording: Recording
-    model: SemiMarkov | None
+    model: SwitchingModel | None
     why: str
     sentences: tuple[str, ...]
 

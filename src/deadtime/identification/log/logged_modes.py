@@ -6,7 +6,8 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.recording import Recording
-from deadtime.switching import SemiMarkov, SwitchingSignal
+from deadtime.switching import SwitchingSignal
+from deadtime.switching.models.semi_markov import SemiMarkov
 
 
 def signals_of(recording: Recording) -> list[SwitchingSignal]:

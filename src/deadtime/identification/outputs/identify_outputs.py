@@ -22,14 +22,14 @@ from deadtime.identification.outputs.other_delays import with_others
 from deadtime.identification.outputs.output_orders import order_of, state_names
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
-from deadtime.switching import SemiMarkov
+from deadtime.switching import SwitchingModel
 
 
 class FromOutputs(NamedTuple):
     """What `Identification.of` takes, and what else there is to say."""
 
     estimate: Estimate
-    model: SemiMarkov | None
+    model: SwitchingModel | None
     why: str
     C: Float[np.ndarray, "p n"]
     states: tuple[str, ...]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from deadtime.base.checks import positive
 from deadtime.base.staging import replacing
 from deadtime.base.wording import one_line
 from deadtime.identification.results.filter_noise import filter_noise
-from deadtime.switching.models.sojourns import mean_sojourn
 
 if TYPE_CHECKING:
     from deadtime.identification.identified_plant import Findings
@@ -55,8 +54,8 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
 
 def _length(fit: Findings) -> float:
     """Of a run, seconds: long beside the delays, and such that modes switch."""
-    sojourns = [] if fit.model is None else [mean_sojourn(dist) for dist in fit.model.sojourn]
-    return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * max(sojourns, default=0.0))
+    longest = 0.0 if fit.model is None else float(fit.model.mean.max())
+    return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * longest)
 
 
 def _by_number(fit: Findings) -> bool:
@@ -98,9 +97,7 @@ def _switching(fit: Findings, filtered: tuple[np.ndarray, str]) -> list[str]:
     """How the mode switches: the fitted model, or a constant mode where there is none."""
     if fit.model is None:
         return ["[signal]", 'kind = "constant"', "mode = 0", ""]
-    sojourns = [_sojourn(dist) for dist in fit.model.sojourn]
-    lines = ["[switching]", 'kind = "semi-markov"', f"sojourn = [{', '.join(sojourns)}]"]
-    lines += [f"transition = {_lists(fit.model.transition)}", ""]
+    lines = [fit.model.section(), ""]
     lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
     raised, why = filtered
     lines += [f"disturbance = {_lists(raised)}"] if why else _disturbance("disturbance", fit)
@@ -155,18 +152,6 @@ def _disturbance(key: str, fit: Findings) -> list[str]:
     if (W[0] == W).all():
         return [f"{key} = {_lists(W[0])}"]
     return [f"{key} = [    # of every mode", *(f"  {_lists(one)}," for one in W), "]"]
-
-
-def _sojourn(dist: Any) -> str:
-    """A distribution of scipy.stats as a section, or a fixed sojourn as a number."""
-    kind = getattr(dist, "dist", None)
-    if kind is None:
-        return _number(float(dist.mean()))
-    shapes, loc, scale = kind._parse_args(*dist.args, **dist.kwds)
-    names = kind.shapes.split(", ") if kind.shapes else []
-    values = {**dict(zip(names, shapes, strict=True)), "loc": loc, "scale": scale}
-    words = [f"{name} = {_number(float(value))}" for name, value in values.items()]
-    return f"{{distribution = {_text(kind.name)}, {', '.join(words)}}}"
 
 
 def _number(value: float) -> str:

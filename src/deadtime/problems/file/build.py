@@ -22,16 +22,14 @@ from deadtime.problems.file.observer import add_observers, names_of
 from deadtime.problems.file.servo import FileServo
 from deadtime.problems.file.switching import (
     average_of,
-    build_model,
     build_rule,
     build_signal,
     promise_of,
 )
 from deadtime.problems.file.units import labels, require_units
-from deadtime.problems.law_registry import Model
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
-from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching import Rule, SwitchingModel, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
 
 
@@ -50,8 +48,10 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         require_units(units, (*states, *inputs, *outputs))
     with _section("gains"):
         gains = _gains(file, plant, following, step)
-    with _section("switching"):
-        model = build_model(file.switching, plant.modes, source.parent)
+    model = None
+    if file.switching is not None:
+        with _section("switching"):
+            model = file.switching.model(plant.modes, source.parent)
     rule = _rule(file, plant)
     weight = _weight(file, plant)
     laws, servos = Laws(file, plant, gains, model, rule, weight, step, following).build()
@@ -141,7 +141,7 @@ def _signal(
     plant: SwitchedSystem,
     end: float,
     folder: Path,
-    model: Model | None,
+    model: SwitchingModel | None,
 ) -> tuple[SwitchingSignal, SwitchingConstraint | None]:
     """The switching signal up to `end`, s, and what the file says of every one."""
     with _section("signal"):

@@ -20,12 +20,12 @@ from deadtime.problems.file.gains import as_numbers, mean_gain, servo_mean_gain
 from deadtime.problems.file.mode_filter import build_mode_filter
 from deadtime.problems.file.observer import observer_of
 from deadtime.problems.file.servo import FileServo
-from deadtime.problems.law_registry import LAWS, LawSetting, Model, build_law
+from deadtime.problems.law_registry import LAWS, LawSetting, build_law
 from deadtime.problems.law_registry.entry import LawSection, ModelSection
 from deadtime.problems.law_registry.registry import NamedLaw
 from deadtime.problems.toml import section as _section
 from deadtime.problems.toml.entries import kinds_of
-from deadtime.switching import Rule
+from deadtime.switching import Rule, SwitchingModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Laws:
     file: schema.ProblemFile
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m z"]
-    model: Model | None
+    model: SwitchingModel | None
     rule: Rule | None
     weight: Weight | None
     step: float | None

@@ -14,9 +14,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.estimation import ModeFilter, Observer, OutputModeFilter
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.file.observer import KalmanObserver, ObserverSection
-from deadtime.problems.law_registry import Model
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import Matrices, Matrix, Section, Vector
+from deadtime.switching import SwitchingModel
 
 Observed = tuple[Callable[[SwitchedSystem], Observer], ObserverSection]
 
@@ -50,8 +50,10 @@ class ModeFilterSection(Section):
         description="What corrects estimates: Kalman's gains, sample by sample, or those of "
         "[observer].",
     )
-    switches: Literal["anywhere", "samples"] = Field(
-        "anywhere", description="Whether the mode may change within periods, or at samples only."
+    switches: Literal["anywhere", "samples"] | None = Field(
+        None,
+        description="Whether the mode may change within periods, or at samples only; as the model "
+        "of [switching] does by default.",
     )
     forgetting: float = Field(
         1e-9, description="Part of the belief, in (0, 1), that all modes share after every sample."
@@ -60,7 +62,7 @@ class ModeFilterSection(Section):
         None, description="Probability of each mode at time 0; that of [switching] by default."
     )
     ages: int | None = Field(
-        None, description="Most ages (samples) of a semi-Markov mode that are told apart."
+        None, description="Most ages (samples) that are told apart where age matters."
     )
     allow_alike: bool = Field(False, description="Accept modes that nothing tells apart.")
 
@@ -68,7 +70,7 @@ class ModeFilterSection(Section):
 def build_mode_filter(
     section: ModeFilterSection | None,
     plant: SwitchedSystem,
-    model: Model | None,
+    model: SwitchingModel | None,
     step: float | None,
     observed: Observed | None,
 ) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
@@ -98,7 +100,7 @@ def build_mode_filter(
 
 
 def _mode_filter(
-    section: ModeFilterSection, model: Model, step: float, plant: SwitchedSystem
+    section: ModeFilterSection, model: SwitchingModel, step: float, plant: SwitchedSystem
 ) -> ModeFilter:
     disturbance, noise = section.disturbance, section.noise
     return ModeFilter(
@@ -114,7 +116,7 @@ def _mode_filter(
 def _output_filter(
     section: ModeFilterSection,
     observed: Observed,
-    model: Model,
+    model: SwitchingModel,
     step: float,
     plant: SwitchedSystem,
 ) -> OutputModeFilter:

@@ -13,7 +13,6 @@ from deadtime.problems.file.imperfections import ImperfectionEntry, OffsetSectio
 from deadtime.problems.file.mode_filter import ModeFilterSection
 from deadtime.problems.file.observer import ObserverSection
 from deadtime.problems.file.servo import ServoSection
-from deadtime.problems.file.sojourn_distributions import DistributionSection
 from deadtime.problems.law_registry import ENTRIES, LawSection
 from deadtime.problems.law_registry.entry import (
     SQUARE,
@@ -25,6 +24,8 @@ from deadtime.problems.law_registry.entry import (
     Plants,
     Square,
 )
+from deadtime.problems.switching_registry import ENTRIES as MODELS, SwitchingSection
+from deadtime.problems.switching_registry.entry import Times
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import (
     Integers,
@@ -37,14 +38,10 @@ from deadtime.problems.toml.sections import (
     Vector,
 )
 
-_RATES = [[0.0, 0.5], [0.5, 0.0]]
-
 # What keys are called that are lists of numbers: their shape, and a value that fits.
 Gains = Annotated[Matrices | None, Shape("(modes, m, n)", [[[-1.0, -2.0]], [[-1.0, -2.0]]])]
-PerMode = Annotated[Matrix, Shape("(modes, modes)", _RATES)]
 State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
 Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
-Times = Annotated[float | Vector | None, Shape("a number or (modes,)", [0.3, 0.6])]
 Allowed = Annotated[Matrix | None, Shape("(modes, modes)", [[0, 1], [1, 0]])]
 Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
 Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
@@ -118,49 +115,6 @@ class CostSection(Section):
     )
     R: Annotated[float | Vector | Matrix, Shape("a number, (m,) or (m, m)", [1.0])] = Field(
         1.0, description="Of the inputs: a number, a diagonal or an m × m matrix."
-    )
-
-
-Sojourn = float | DistributionSection
-
-
-class MarkovSwitching(Section):
-    """A Markov process of the mode."""
-
-    kind: Literal["markov"]
-    rates: PerMode = Field(description="Rates from mode (row) to mode (column), 1/s.")
-
-
-class SemiMarkovSwitching(Section):
-    """Random sojourns, then a random next mode."""
-
-    kind: Literal["semi-markov"]
-    sojourn: Sojourn | list[Sojourn] = Field(
-        description="Seconds in a mode: a number, or { distribution = …, … }; or one per mode."
-    )
-    transition: Annotated[Matrix | None, Shape("(modes, modes)", [[0.0, 1.0], [1.0, 0.0]])] = Field(
-        None, description="Probabilities of the next mode; uniform by default."
-    )
-    dwell_time: Times = Field(None, description="No sojourn drawn is shorter, s; or one per mode.")
-    maximum_dwell: Times = Field(
-        None, description="No sojourn drawn is longer, s; or one per mode, inf for none."
-    )
-
-
-class FittedSwitching(Section):
-    """A semi-Markov model fitted from logs."""
-
-    kind: Literal["fitted"]
-    logs: Annotated[Texts, Shape("a list of texts", ["log.csv"])] = Field(
-        description="CSV logs, paths relative to the problem file."
-    )
-    family: str | Texts = Field("auto", description="Family of the sojourns, or one per mode.")
-    first: Literal["whole", "drop"] = Field(
-        "whole", description='"drop" if the logs begin in mid-sojourn.'
-    )
-    labels: dict[str, int] | None = Field(None, description="Mode of each text in the logs.")
-    unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="Of the logs' times; seconds by default."
     )
 
 
@@ -283,11 +237,10 @@ class RunSection(Section):
 
 if TYPE_CHECKING:
     LawEntry = LawSection
+    Switching = SwitchingSection
 else:
     LawEntry = Annotated[Union[ENTRIES], Field(discriminator="kind")]  # noqa: UP007
-Switching = Annotated[
-    MarkovSwitching | SemiMarkovSwitching | FittedSwitching, Field(discriminator="kind")
-]
+    Switching = Annotated[Union[MODELS], Field(discriminator="kind")]  # noqa: UP007
 Signal = Annotated[
     ConstantSignal
     | PeriodicSignal

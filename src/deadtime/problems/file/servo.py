@@ -20,8 +20,8 @@ from deadtime.estimation import Observer, Servo
 from deadtime.estimation.reference import Reference
 from deadtime.imperfections import Imperfection, Limiting, Sizes
 from deadtime.plant import SwitchedSystem
-from deadtime.problems.file.sojourn_distributions import DistributionSection, frozen
 from deadtime.problems.toml import Shape
+from deadtime.problems.toml.distributions import DistributionSection, frozen
 from deadtime.problems.toml.sections import Matrices, Matrix, Section, Texts, Vector
 
 MOST_BYTES = 10_000_000

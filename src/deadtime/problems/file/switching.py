@@ -1,89 +1,40 @@
-"""From the sections of a problem file that say how the mode switches: models, rules, signals."""
+"""From the sections of a problem file that say how the mode switches: promises, rules, signals."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.file import schema
-from deadtime.problems.file.sojourn_distributions import DistributionSection, frozen
-from deadtime.problems.law_registry import Model
+from deadtime.problems.switching_registry.entry import Promise
 from deadtime.switching import (
     HalfSpace,
-    Markov,
     Polyhedra,
     QuadraticRegions,
     Rule,
-    SemiMarkov,
+    SwitchingModel,
     SwitchingSignal,
 )
 from deadtime.switching.constraint import SwitchingConstraint
 
 
-def build_model(section: schema.Switching | None, modes: int, folder: Path) -> Model | None:
-    """The stochastic model that [switching] describes; relative paths start at `folder`."""
-    match section:
-        case None:
-            return None
-        case schema.MarkovSwitching():
-            model = Markov(section.rates)
-        case schema.SemiMarkovSwitching():
-            given = section.sojourn
-            sojourn = (
-                [_sojourn(f"sojourn[{i}]", item) for i, item in enumerate(given)]
-                if isinstance(given, list)
-                else _sojourn("sojourn", given)
-            )
-            one = not isinstance(given, list) and section.transition is None
-            model = SemiMarkov(
-                sojourn,
-                section.transition,
-                modes=modes if one else None,
-                dwell_time=section.dwell_time,
-                maximum_dwell=section.maximum_dwell,
-            )
-        case schema.FittedSwitching():
-            signals = [
-                SwitchingSignal.from_csv(
-                    folder / log, modes=modes, labels=section.labels, unit=section.unit
-                )
-                for log in section.logs
-            ]
-            model = SemiMarkov.fit(signals, family=section.family, modes=modes, first=section.first)
-    if model.modes != modes:
-        raise ArgumentError(
-            f"kind = {section.kind!r} describes {model.modes} modes, the plant has {modes}."
-        )
-    return model
-
-
-def _sojourn(name: str, given: schema.Sojourn) -> Any:
-    """A number, or the frozen scipy.stats distribution that a section names."""
-    return frozen(name, given) if isinstance(given, DistributionSection) else given
-
-
 def promise_of(
-    file: schema.ProblemFile, model: Model | None, modes: int
+    file: schema.ProblemFile, model: SwitchingModel | None, modes: int
 ) -> SwitchingConstraint | None:
     """What the file says of every signal: [signal] where it states something, else [switching].
 
-    None where neither states anything. A switch that logs do not show is not thereby excluded: of
-    a model that is fitted nothing is taken.
+    None where neither states anything.
     """
-    signal, switching = file.signal, file.switching
+    signal = file.signal
     if isinstance(signal, schema.RandomSignal):
-        stated = signal.dwell_time, signal.maximum_dwell, signal.transitions
+        stated: Promise = signal.dwell_time, signal.maximum_dwell, signal.transitions
     else:
         stated = getattr(signal, "dwell_time", None), None, None
-    if all(one is None for one in stated) and model is not None:
-        if isinstance(switching, schema.SemiMarkovSwitching):
-            stated = switching.dwell_time, switching.maximum_dwell, model.transitions
-        elif isinstance(switching, schema.MarkovSwitching):
-            stated = None, None, model.transitions
+    if all(one is None for one in stated) and file.switching is not None and model is not None:
+        stated = file.switching.promise(model)
     if all(one is None for one in stated):
         return None
     return SwitchingConstraint.of(modes, *stated)
@@ -115,7 +66,7 @@ def build_signal(
     plant: SwitchedSystem,
     end: float,
     folder: Path,
-    model: Model | None,
+    model: SwitchingModel | None,
 ) -> SwitchingSignal:
     """The switching signal; made ones are long enough for the oracle's last prediction."""
     match section:

@@ -4,7 +4,7 @@ A law is known everywhere once it has an entry: a file in `deadtime.problems.law
 """
 
 from deadtime.problems.law_registry.entry import LEVELS, LawSection, Named
-from deadtime.problems.law_registry.law_setting import NEEDS, LawSetting, Model
+from deadtime.problems.law_registry.law_setting import NEEDS, LawSetting
 from deadtime.problems.law_registry.registry import (
     ENTRIES,
     LAWS,
@@ -26,7 +26,6 @@ __all__ = [
     "QUICK",
     "LawSection",
     "LawSetting",
-    "Model",
     "Named",
     "NamedLaw",
     "build_law",

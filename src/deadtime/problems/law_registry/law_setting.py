@@ -12,9 +12,8 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation import ModeFilter, OutputModeFilter
 from deadtime.plant import SwitchedSystem, Weight
-from deadtime.switching import Markov, Rule, SemiMarkov
+from deadtime.switching import Rule, SwitchingModel
 
-Model = Markov | SemiMarkov
 Need = Literal["model", "rule", "signal", "mode_filter"]
 
 
@@ -30,7 +29,7 @@ class LawSetting:
         The gain (m, n) of a plant of one mode, designed as the others were.
     period : float
         At which laws that are tuned are tuned, seconds.
-    model : Markov, SemiMarkov or None
+    model : switching model or None
         A model of the switching, for laws that need one.
     rule : Rule or None
         By which the state decides the mode; None where a signal does.
@@ -47,7 +46,7 @@ class LawSetting:
     gains: Float[np.ndarray, "mode m n"]
     mean_gain: Callable[[SwitchedSystem], Float[np.ndarray, "m n"]]
     period: float
-    model: Model | None = None
+    model: SwitchingModel | None = None
     rule: Rule | None = None
     weight: Weight | None = None
     mode_filter: Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None = None

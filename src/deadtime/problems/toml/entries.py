@@ -5,6 +5,7 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
+from inspect import signature
 from types import ModuleType
 from typing import NoReturn, TypeVar, get_args
 
@@ -35,8 +36,8 @@ def collect(
     what: str,
     base: type[S],
     modules: Iterable[ModuleType],
-    require_whole: Callable[[type[S]], None],
-    names_of: Callable[[type[S]], Iterable[str]],
+    require_whole: Callable[[type[S]], None] = lambda entry: None,
+    names_of: Callable[[type[S]], Iterable[str]] = lambda entry: (),
 ) -> tuple[type[S], ...]:
     """The subclasses of `base` that some modules define, in their order there.
 
@@ -45,11 +46,11 @@ def collect(
     what : str
         What they are entries of, for messages.
     base : type
-        A section; `kind` and a docstring are asked of all its entries.
+        A section; `kind`, a docstring and what is abstract in it are asked of all its entries.
     modules : iterable of modules
-    require_whole : callable
+    require_whole : callable, optional
         Refuses an entry that lacks something else.
-    names_of : callable
+    names_of : callable, optional
         The names that no two entries may share.
 
     Raises
@@ -66,6 +67,9 @@ def collect(
             )
         for entry in own:
             _require_kind(what, entry)
+            for lacking in sorted(entry.__abstractmethods__):
+                call = f"{lacking}({', '.join(signature(getattr(entry, lacking)).parameters)})"
+                refuse(what, entry, f"lacks {call}: define it, as {base.__name__} says.")
             require_whole(entry)
             for other in found:
                 _require_apart(what, entry, other, names_of)

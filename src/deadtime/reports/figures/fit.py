@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import rc_context
@@ -13,15 +12,10 @@ from matplotlib.figure import Figure
 from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
-from deadtime.switching import SemiMarkov, SwitchingSignal
-from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of
+from deadtime.switching.models.fit import Signals, distance, kaplan_meier, sojourns_of
+from deadtime.switching.models.semi_markov import SemiMarkov
 from deadtime.switching.models.sojourn_families import Observed
 from deadtime.switching.models.sojourns import Distribution, describe, log_survival
-
-if TYPE_CHECKING:
-    Signals = SwitchingSignal | Sequence[SwitchingSignal]
-else:
-    Signals = object  # `sojourns_of` checks them, with better messages
 
 
 def plot_fit(

@@ -21,14 +21,13 @@ from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.gains import as_numbers
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.file.mode_filter import build_mode_filter
-from deadtime.problems.file.switching import build_model, promise_of
-from deadtime.problems.law_registry import LawSetting, Model
+from deadtime.problems.file.switching import promise_of
+from deadtime.problems.law_registry import LawSetting
 from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
 from deadtime.scenarios.sweeps.study_laws import COARSE, INPUT_WEIGHT, kinds_of
-from deadtime.switching import SemiMarkov
-from deadtime.switching.random import mean_or_twice
+from deadtime.switching import SwitchingModel
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
 
@@ -116,7 +115,11 @@ class FileStudy(Study):
         )
 
     def _place_laws(
-        self, file: schema.ProblemFile, problem: Problem, model: Model, dwell_time: float | None
+        self,
+        file: schema.ProblemFile,
+        problem: Problem,
+        model: SwitchingModel,
+        dwell_time: float | None,
     ) -> tuple[dict[str, Law], dict[str, str]]:
         """The study's laws for gains placed at its poles; and why others could not be built."""
         plant = problem.model or problem.plant
@@ -147,23 +150,16 @@ def without_signal(file: schema.ProblemFile) -> schema.ProblemFile:
     return file.model_copy(update={"signal": signal})
 
 
-def _model(file: schema.ProblemFile, modes: int, folder: Path) -> Model:
+def _model(file: schema.ProblemFile, modes: int, folder: Path) -> SwitchingModel:
     """[switching], or the sojourns of a random signal."""
-    with section("switching"):
-        model = build_model(file.switching, modes, folder)
-    if model is not None:
-        return model
+    if file.switching is not None:
+        with section("switching"):
+            return file.switching.model(modes, folder)
     signal = file.signal
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
-        from scipy.stats import expon
-
         own = promise_of(file, None, modes)
         assert own is not None
-        if not own.is_plain:
-            return random_model(own, signal.mean_sojourn)
-        least = own.dwell_time[0]
-        rest = mean_or_twice(least, signal.mean_sojourn) - least
-        return SemiMarkov(expon(loc=least, scale=rest), modes=modes)
+        return random_model(own, signal.mean_sojourn)
     raise ArgumentError(
         "a study draws its signals: give grid.dwell_time, or the problem file a [switching] "
         "section."

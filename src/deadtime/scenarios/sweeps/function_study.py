@@ -15,7 +15,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import weight_of
 from deadtime.scenarios.dataset import METRICS
 from deadtime.scenarios.named_laws import named_laws
-from deadtime.scenarios.source import SwitchingModel
+from deadtime.scenarios.source import SignalSampler
 from deadtime.scenarios.sweeps.axes import Axis, no_write
 from deadtime.scenarios.sweeps.content import source_of, values_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study, require_axis
@@ -157,7 +157,7 @@ def _loop(made: Any) -> Loop:
         )
     parts = dict(made)
     instance("plant", parts["plant"], SwitchedSystem)
-    if not isinstance(parts["model"], SwitchingModel):
+    if not isinstance(parts["model"], SignalSampler):
         raise ArgumentError(
             "model must have a method sample(horizon, seed), such as Markov and SemiMarkov, got "
             f"{type(parts['model']).__name__}."

@@ -9,6 +9,7 @@ more often.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,11 @@ from deadtime.switching.models.truncated_fit import (
     require_family_between,
 )
 from deadtime.switching.signal import SwitchingSignal
+
+if TYPE_CHECKING:
+    Signals = SwitchingSignal | Sequence[SwitchingSignal]
+else:
+    Signals = object  # `check_signals` checks them, with better messages
 
 LEAST = 5
 MARGIN = 4.0
@@ -86,7 +92,7 @@ def fit_model(
     Moore and Pyke, "Estimation of the transition distributions of a Markov renewal process",
     Annals of the Institute of Statistical Mathematics 20, 1968.
     """
-    logs = _check(signals)
+    logs = check_signals(signals)
     observed = sojourns_of(logs, first, modes)
     if transitions is not None:
         allowed = SwitchingConstraint.of(len(observed), transitions=transitions)
@@ -124,7 +130,7 @@ def sojourns_of(
     >>> sojourns_of(log)[0]
     Observed(complete=array([0.5]), censored=array([1.25]))
     """
-    logs = _check(signals)
+    logs = check_signals(signals)
     if first not in ("whole", "drop"):
         raise ArgumentError(f"first must be 'whole' or 'drop', got {first!r}.")
     number = 1 + max(int(log.modes.max()) for log in logs)
@@ -224,7 +230,7 @@ def _families(family: object, modes: int) -> list[str]:
     return names
 
 
-def _check(signals: object) -> list[SwitchingSignal]:
+def check_signals(signals: object) -> list[SwitchingSignal]:
     """The signals as a list."""
     if isinstance(signals, SwitchingSignal):
         return [signals]

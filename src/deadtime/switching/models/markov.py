@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import real_array
+from deadtime.base.checks import positive, read_only, real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.models.jump_process import JumpProcess
-from deadtime.switching.models.model import JumpModel
+from deadtime.switching.models.jump_process import JumpProcess, Switches
+from deadtime.switching.models.model import SampledChain, SwitchingModel, rows_text
 from deadtime.switching.models.quantiles import Quantiles
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Markov(JumpModel):
+class Markov(SwitchingModel):
     """A Markov process of modes: in mode i, a switch to mode j comes at the rate Λ_ij.
 
         P(σ(t + s) = j | σ(t) = i) = (e^{sΛ})_ij
@@ -33,6 +33,8 @@ class Markov(JumpModel):
     ----------
     rates : (modes, modes) array
         The rates, with 0 on the diagonal.
+    generator : (modes, modes) array
+        Λ: the rates, with minus their sum on the diagonal, so that rows sum to 0; 1/s.
 
     Raises
     ------
@@ -45,7 +47,7 @@ class Markov(JumpModel):
 
     Examples
     --------
-    >>> from deadtime.switching import Markov
+    >>> from deadtime import Markov
     >>> model = Markov([[0.0, 2.0], [1.0, 0.0]])
     >>> model.generator
     array([[-2.,  2.],
@@ -57,6 +59,7 @@ class Markov(JumpModel):
     """
 
     rates: Float[np.ndarray, "mode mode"]
+    generator: Float[np.ndarray, "mode mode"]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(self, rates: ArrayLike) -> None:
         given = real_array("rates", rates, "(modes, modes)", 2)
@@ -78,8 +81,7 @@ class Markov(JumpModel):
                 f"rates[{i}, {i}] must be 0 or minus the sum of the other rates in its row, "
                 f"{-exits[i]:g}, got {diagonal[i]:g}: give the rates off the diagonal only."
             )
-        off.flags.writeable = False
-        vars(self).update(rates=off)
+        vars(self).update(rates=read_only(off), generator=read_only(off - np.diag(exits)))
 
     @property
     def modes(self) -> int:
@@ -92,21 +94,29 @@ class Markov(JumpModel):
         return self.rates > 0.0
 
     @property
-    def generator(self) -> Float[np.ndarray, "mode mode"]:
-        """Λ: the rates, with minus their sum on the diagonal, so that rows sum to 0; 1/s."""
-        return self.rates - np.diag(self.rates.sum(axis=1))
-
-    @property
     def mean(self) -> Float[np.ndarray, " mode"]:
         """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
         with np.errstate(divide="ignore"):
             return 1.0 / self.rates.sum(axis=1)
 
-    @property
-    def process(self) -> JumpProcess:
+    def ages(self, step: float, most: int | None = None) -> None:
+        return None  # how long a mode has been active says nothing
+
+    def chain(self, step: float, ages: int = 1) -> SampledChain:
+        """P = e^{hΛ}, returns within a period among what stays."""
+        from deadtime.numerics.covariance import transition
+
+        P = transition(self.generator, positive("step", step))
+        return SampledChain.of_matrix(P, within=True)
+
+    def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Exponential sojourns, and jumps by the rates."""
-        mean = self.mean
-        return JumpProcess(Quantiles(np.zeros(self.modes), mean), self.rates, float(mean.max()))
+        sojourn = Quantiles(np.zeros(self.modes), self.mean)
+        process = JumpProcess(sojourn, self.rates, float(self.mean.max()))
+        return process.draw(horizon, seed, first, count)
+
+    def section(self) -> str:
+        return f'[switching]\nkind = "markov"\n{rows_text("rates", self.rates)}'
 
     def __repr__(self) -> str:
         means = ", ".join(f"{mean:.3g}" for mean in self.mean)

@@ -1,28 +1,128 @@
-"""What random models of switching share: how their signals are drawn."""
+"""The interface of random models of switching: what laws, filters and batches ask of one.
+
+A model is seen in two ways: as a chain over (mode, age) at the samples of a controller, by laws and
+filters; and as a process that draws signals, by simulations. Who needs a closed form in continuous
+time asks for the `generator`, which memoryless models have.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
-from deadtime.base.checks import read_only
+from deadtime.base.checks import read_only, real_array, require_shape
+from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.batch import SignalBatch
 from deadtime.switching.signal import SwitchingSignal
 
 if TYPE_CHECKING:
-    from deadtime.switching.models.jump_process import JumpProcess
+    from deadtime.switching.models.jump_process import Switches
 
 
-class JumpModel(Frozen, ABC):
-    """A random model of switching, each signal of which is a function of a seed and a number."""
+class SampledChain(NamedTuple):
+    """A model at samples: from (i, a) the next one finds (i, a + 1) or (j, 0).
+
+    The age a counts samples since the sampled mode last changed; the last column of `hazard` holds
+    for all older ones.
+
+    hazard : (modes, ages), the probability that a mode of that age gives way by the next sample
+    jump : (modes, modes), then that of the next mode; a row of zeros where a mode is never left
+    within : whether modes change within periods, or at samples only
+    """
+
+    hazard: Float[np.ndarray, "mode age"]
+    jump: Float[np.ndarray, "mode mode"]
+    within: bool
+
+    @classmethod
+    def of_matrix(cls, P: Float[np.ndarray, "mode mode"], within: bool) -> SampledChain:
+        """Of a Markov chain at samples, whose ages say nothing."""
+        jump = np.maximum(P, 0.0)
+        np.fill_diagonal(jump, 0.0)
+        leave = jump.sum(axis=1, keepdims=True)
+        return cls(leave, jump / np.where(leave > 0.0, leave, 1.0), within)
+
+
+class SwitchingModel(Frozen, ABC):
+    """A random model of switching, each signal of which is a function of a seed and a number.
+
+    Signals start in a uniformly drawn mode, at the beginning of its sojourn.
+
+    Attributes
+    ----------
+    generator : (modes, modes) array or None
+        Λ of a Markov process in continuous time, rows summing to 0, 1/s; else None.
+    """
+
+    generator: Float[np.ndarray, "mode mode"] | None = None
 
     @property
     @abstractmethod
-    def process(self) -> JumpProcess:
-        """The jumps that are drawn."""
+    def modes(self) -> int:
+        """Number of modes."""
+
+    @property
+    @abstractmethod
+    def transitions(self) -> Bool[np.ndarray, "mode mode"]:
+        """Whether a signal may switch from mode i (row) to mode j (column), as `certify` takes it.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> dt.SemiMarkov(0.3, [[0, 1, 0], [0, 0, 1], [0.5, 0.5, 0]]).transitions.astype(int)
+        array([[0, 1, 0],
+               [0, 0, 1],
+               [1, 1, 0]])
+        """
+
+    @property
+    @abstractmethod
+    def mean(self) -> Float[np.ndarray, " mode"]:
+        """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
+
+    @abstractmethod
+    def ages(self, step: float, most: int | None = None) -> int | None:
+        """Number of ages, in samples, that `chain` has to tell apart; None where age says nothing.
+
+        Parameters
+        ----------
+        step : float
+            Sampling period h, seconds.
+        most : int, optional
+            Where the count stops, at least 1. If it stops there, later ages may still differ.
+
+        Raises
+        ------
+        ArgumentError
+            If the model cannot be sampled at this period.
+        """
+
+    @abstractmethod
+    def chain(self, step: float, ages: int = 1) -> SampledChain:
+        """The model at samples, with so many ages, or with one where age says nothing.
+
+        Raises
+        ------
+        ArgumentError
+            If the model cannot be sampled at this period.
+        """
+
+    @abstractmethod
+    def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
+        """The sampler: sojourns of the signals first, …, first + count − 1 of a seed.
+
+        What it gives for a signal depends on nothing but the model, the seed and the number, and a
+        longer horizon continues it.
+        """
+
+    @abstractmethod
+    def section(self) -> str:
+        """The [switching] section of a problem file that describes the model."""
 
     @final
     def sample(self, horizon: float, seed: int = 0) -> SwitchingSignal:
@@ -62,13 +162,47 @@ class JumpModel(Frozen, ABC):
 
         Examples
         --------
-        >>> from deadtime.switching import Markov
-        >>> model = Markov([[0.0, 2.0], [1.0, 0.0]])
+        >>> import deadtime as dt
+        >>> model = dt.Markov([[0.0, 2.0], [1.0, 0.0]])
         >>> batch = model.draw(10.0, seed=1, count=1000)
         >>> (batch[700].times == model.draw(10.0, seed=1, first=700)[0].times).all()
         np.True_
         """
-        drawn = self.process.draw(horizon, seed, first, count)
+        drawn = self.switches(horizon, seed, first, count)
         ends, ages = np.full(count, float(horizon)), np.zeros(count)
         # Nobody else has these arrays, so that the batch need not copy them.
         return SignalBatch(*map(read_only, (*drawn, ends, ages)))
+
+
+def require_model(model: object, modes: int) -> None:
+    """Refuse what is no switching model, or one for another number of modes."""
+    if not isinstance(model, SwitchingModel):
+        raise ArgumentError(
+            "model must be a switching model, such as Markov or SemiMarkov, got "
+            f"{type(model).__name__}."
+        )
+    if model.modes != modes:
+        raise ArgumentError(
+            f"model must have the plant's {modes} modes, got {model.modes}: give it one sojourn "
+            "and one row of transition (or rates) per mode."
+        )
+
+
+def check_probabilities(name: str, value: ArrayLike) -> Float[np.ndarray, "mode mode"]:
+    """Probabilities from mode (row) to mode (column), rows summing to 1."""
+    table = real_array(name, value, "(modes, modes)", 2)
+    require_shape(name, table, (len(table), len(table)), "(modes, modes)")
+    for i, row in enumerate(table):
+        if row.min() < 0.0 or abs(row.sum() - 1.0) > 1e-9:
+            raise ArgumentError(
+                f"{name}[{i}] must be ≥ 0 and sum to 1, got {row.tolist()} with sum "
+                f"{row.sum():.10g}: give probabilities; if none is negative, divide them by "
+                "their sum."
+            )
+    return table
+
+
+def rows_text(name: str, table: Float[np.ndarray, "row column"]) -> str:
+    """A matrix as a key of a problem file, a row per line."""
+    rows = "".join(f"  [{', '.join(map(repr, row))}],\n" for row in table.tolist())
+    return f"{name} = [\n{rows}]"

@@ -14,9 +14,15 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching.models.fit import Signals
 from deadtime.switching.models.hazards import count_ages, hazards, require_short
-from deadtime.switching.models.jump_process import JumpProcess
-from deadtime.switching.models.model import JumpModel
+from deadtime.switching.models.jump_process import JumpProcess, Switches
+from deadtime.switching.models.model import (
+    SampledChain,
+    SwitchingModel,
+    check_probabilities,
+    rows_text,
+)
 from deadtime.switching.models.quantiles import Quantiles
 from deadtime.switching.models.sojourn_families import Goodness
 from deadtime.switching.models.sojourns import (
@@ -25,20 +31,19 @@ from deadtime.switching.models.sojourns import (
     describe,
     mean_sojourn,
     survival,
+    toml_text,
 )
-from deadtime.switching.models.truncation import truncate
-from deadtime.switching.signal import SwitchingSignal
+from deadtime.switching.models.truncation import Truncated, limits, truncate
 
 if TYPE_CHECKING:
     Sojourn = Distribution | float | Sequence[Distribution | float]
-    Signals = SwitchingSignal | Sequence[SwitchingSignal]
     Families = str | Sequence[str]
 else:
-    Sojourn = Signals = Families = object  # checked inside, with better messages
+    Sojourn = Families = object  # checked inside, with better messages
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class SemiMarkov(JumpModel):
+class SemiMarkov(SwitchingModel):
     """A semi-Markov process of modes: stay in mode i for a random time S_i, then jump to mode j.
 
         P(S_i > t) = sf_i(t),    P(next mode is j) = T_ij,  whatever happened before
@@ -82,7 +87,7 @@ class SemiMarkov(JumpModel):
     Examples
     --------
     >>> from scipy.stats import expon
-    >>> from deadtime.switching import SemiMarkov
+    >>> from deadtime import SemiMarkov
     >>> model = SemiMarkov([expon(loc=0.3, scale=0.5), 0.4])
     >>> model
     SemiMarkov(modes=2, sojourn=[expon(loc=0.3, scale=0.5), 0.4])
@@ -133,28 +138,23 @@ class SemiMarkov(JumpModel):
 
     @property
     def transitions(self) -> Bool[np.ndarray, "mode mode"]:
-        """Whether a signal may switch from mode i (row) to mode j (column), as `certify` takes it.
-
-        Examples
-        --------
-        >>> SemiMarkov(0.3, [[0, 1, 0], [0, 0, 1], [0.5, 0.5, 0]]).transitions.astype(int)
-        array([[0, 1, 0],
-               [0, 0, 1],
-               [1, 1, 0]])
-        """
+        """Whether a signal may switch from mode i (row) to mode j (column): where T_ij > 0."""
         return self.transition > 0.0
 
-    @cached_property
-    def mean(self) -> Float[np.ndarray, " mode"]:
+    @cached_property  # integrals, where a distribution has no formula
+    def mean(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self,
+    ) -> Float[np.ndarray, " mode"]:
         """Mean sojourn in each mode, seconds."""
         means = np.array([mean_sojourn(dist) for dist in self.sojourn])
         means.flags.writeable = False
         return means
 
-    @property
-    def process(self) -> JumpProcess:
+    def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Sojourns by the inverse survival functions, and jumps by the transition."""
-        return JumpProcess(Quantiles.of(self.sojourn), self.transition, float(self.mean.max()))
+        sojourn = Quantiles.of(self.sojourn)
+        process = JumpProcess(sojourn, self.transition, float(self.mean.max()))
+        return process.draw(horizon, seed, first, count)
 
     def hazard(self, step: float, ages: int) -> Float[np.ndarray, "mode age"]:
         """Probability that a sojourn which outlasted a samples ends by the next one.
@@ -185,6 +185,10 @@ class SemiMarkov(JumpModel):
         step = require_short(step, self.sojourn)
         range_of_ages = np.arange(count("ages", ages))
         return np.stack([hazards(dist, step, range_of_ages) for dist in self.sojourn])
+
+    def chain(self, step: float, ages: int = 1) -> SampledChain:
+        """Mode and age at samples, of a process that switches anywhere within periods."""
+        return SampledChain(self.hazard(step, ages), self.transition.copy(), within=True)
 
     def ages(self, step: float, most: int | None = None) -> int:
         """Number of ages, in samples, after which the hazards of all modes have settled.
@@ -269,6 +273,33 @@ class SemiMarkov(JumpModel):
         vars(model).update(goodness=goodness)
         return model
 
+    def section(self) -> str:
+        """The [switching] section of a problem file that describes the model.
+
+        Examples
+        --------
+        >>> from scipy.stats import expon
+        >>> print(SemiMarkov([0.5, expon(loc=0.2, scale=0.3)]).section())
+        [switching]
+        kind = "semi-markov"
+        sojourn = [
+          0.5,
+          { distribution = "expon", loc = 0.2, scale = 0.3 },
+        ]
+        transition = [
+          [0.0, 1.0],
+          [1.0, 0.0],
+        ]
+        """
+        whole = [dist.dist if isinstance(dist, Truncated) else dist for dist in self.sojourn]
+        sojourns = "".join(f"  {toml_text(dist)},\n" for dist in whole)
+        rows = rows_text("transition", self.transition)
+        text = f'[switching]\nkind = "semi-markov"\nsojourn = [\n{sojourns}]\n{rows}'
+        if any(isinstance(dist, Truncated) for dist in self.sojourn):
+            least, most = zip(*map(limits, self.sojourn), strict=True)
+            text += f"\ndwell_time = {list(least)}\nmaximum_dwell = {list(most)}"
+        return text
+
     def __repr__(self) -> str:
         sojourns = ", ".join(map(describe, self.sojourn))
         return f"SemiMarkov(modes={self.modes}, sojourn=[{sojourns}])"
@@ -277,9 +308,8 @@ class SemiMarkov(JumpModel):
 def _transition(transition: ArrayLike) -> Float[np.ndarray, "mode mode"]:
     """Probabilities of the next mode, rows summing to 1."""
     table = real_array("transition", transition, "(modes, modes)", 2)
-    modes = table.shape[0]
-    require_shape("transition", table, (modes, modes), "(modes, modes)")
-    if modes < 2:
+    require_shape("transition", table, (len(table), len(table)), "(modes, modes)")
+    if len(table) < 2:
         raise ArgumentError(
             "transition must be given for at least two modes, got 1: a signal that never "
             "switches is SwitchingSignal.constant(mode)."
@@ -290,10 +320,4 @@ def _transition(transition: ArrayLike) -> Float[np.ndarray, "mode mode"]:
                 f"transition[{i}, {i}] must be 0, got {row[i]:g}: a jump leads to another mode, "
                 "so divide the rest of the row by its sum and lengthen the sojourn instead."
             )
-        if row.min() < 0.0 or abs(row.sum() - 1.0) > 1e-9:
-            raise ArgumentError(
-                f"transition[{i}] must be ≥ 0 and sum to 1, got {row.tolist()} with sum "
-                f"{row.sum():.10g}: give probabilities; if none is negative, divide them by "
-                "their sum."
-            )
-    return table
+    return check_probabilities("transition", table)

@@ -164,6 +164,31 @@ def describe(dist: object) -> str:
     return f"{family}({', '.join(words)})"
 
 
+def toml_text(dist: Any) -> str:
+    """A sojourn as a problem file states it: seconds, or a distribution with its parameters.
+
+    Examples
+    --------
+    >>> from scipy.stats import gamma
+    >>> toml_text(gamma(2.0, scale=0.5)), toml_text(Fixed(0.5))
+    ('{ distribution = "gamma", a = 2.0, scale = 0.5 }', '0.5')
+    """
+    if isinstance(dist, Fixed):
+        return repr(float(dist.length))
+    if isinstance(dist, ShiftedExponential):
+        name, given = "expon", {"loc": dist.loc, "scale": dist.scale}
+    elif isinstance(name := getattr(getattr(dist, "dist", None), "name", None), str):
+        keys = [*filter(None, (dist.dist.shapes or "").split(", ")), "loc", "scale"]
+        given = dict(zip(keys, dist.args, strict=False)) | dist.kwds
+    else:
+        raise ArgumentError(
+            f"sojourn {describe(dist)} has no name in scipy.stats, so no problem file can state "
+            "it: take a frozen distribution of scipy.stats."
+        )
+    words = "".join(f", {key} = {float(value)!r}" for key, value in given.items())
+    return f'{{ distribution = "{name}"{words} }}'
+
+
 def _short(value: object) -> str:
     return f"{value:.3g}" if isinstance(value, (Real, np.number)) else str(value)
 

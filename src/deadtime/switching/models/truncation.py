@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.models.sojourns import Distribution, Fixed, describe, log_survival, survival
 
+SHORTEST = 1e-9  # seconds: a dwell time of none, for a file, where they are positive
 ROUND_OFF = 1e-12  # of a limit, by which a multiple of a period may miss it
 
 
@@ -111,6 +112,13 @@ def truncate(name: str, dist: Distribution, low: float, high: float) -> Distribu
     if not np.isfinite(log_between(dist, np.array(low), high)):
         raise _none(name, dist, low, high)
     return dist if start == 1.0 and stop == 0.0 else Truncated(dist, low, high)
+
+
+def limits(dist: Distribution) -> tuple[float, float]:
+    """The shortest and the longest sojourn that a problem file can state."""
+    if isinstance(dist, Truncated):
+        return max(dist.low, SHORTEST), dist.high
+    return (dist.length, dist.length) if isinstance(dist, Fixed) else (SHORTEST, np.inf)
 
 
 def _none(name: str, dist: Distribution, low: float, high: float) -> ArgumentError:

@@ -1,8 +1,8 @@
-"""How uncertain a prediction is under a semi-Markov forecast, switches taken to be at samples.
+"""How uncertain a prediction is under any model at samples.
 
 By mode and age there is a probability p, a mean μ and a covariance C of the state. Within a period
 its mode moves them, μ → Φ μ + Γ u and C → Φ C Φᵀ + Q. At a sample a mode goes on with probability
-1 − hazard, and those that end meet at age 0 of the next one, where
+1 − hazard, an age older, or as old where age says nothing; those that meet at one age have
 
     p = Σ w,    μ = Σ w μ_w / p,    C = Σ w (C_w + (μ_w − μ)(μ_w − μ)ᵀ) / p.
 
@@ -20,19 +20,19 @@ from deadtime.feedback.known_state import Known
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.exponential import discretise_modes
 from deadtime.plant import SampledPlant
+from deadtime.switching.models.model import SampledChain
 
 
-def semi_markov_spread(
+def chain_spread(
     sampled: SampledPlant,
-    hazard: Float[np.ndarray, "mode total"],
-    transition: Float[np.ndarray, "mode mode"],
+    chain: SampledChain,
     ages: int,
     known: Known,
     W: Float[np.ndarray, "*mode n n"],
 ) -> Float[np.ndarray, "case input future n n"]:
     """By the mode and age now, a row each, and the mode at t + D; 0 where it has no probability.
 
-    `hazard` reaches N ages past the table's `ages`.
+    `chain` reaches N ages past the table's `ages`, or has one.
     """
     plant = sampled.plant
     plant.one_delay("a prediction's covariance under a law whose forecast switches")
@@ -44,7 +44,7 @@ def semi_markov_spread(
     found = []
     for row, x, P in zip(known.row.tolist(), known.x, known.P, strict=True):
         mode, age = divmod(row, ages)
-        march = _SpreadMarch(hazard, transition, mode, age, x, P)
+        march = _SpreadMarch(chain, mode, age, x, P)
         for length, lag, sample in _pieces(sampled):
             Phi, Gamma, Q = moved[length]
             march.over(Phi, Gamma, Q, known.past[-lag])
@@ -66,9 +66,9 @@ def _pieces(sampled: SampledPlant) -> Iterator[tuple[float, int, bool]]:
 class _SpreadMarch:
     """Probability, mean and covariance by mode and age, from one that is known."""
 
-    def __init__(self, hazard, transition, mode: int, age: int, x, P):
-        modes, ages, n = *hazard.shape, x.size
-        self.hazard, self.transition = hazard, transition
+    def __init__(self, chain: SampledChain, mode: int, age: int, x, P):
+        modes, ages, n = *chain.hazard.shape, x.size
+        self.chain = chain
         self.p = np.zeros((modes, ages))
         self.mean, self.C = np.zeros((modes, ages, n)), np.zeros((modes, ages, n, n))
         self.p[mode, age], self.mean[mode, age], self.C[mode, age] = 1.0, x, P
@@ -80,10 +80,11 @@ class _SpreadMarch:
 
     def switch(self) -> None:
         """A sample, at which modes grow older or end."""
-        ended = self.p * self.hazard
-        fresh = [
-            _merged(column[:, None] * ended, self.mean, self.C) for column in self.transition.T
-        ]
+        ended = self.p * self.chain.hazard
+        weights = self.chain.jump.T[..., None] * ended
+        if self.p.shape[1] == 1:  # age says nothing: whoever goes on meets those that come
+            weights += np.eye(len(ended))[..., None] * (self.p - ended)
+        fresh = [_merged(own, self.mean, self.C) for own in weights]
         for kept in (self.p, self.mean, self.C):
             kept[:, -1] = 0.0  # nothing is as old: the ages reach past the horizon
         self.p = np.roll(self.p - ended, 1, axis=1)

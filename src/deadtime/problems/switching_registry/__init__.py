@@ -1,0 +1,12 @@
+"""The registry of switching models: one file of entries for each family, found and checked.
+
+A model is known to files once it has an entry in `deadtime.problems.switching_registry.entries`.
+"""
+
+from deadtime.problems.switching_registry import entries
+from deadtime.problems.switching_registry.entry import SwitchingSection
+from deadtime.problems.toml.entries import collect, modules_of
+
+__all__ = ["ENTRIES", "SwitchingSection"]
+
+ENTRIES = collect("switching model", SwitchingSection, modules_of(entries))

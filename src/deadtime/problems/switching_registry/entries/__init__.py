@@ -1,0 +1,1 @@
+"""The switching models that problem files know: every file here is found."""
