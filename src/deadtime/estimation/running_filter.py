@@ -13,14 +13,8 @@ from deadtime.feedback.belief import Belief
 from deadtime.loop.running_belief import RunningBank, running_belief
 
 
-class RunningFilter(Stateful):
-    """A `ModeFilter` that runs: `update` once a period; made by `ModeFilter.start`.
-
-    Attributes
-    ----------
-    belief : (modes, ages) array
-        The belief at the last sample, over modes and ages; a view that changes.
-    """
+class _Running(Stateful):
+    """A filter that runs, from states or from outputs."""
 
     def __init__(self, form: Belief | BankForm, u0: ArrayLike | None = None) -> None:
         chain = form.chain if isinstance(form, BankForm) else form
@@ -33,6 +27,38 @@ class RunningFilter(Stateful):
     def belief(self) -> Float[np.ndarray, "mode age"]:
         """The belief at the last sample; a view that changes."""
         return self._running.now
+
+    def _advance(
+        self,
+        name: str,
+        form: str,
+        seen: ArrayLike,
+        u: ArrayLike | None,
+        belief: ArrayLike | None,
+    ) -> Float[np.ndarray, " mode"]:
+        """One sample of what is called `name` and has this `form`."""
+        shape, m = (self._size,), self._line.shape[1]
+        given = require_shape(name, as_floats(name, seen, f"shape {shape}"), shape, form)
+        sent = np.zeros(m) if u is None else real_array("u", u, "(m,)", 1)
+        sent = require_shape("u", sent, (m,), "(m,)")
+        told = None if belief is None else self._running.require(belief)
+        if self._running.begun:
+            self._line[:-1] = self._line[1:]
+            self._line[-1] = sent
+        self._running.see(given, self._line, len(self._line) - 1)
+        if told is not None:
+            self._running.now[:] = told
+        return self._running.by_mode
+
+
+class RunningFilter(_Running):
+    """A `ModeFilter` that runs: `update` once a period; made by `ModeFilter.start`.
+
+    Attributes
+    ----------
+    belief : (modes, ages) array
+        The belief at the last sample, over modes and ages; a view that changes.
+    """
 
     def update(
         self, x: ArrayLike, u: ArrayLike | None = None, belief: ArrayLike | None = None
@@ -58,30 +84,8 @@ class RunningFilter(Stateful):
         """
         return self._advance("x", "(n,)", x, u, belief)
 
-    def _advance(
-        self,
-        name: str,
-        form: str,
-        seen: ArrayLike,
-        u: ArrayLike | None,
-        belief: ArrayLike | None,
-    ) -> Float[np.ndarray, " mode"]:
-        """One sample of what is called `name` and has this `form`."""
-        shape, m = (self._size,), self._line.shape[1]
-        given = require_shape(name, as_floats(name, seen, f"shape {shape}"), shape, form)
-        sent = np.zeros(m) if u is None else real_array("u", u, "(m,)", 1)
-        sent = require_shape("u", sent, (m,), "(m,)")
-        told = None if belief is None else self._running.require(belief)
-        if self._running.begun:
-            self._line[:-1] = self._line[1:]
-            self._line[-1] = sent
-        self._running.see(given, self._line, len(self._line) - 1)
-        if told is not None:
-            self._running.now[:] = told
-        return self._running.by_mode
 
-
-class RunningOutputFilter(RunningFilter):
+class RunningOutputFilter(_Running):
     """An `OutputModeFilter` that runs: `update` once a period; made by `OutputModeFilter.start`."""
 
     _running: RunningBank
