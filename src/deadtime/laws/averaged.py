@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional, Outlook
+from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
@@ -154,11 +154,6 @@ class AveragedPredictor(TableLaw):
         notes = ["minimax"] * self.tuned + ["dwell-aware"] * (self.dwell_time is not None)
         return ", ".join(["averaged", *notes])
 
-    @property
-    def _after(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and weighted gain of the systems that may follow."""
-        return self.plant.A, self.plant.B, self.weights[:, None, None] * self.gains
-
     @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
@@ -185,15 +180,11 @@ class AveragedPredictor(TableLaw):
             return held_spread(self.plant, known, W)
         return dwelling_spread(self.plant, self.plant, self.dwell_time, step, known, W, W)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
-        plant, rest = self.plant, self.dwell_time
-        if plant.has_one_delay:
-            if rest is not None:
-                return Forecast.dwelling(plant, self._after, rest, signal)
-            return Forecast.constant(*self._after, plant.delay)
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
         from deadtime.laws.tables.windows import constant_functional
 
+        plant, rest = self.plant, self.dwell_time
         settled = constant_functional(plant, self.gains, self.weights)
         if rest is None:
             return settled
-        return Outlook.dwelling(plant, plant, self.gains, self.weights, rest, signal, settled)
+        return Forecast.dwelling(plant, plant, self.gains, self.weights, rest, signal, settled)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional
+from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, remember_table, require_room, room
 from deadtime.feedback.prediction_rows import extended_gains
@@ -138,26 +138,20 @@ class ExpectedPredictor(TableLaw):
         hazard = self.model.hazard(step, ages + sampled.longest_lag)
         return semi_markov_spread(sampled, hazard, self.model.transition, ages, known, W)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional:
         plant, model = self.plant, self.model
         if not isinstance(model, Markov):
             raise ArgumentError(
                 "step must be given: ExpectedPredictor has no closed form in continuous time "
                 "under a SemiMarkov model."
             )
-        from deadtime.laws.tables.markov import CLOSED_FORM, markov_forecast
+        from deadtime.laws.tables.markov import CLOSED_FORM
+        from deadtime.laws.tables.markov_windows import markov_functional
+        from deadtime.laws.tables.passage_windows import passage_functional
 
-        if plant.has_one_delay:
-            law = markov_forecast(
-                plant.A, plant.B, self.gains, model.generator, plant.delay, signal
-            )
-        else:
-            from deadtime.laws.tables.markov_windows import markov_functional
-            from deadtime.laws.tables.passage_windows import passage_functional
-
-            alike = (plant.delays == plant.delays[0]).all()
-            functional = markov_functional if alike else passage_functional
-            law = functional(plant, self.gains, model.generator, signal, CLOSED_FORM)
+        alike = (plant.delays == plant.delays[0]).all()
+        functional = markov_functional if alike else passage_functional
+        law = functional(plant, self.gains, model.generator, signal, CLOSED_FORM)
         if law is None:
             raise ArgumentError(
                 "step must be given: the closed form of ExpectedPredictor in continuous time "
