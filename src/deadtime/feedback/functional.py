@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -83,20 +84,25 @@ class Functional:
         """How long ago what the law reads was sent, where that begins and ends, seconds."""
         return np.unique(np.append(self.near, self.far))
 
+    @cached_property
+    def leaving(self) -> Float[np.ndarray, "window q m"]:
+        """e^{S (β − α)} R."""
+        from deadtime.numerics.stacked import discretise_all
+
+        which = np.arange(self.near.size)
+        return discretise_all(self.S, self.R, which, self.far - self.near)[0] @ self.R
+
     def speeds(self, plant: SwitchedSystem) -> LoopSpeeds:
         """How fast the loop with a plant is.
 
         What leaves a window is what arrives, with the opposite sign, where a law predicts: only one
         that does not feels all that arrives.
         """
-        from deadtime.numerics.exponential import discretise
-
-        enter, ends, gains = 0.0, {}, self.C.swapaxes(0, 1)
-        for C, S, R, near, far in zip(gains, self.S, self.R, self.near, self.far, strict=True):
-            jump = _largest(C @ R)
-            left = _largest(C @ discretise(S, R, far - near)[0] @ R)
+        enter, ends = 0.0, dict[float, float]()
+        for p, (near, far) in enumerate(zip(self.near.tolist(), self.far.tolist(), strict=True)):
+            jump, left = (_largest(self.C[:, p] @ X[p]) for X in (self.R, self.leaving))
             enter += jump * (near == 0.0)
-            for end, size in ((float(near), jump), (float(far), left)):
+            for end, size in ((near, jump), (far, left)):
                 ends[end] = ends.get(end, 0.0) + size
         ends.pop(0.0, None)
         none = np.zeros((1, plant.inputs, plant.states))

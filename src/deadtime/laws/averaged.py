@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -181,10 +182,13 @@ class AveragedPredictor(TableLaw):
         return dwelling_spread(self.plant, self.plant, self.dwell_time, step, known, W, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
-        from deadtime.laws.tables.windows import constant_functional
-
-        plant, rest = self.plant, self.dwell_time
-        settled = constant_functional(plant, self.gains, self.weights)
+        plant, rest, settled = self.plant, self.dwell_time, self._settled
         if rest is None:
             return settled
         return Forecast.dwelling(plant, plant, self.gains, self.weights, rest, signal, settled)
+
+    @cached_property
+    def _settled(self) -> Functional:
+        from deadtime.laws.tables.windows import constant_functional
+
+        return constant_functional(self.plant, self.gains, self.weights)

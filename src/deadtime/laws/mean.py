@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -141,10 +142,14 @@ class MeanPredictor(TableLaw):
         return dwelling_spread(*plants, self.dwell_time, step, known, W, mean_W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
-        from deadtime.laws.tables.windows import constant_functional
-
-        mean, rest, K, weights = self._mean_plant, self.dwell_time, self.gain[None], np.ones(1)
-        settled = constant_functional(mean, K, weights)
+        rest, settled = self.dwell_time, self._settled
         if rest is None:
             return settled
-        return Forecast.dwelling(self.plant, mean, K, weights, rest, signal, settled)
+        after = self._mean_plant, self.gain[None], np.ones(1)
+        return Forecast.dwelling(self.plant, *after, rest, signal, settled)
+
+    @cached_property
+    def _settled(self) -> Functional:
+        from deadtime.laws.tables.windows import constant_functional
+
+        return constant_functional(self._mean_plant, self.gain[None], np.ones(1))

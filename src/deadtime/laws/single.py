@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -89,6 +90,10 @@ class SingleModePredictor(TableLaw):
         return held_spread(self.plant, known, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional:
+        return self._settled
+
+    @cached_property
+    def _settled(self) -> Functional:
         from deadtime.laws.tables.windows import constant_functional
 
         return constant_functional(self._own, self.gains[[self.mode]], np.ones(1))

@@ -20,7 +20,6 @@ import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Functional
-from deadtime.numerics.exponential import product
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.ideal.segment_kernel import (
     add_branch,
@@ -184,12 +183,7 @@ def march_windows(plant, line, law, x0, nodes):
 
 def windows_of(law: Functional, middles: np.ndarray) -> Windows:
     """A `Functional` on the segments around these times, as the march takes it."""
-    from deadtime.numerics.exponential import discretise
-
-    leaving = np.empty_like(law.R)
-    for p in range(law.near.size):
-        product(discretise(law.S[p], law.R[p], law.far[p] - law.near[p])[0], law.R[p], leaving[p])
     sought = np.where(law.near[:, None, None] == 0.0, law.R, 0.0)
     row = law.row(np.maximum(middles, 0.0))
     own = law.F, law.C, law.S, law.R, law.near, law.far
-    return Windows(*map(read_only, (*own, leaving, sought, row)))
+    return Windows(*map(read_only, (*own, law.leaving, sought, row)))
