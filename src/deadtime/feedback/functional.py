@@ -1,7 +1,7 @@
 """Functional: a law as windows on the past inputs, with gains by the mode in force or for all.
 
 It is the ideal form of a law that believes in no particular switch, as `Forecast` is of laws that
-do; it is filled by `deadtime.laws.tables.windows` and `deadtime.laws.tables.markov_windows`.
+do; it is filled by `deadtime.laws.tables.windows` and `deadtime.laws.tables.passage_windows`.
 """
 
 from __future__ import annotations

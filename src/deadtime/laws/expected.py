@@ -145,13 +145,9 @@ class ExpectedPredictor(TableLaw):
                 "step must be given: ExpectedPredictor has no closed form in continuous time "
                 "under a SemiMarkov model."
             )
-        from deadtime.laws.tables.markov import CLOSED_FORM
-        from deadtime.laws.tables.markov_windows import markov_functional
         from deadtime.laws.tables.passage_windows import passage_functional
 
-        alike = (plant.delays == plant.delays[0]).all()
-        functional = markov_functional if alike else passage_functional
-        law = functional(plant, self.gains, model.generator, signal, CLOSED_FORM)
+        law = passage_functional(plant, self.gains, model.generator, signal)
         if law is None:
             raise ArgumentError(
                 "step must be given: the closed form of ExpectedPredictor in continuous time "

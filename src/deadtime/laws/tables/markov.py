@@ -30,7 +30,7 @@ The ideal loop takes the same form in the limit h → 0: with the current mode c
     u(t) = (q_cᵀ ⊗ [K]) (e^{𝒜'D} L x(t) + ∫_{t−D}^{t} e^{𝒜'(t−θ)} ℬ' u(θ) dθ),   q_c = e^{DΛᵀ} e_c,
     𝒜' = I ⊗ 𝒜 − Λ ⊗ I,    ℬ' = stack_s ℬ (e_s ⊗ I_m),    L = stack_s (e_s ⊗ I_n):
 
-a frozen system of (l + 1)² n states that starts from L x(t) (`markov_windows`).
+a frozen system of (l + 1)² n states that starts from L x(t) (`passage_windows`).
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ from deadtime.numerics.covariance import transition
 from deadtime.plant import SampledPlant, Window
 
 _AGREEMENT = 1e-13
-CLOSED_FORM = 1e-11  # of its gains: the most digits that the ideal loop's closed form may lose
 _PROBABILITY = 1e-9
 
 
