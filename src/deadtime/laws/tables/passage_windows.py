@@ -138,9 +138,7 @@ def _windows(
         R, size = np.zeros((len(whole), m)), len(whole) // modes
         for i in np.flatnonzero(stage.left):
             own = np.eye(modes)[i] > 0.0
-            R[_places(own, n, size)] = np.where(
-                plant.delays[i] == delay, plant.B[i], 0.0
-            )
+            R[_places(own, n, size)] = np.where(plant.delays[i] == delay, plant.B[i], 0.0)
         near = float(delay - stage.end)
         windows.append((C, whole, R, near, near + stage.length))
     return windows
