@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import real_array, require_shape
-from deadtime.base.errors import ArgumentError
+from deadtime.base.checks import real_array, require_probabilities, require_shape
 from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
@@ -83,12 +82,7 @@ class AveragedPredictor(TableLaw):
         given = np.full(modes, 1.0 / modes) if weights is None else weights
         weights = real_array("weights", given, "(modes,)", 1)
         require_shape("weights", weights, (modes,), "(modes,)")
-        if weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-9:
-            raise ArgumentError(
-                f"weights must be ≥ 0 and sum to 1, got {weights.tolist()} with sum "
-                f"{weights.sum():.10g}: give probabilities; if none is negative, divide them by "
-                "their sum."
-            )
+        require_probabilities("weights", weights)
         vars(self).update(
             plant=plant,
             gains=gains,

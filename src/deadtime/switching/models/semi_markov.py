@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, number, real_array, require_shape
+from deadtime.base.checks import count, number, real_array, require_probabilities, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
 from deadtime.switching.models.hazards import count_ages, hazards, require_short
@@ -290,10 +290,5 @@ def _transition(transition: ArrayLike) -> Float[np.ndarray, "mode mode"]:
                 f"transition[{i}, {i}] must be 0, got {row[i]:g}: a jump leads to another mode, "
                 "so divide the rest of the row by its sum and lengthen the sojourn instead."
             )
-        if row.min() < 0.0 or abs(row.sum() - 1.0) > 1e-9:
-            raise ArgumentError(
-                f"transition[{i}] must be ≥ 0 and sum to 1, got {row.tolist()} with sum "
-                f"{row.sum():.10g}: give probabilities; if none is negative, divide them by "
-                "their sum."
-            )
+        require_probabilities(f"transition[{i}]", row)
     return table
