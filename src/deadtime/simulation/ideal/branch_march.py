@@ -310,6 +310,7 @@ def march_branches(
     longest = float(np.diff(edges).max())
     few, short = gauss(_FEW), _SHORT * longest
     ends = refit(nodes.points, np.array([0.0, 1.0]))
+    A, B, delays, gains = map(read_only, (law.A, law.B, law.delays, law.gains))
     kept, use = _kept(law, segments), _use(nodes, n)
     places, able = kept.done.shape[0] // branches, np.empty(p, np.int8)
     for g in range(line.begin, segments):
@@ -322,9 +323,8 @@ def march_branches(
             starts, systems = law.signals(edges[g] + length / 2.0)
             into = _room(starts.shape[1], m)
             for b in range(branches):
-                A, B, delays, K = map(read_only, (law.A, law.B, law.delays, law.gains[b]))
                 signal = read_only(starts[b]), read_only(systems[b])
-                branch = Branch(A, B, delays, K, law.weights[b], *signal)
+                branch = Branch(A, B, delays, gains[b], law.weights[b], *signal)
                 _add_segment(
                     line, g, times, branch, states[g], nodes, few, short, into, kept, b * places,
                     use, matrix, right, able,
