@@ -66,11 +66,11 @@ ORACLE = dt.ExactPredictor(PLANT, GAINS)
         ),
         (
             lambda: dt.AveragedPredictor(PLANT, GAINS, [1.5, -0.5]),
-            "weights must be ≥ 0 and sum to 1, got [1.5, -0.5] with sum 1",
+            "weights must be probabilities, ≥ 0 with sum 1, got [1.5, -0.5] with sum 1",
         ),
         (
             lambda: dt.AveragedPredictor(PLANT, GAINS, [0.5, 0.6]),
-            "with sum 1.1: give probabilities; if none is negative, divide them by their sum.",
+            "with sum 1.1: if none is negative, divide them by their sum.",
         ),
         (
             lambda: dt.SingleModePredictor(PLANT, GAINS, 2),

@@ -7,25 +7,22 @@ import pytest
 from scipy.integrate import quad
 
 from deadtime.numerics import pcg
-from deadtime.numerics.seeds import states
 from deadtime.numerics.streams import stream
 
 SEEDS = np.array([0, 7, 2**32 - 1, 2**32, 2**64 - 1], np.uint64)
 
 
-@pytest.mark.parametrize("seed", [0, 5, 2**32 + 1, 2**64 - 1, 3**90, 3**150])
-@pytest.mark.parametrize("last", [0, 2**40 + 7, 2**64 - 1])
-def test_seeds_of_many_streams_are_those_of_numpy(seed, last):
-    found = states(seed, [np.array([0, 1, 2**32 - 1]), last], 3)
-    for row, key in zip(found, (0, 1, 2**32 - 1), strict=True):
-        sequence = np.random.SeedSequence(seed, spawn_key=(key, last))
-        np.testing.assert_array_equal(row, sequence.generate_state(3, np.uint64))
-
-
-def test_seeds_may_differ_from_stream_to_stream():
-    for seed, row in zip(SEEDS, states(SEEDS, [3, 0], 4), strict=True):
-        sequence = np.random.SeedSequence(int(seed), spawn_key=(3, 0))
-        np.testing.assert_array_equal(row, sequence.generate_state(4, np.uint64))
+@pytest.mark.parametrize("seed", [0, 5, 2**32 + 1, 2**64 - 1])
+@pytest.mark.parametrize("spawned", [(), (0,), (2, 1)])
+def test_generators_of_many_seeds_begin_where_those_of_numpy_do(seed, spawned):
+    rng = stream(seed, "Noise", 3)
+    for i in spawned:
+        rng = rng.spawn(i + 1)[i]
+    many, room = pcg.Streams(np.array([seed], np.uint64), "Noise", 3), np.empty((1, 7))
+    for i in spawned:
+        many = many.spawned_as(i)
+    many.draw_compiled(0, False, room)
+    np.testing.assert_array_equal(room[0], rng.random(7))
 
 
 def test_uniform_numbers_are_those_of_numpy_in_all_bits():

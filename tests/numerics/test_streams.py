@@ -1,11 +1,14 @@
 """Streams of random numbers: functions of a seed, a name and a number."""
 
+from hashlib import blake2b
 from itertools import product
 
 import numpy as np
+import pytest
 from scipy import stats
 
-from deadtime.numerics.streams import stream
+import deadtime as dt
+from deadtime.numerics.streams import Words, stream
 
 
 def test_streams_of_other_seeds_names_and_numbers_differ():
@@ -15,10 +18,25 @@ def test_streams_of_other_seeds_names_and_numbers_differ():
 
 
 def test_a_stream_is_fixed_for_good():
-    """By what it is made of: BLAKE2b of the name, and a key of NumPy's seeds."""
-    noise = 0x6D0E06BB184D3DDD  # eight bytes, the least first
-    expected = np.random.default_rng(np.random.SeedSequence(5, spawn_key=(noise, 1)))
+    """PCG64 from words of Philox, which are keyed by the seed and BLAKE2b of the rest."""
+    text = repr(("Noise", 1, 0)).encode()
+    key = [5, int.from_bytes(blake2b(text, digest_size=8).digest(), "little")]
+    high, low, more_high, more_low = np.random.Philox(key=np.array(key, np.uint64)).random_raw(4)
+    more = 2 * ((int(more_high) << 64) + int(more_low)) + 1
+    step = 0x2360ED051FC65DA44385DF649FCCF645  # of PCG64
+    state = (((int(high) << 64) + int(low) + more) * step + more) % 2**128
+    bits = np.random.PCG64(0)
+    bits.state = {**bits.state, "state": {"state": state, "inc": more % 2**128}}
+    expected = np.random.Generator(bits)
     assert (stream(5, "Noise", 1).random(9) == expected.random(9)).all()
+    assert stream(5, "Noise", 1).bit_generator.state["state"]["inc"] == more % 2**128
+
+
+def test_seeds_beyond_a_word_have_streams_of_their_own_and_words_are_those_of_64_bits():
+    seeds = [7, 2**64 + 7, 3**90, 3**150]
+    assert len({stream(seed, "Noise").random() for seed in seeds}) == len(seeds)
+    with pytest.raises(dt.ArgumentError, match="dtype must be uint64"):
+        np.random.MT19937(Words(5, "Noise"))
 
 
 def test_numbers_of_neighbouring_streams_are_uncorrelated():

@@ -12,8 +12,12 @@ from deadtime.reports.figures.design import plot_designs
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
 from deadtime.reports.verdict import verdict
 from deadtime.scenarios.sweeps import load_study
-from deadtime.synthesis.price import loop_cost
+from deadtime.synthesis.price import cost_and_growth
 from weighted import GAINS, LAWS, MODEL, SIGNAL, TRUTH, WEIGHT, X0, Q, R
+
+
+def loop_cost(plant, feedback, mode, weight=None):
+    return cost_and_growth(plant, feedback, mode, weight=weight)[0]
 
 
 def stable_law():

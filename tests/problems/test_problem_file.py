@@ -205,7 +205,7 @@ BAD = [
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "averaged"\nwieghts = [1.0]',
      r"line 20: law\.0\.wieghts is not known: did you mean weights\?"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "averaged"\nweights = [0.5, 0.6]',
-     r"line 20, \[law\.0\]: weights must be ≥ 0 and sum to 1"),
+     r"line 20, \[law\.0\]: weights must be probabilities"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "exact"\n[[law]]\nkind = "exact"',
      r"line 20, \[law\.1\]: name 'oracle' is used twice"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "single"\nmode = 2',

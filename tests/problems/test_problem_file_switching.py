@@ -203,7 +203,7 @@ BAD = [
     ((SEMI_MARKOV.replace(", 0.5]", ", 0.5, 0.7]"), FROM_MODEL),
      r"\[switching\]: kind = 'semi-markov' describes 3 modes, the plant has 2"),
     ((SEMI_MARKOV, "transition = [[0.0, 0.9], [1.0, 0.0]]\n", FROM_MODEL),
-     r"line 14, \[switching\]: transition\[0\] must be ≥ 0 and sum to 1"),
+     r"line 14, \[switching\]: transition\[0\] must be probabilities"),
     ((FROM_MODEL,), r"\[signal\]: kind = \"model\" needs a \[switching\] section"),
     ((CONSTANT, law("expected")), r"\[law\.0\]: kind = 'expected' needs a \[switching\] section"),
     ((CONSTANT, law("optimal")), r"\[law\.0\]: kind = 'optimal' needs a \[switching\] section"),

@@ -88,6 +88,25 @@ def test_a_fast_oscillation_under_slow_inputs_loses_nothing(monkeypatch):
     assert np.abs(runs[0] - runs[1]).max() <= 3e-11 * np.abs(runs[1]).max()
 
 
+@pytest.mark.parametrize("error", [0.8, 1.2])
+@pytest.mark.parametrize("name", ["averaged", "delayed", "oracle"])
+def test_shorter_segments_change_nothing_where_the_loop_grows_under_a_wrong_delay(
+    monkeypatch, name, error
+):
+    problem = dt.problems.paper()
+    law = {
+        "averaged": dt.AveragedPredictor(problem.plant, problem.gains),
+        "delayed": dt.DelayedStateFeedback(problem.plant, 3.0 * problem.gains),
+        "oracle": dt.ExactPredictor(problem.plant, problem.gains),
+    }[name]
+    plant = dt.SwitchedSystem(problem.plant.A, problem.plant.B, error * problem.plant.delay)
+    signal, runs = dt.SwitchingSignal([0.0, 0.37, 1.2, 2.9], [0, 1, 0, 1]), []
+    for resolution in (1.5, 0.4):
+        monkeypatch.setattr("deadtime.simulation.ideal.segments._RESOLUTION", resolution)
+        runs.append(dt.simulate(plant, law, signal, [1.0, -0.5], 4.0, None).states)
+    assert np.abs(runs[0] - runs[1]).max() <= 1e-11 * np.abs(runs[1]).max()
+
+
 def test_a_plant_that_does_nothing_has_an_ideal_run():
     plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], 1.0)
     law = dt.ExactPredictor(plant, [[[0.0]]], allow_unstable=True)

@@ -91,7 +91,7 @@ def test_a_signal_that_ends_early_is_continued_and_the_message_says_so():
 def test_a_run_that_diverges_ends_with_a_message(horizon):
     one = run("delayed", PAPER, CONSTANT, [-1.0, 1.0], horizon)
     assert one.diverged
-    assert re.fullmatch(r"diverged: \|x\| left 1e100 after t = 116\.\d+ s.*", one.message)
+    assert re.fullmatch(r"diverged: \|x\| left 1e100 after t = 116(\.\d+)? s.*", one.message)
     assert one.end == one.time[-1] < 117.0
     assert 1e98 < np.abs(one.states[:, -1]).max() <= 1e100
     for values in (one.states, one.inputs):

@@ -117,15 +117,15 @@ def problem(number):
 @pytest.fixture
 def rereadings(monkeypatch):
     """How many predictions read again."""
-    import deadtime.simulation.ideal.outlooks as outlooks
+    import deadtime.simulation.ideal.branch_march as branch_march
 
-    count, own = [0], outlooks.feedback_through_rereading
+    count, own = [0], branch_march.feedback_through_rereading
 
     def counted(*arguments):
         count[0] += 1
         return own(*arguments)
 
-    monkeypatch.setattr(outlooks, "feedback_through_rereading", counted)
+    monkeypatch.setattr(branch_march, "feedback_through_rereading", counted)
     return count
 
 

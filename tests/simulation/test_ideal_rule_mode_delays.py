@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import deadtime as dt
 import plants
-from deadtime.simulation.ideal import rule_rereading
+from deadtime.simulation.ideal import rule_march
 from deadtime.simulation.ideal.sent import Sent
 from rule_reading_reference import Loop
 from shares import mostly_long
@@ -238,7 +238,7 @@ def test_delays_that_hardly_differ_are_as_good_as_alike():
 
 
 def test_a_run_of_too_many_pieces_is_refused_by_name(monkeypatch):
-    monkeypatch.setattr(rule_rereading, "MOST_PIECES", 40)
+    monkeypatch.setattr(rule_march, "MOST_PIECES", 40)
     message = (
         "step must be given: the ideal loop under this rule takes more than 40 pieces: shorten "
         "the horizon, make delays that hardly differ equal, or give a step."

@@ -248,10 +248,10 @@ semi = SemiMarkov
         ),
         (
             lambda: semi(1.0, [[0.0, 1.0], [0.9, 0.0]]),
-            "transition[1] must be ≥ 0 and sum to 1, got [0.9, 0.0] with sum 0.9: give "
-            "probabilities; if none is negative, divide them by their sum.",
+            "transition[1] must be probabilities, ≥ 0 with sum 1, got [0.9, 0.0] with sum 0.9: "
+            "if none is negative, divide them by their sum.",
         ),
-        (lambda: semi(1.0, [[0, 2, -1], *JUMPS[1:]]), "transition[0] must be ≥ 0 and sum to 1"),
+        (lambda: semi(1.0, [[0, 2, -1], *JUMPS[1:]]), "transition[0] must be probabilities"),
     ],
 )
 def test_a_malformed_model_is_refused_by_name(call, message):

@@ -16,8 +16,13 @@ from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.gain_families import Poles, Weights
 from deadtime.synthesis.margin_estimate import estimated_margin
 from deadtime.synthesis.message import percent, sentences
-from deadtime.synthesis.price import cost_and_growth, loop_cost
+from deadtime.synthesis.price import cost_and_growth
 from deadtime.synthesis.strategy import pairs_of
+
+
+def loop_cost(plant, feedback, mode, weight=None):
+    return cost_and_growth(plant, feedback, mode, weight=weight)[0]
+
 
 # Three modes, two inputs, unstable poles in each; N = 5 and φ = 0.034 s.
 PLANT = dt.SwitchedSystem(

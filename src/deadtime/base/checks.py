@@ -194,6 +194,34 @@ def not_nan(name: str, array: np.ndarray) -> np.ndarray:
     return array
 
 
+def share(name: str, value: object) -> float:
+    """A number above 0 and below 1."""
+    part = number(name, value)
+    if not 0.0 < part < 1.0:
+        raise ArgumentError(f"{name} must be above 0 and below 1, got {part:g}.")
+    return part
+
+
+def require_probabilities(name: str, values: np.ndarray) -> None:
+    """Refuse numbers that are negative, or whose sum is not 1."""
+    total = float(values.sum())
+    if values.min() < 0.0 or abs(total - 1.0) > 1e-9:
+        raise ArgumentError(
+            f"{name} must be probabilities, ≥ 0 with sum 1, got {values.tolist()} with sum "
+            f"{total:.10g}: if none is negative, divide them by their sum."
+        )
+
+
+def require_covariance(name: str, W: np.ndarray) -> None:
+    """Refuse matrices (…, n, n) that are no covariances but for round-off."""
+    allowed = 1e-9 * np.abs(W).max()
+    askew = np.abs(W - W.swapaxes(-1, -2)).max() > allowed
+    if askew or np.linalg.eigvalsh(W).min() < -allowed:
+        raise ArgumentError(
+            f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
+        )
+
+
 def read_only(array: np.ndarray) -> np.ndarray:
     """A contiguous view that cannot be written through: one type for the compiled functions."""
     view = np.ascontiguousarray(array).view()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deadtime.base.errors import ArgumentError
@@ -10,6 +10,7 @@ from deadtime.base.wording import with_names
 from deadtime.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
+    from deadtime.feedback import Law
     from deadtime.problems import Problem
     from deadtime.problems.asked import Signals
 
@@ -42,20 +43,13 @@ def least_dwell_times(
     from deadtime.problems.asked import step_of
     from deadtime.reports.tables.certificates import left_out
 
-    period, names = step_of(problem), list(problem.laws) if law is None else [law]
-    laws, brackets = [problem.law(name) for name in names], dict[str, ProvedBracket]()
-    with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
-        for name, one in zip(names, laws, strict=True):
-            try:
-                margin = least_dwell_time(problem.plant, one, period, **signals)
-                brackets[name] = ProvedBracket(
-                    *(getattr(margin, field) for field in ProvedBracket._fields)
-                )
-            except ArgumentError as error:
-                if law is not None:
-                    raise
-                brackets[name] = ProvedBracket(None, None, str(error))
-            advance(name)
+    period = step_of(problem)
+
+    def bracket(one: Law) -> ProvedBracket:
+        margin = least_dwell_time(problem.plant, one, period, **signals)
+        return ProvedBracket(*(getattr(margin, field) for field in ProvedBracket._fields))
+
+    brackets = _brackets(problem, law, bracket, json_output)
     if json_output:
         record = about(problem, period) | for_json(signals)
         each = {name: one.record() for name, one in brackets.items()}
@@ -89,19 +83,12 @@ def longest_mode_lags(
             "--longest-mode-lag is asked of a dwell time, not of an average one: give "
             "--dwell-time and --chatter 1."
         )
-    names, brackets = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
-    laws = [problem.law(name) for name in names]
-    with progress_bar(len(names), quiet=json_output) as advance:
-        for name, one in zip(names, laws, strict=True):
-            try:
-                found = longest_mode_lag(problem.plant, one, step=period, **asked.options)
-                certified, refuted = found.certified_seconds, found.refuted_seconds
-                brackets[name] = ProvedBracket(certified, refuted, found.message)
-            except ArgumentError as error:
-                if law is not None:
-                    raise
-                brackets[name] = ProvedBracket(None, None, str(error))
-            advance(name)
+
+    def bracket(one: Law) -> ProvedBracket:
+        found = longest_mode_lag(problem.plant, one, step=period, **asked.options)
+        return ProvedBracket(found.certified_seconds, found.refuted_seconds, found.message)
+
+    brackets = _brackets(problem, law, bracket, json_output)
     if json_output:
         record = about(problem, period) | for_json(asked.options)
         each = {name: one.record() for name, one in brackets.items()}
@@ -119,6 +106,24 @@ def longest_mode_lags(
         for name, one in brackets.items():
             print(f"• {name}: {with_names(one.message, problem.modes)}")
     return 0 if law is None or brackets[law].certified is not None else 1
+
+
+def _brackets(
+    problem: Problem, law: str | None, bracket: Callable[[Law], ProvedBracket], json_output: bool
+) -> dict[str, ProvedBracket]:
+    """The bracket of every law, with what refuses it in place of one, or of one law."""
+    names, found = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
+    laws = [problem.law(name) for name in names]
+    with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
+        for name, one in zip(names, laws, strict=True):
+            try:
+                found[name] = bracket(one)
+            except ArgumentError as error:
+                if law is not None:
+                    raise
+                found[name] = ProvedBracket(None, None, str(error))
+            advance(name)
+    return found
 
 
 def _limits(signals: Mapping[str, Any]) -> list[str]:

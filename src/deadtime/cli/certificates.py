@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import JUDGE, AsJson, File, app, lines
+from deadtime.cli.application import JUDGE, AllLaws, AsJson, File, ProblemFile, Step, app, lines
 from deadtime.cli.asked_signals import (
     delays_from,
     kept_by_search,
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     ),
 )
 def certify(
-    problem: Path,
+    problem: ProblemFile,
     *,
-    law: str | None = None,
+    law: AllLaws = None,
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
-    step: float | None = None,
+    step: Step = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
     mode_lag: int = 0,
@@ -67,10 +67,6 @@ def certify(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
-    law
-        One law of the problem, by its name; all by default.
     dwell_time
         Dwell time in seconds, or one per mode with commas between them, such as 0.2,0.5,0.1; by
         default what the problem promises, else that of its signal, in whole periods. With a chatter
@@ -82,8 +78,6 @@ def certify(
     chatter
         N: any T seconds may hold N + T/τ switches, one in a period at most, τ the dwell time; 1 for
         a dwell time of every sojourn. That of the problem's average dwell time by default, else 1.
-    step
-        Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     decay_rate
         The decay rate to certify, in 1/s; by default one close to that of the slowest mode.
     delays
@@ -109,8 +103,6 @@ def certify(
     out
         Save the certificates that are proofs, for `deadtime verify`, as JSON: a name that ends in
         .json or in nothing; of several laws, each into a file named after the law.
-    json_output
-        Print the results as JSON instead of text.
     """
     from deadtime.certificates.certificate import require_json
     from deadtime.reports.tables.certificates import certificate_record, judge
@@ -226,8 +218,6 @@ def verify(
         It must be about all plants that the problem's [uncertainty] leaves open.
     limit
         How many times as much work as is usual may be done for a file of its size.
-    json_output
-        Print the result as JSON instead of text.
     """
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of

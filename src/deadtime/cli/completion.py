@@ -34,8 +34,6 @@ def completion(
         bash, zsh or fish; the one that you are in by default.
     install
         Write the script where the shell looks for it, and let its start-up file load it.
-    json_output
-        Print the script, and where it went, as JSON.
     """
     chosen = shell or _shell()
     script = _script(chosen)

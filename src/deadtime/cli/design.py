@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, Flag, Folder, app, lines
+from deadtime.cli.application import BUILD, AsJson, Flag, Folder, ProblemFile, Step, app, lines
 from deadtime.cli.printing import (
     PICTURES,
     output_file,
@@ -38,12 +38,12 @@ Kind = Literal["averaged", "mean"]
     ),
 )
 def design(
-    problem: Path,
+    problem: ProblemFile,
     *,
     delay_margin: float | None = None,
     law: Kind = "averaged",
     mode: int | None = None,
-    step: float | None = None,
+    step: Step = None,
     longest_step: float | None = None,
     decay_rate: float = 0.0,
     input_limit: str | None = None,
@@ -62,8 +62,6 @@ def design(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
     delay_margin
         The error of the delay to be tolerated, relative to it: 0.05 for ±5 %. Of several delays
         all err alike, by so much of the shortest. None is asked for by default.
@@ -71,8 +69,6 @@ def design(
         The family of laws: averaged, or mean with the mean of the gains.
     mode
         Design one mode alone, for its own exact law; all modes by default.
-    step
-        Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     longest_step
         Allow longer periods, up to this, seconds.
     decay_rate
@@ -94,8 +90,6 @@ def design(
         How many designs to try.
     out
         Where to write, without suffix.
-    json_output
-        Print the result as JSON instead of text.
     """
     from deadtime.base.checks import index, positive
     from deadtime.base.staging import replacing

@@ -78,8 +78,6 @@ def experiment(
         Of the search, and of the signal where the file draws it.
     out
         The table to write, CSV.
-    json_output
-        Print the result as JSON instead of text.
     """
     from deadtime.base.checks import positive
     from deadtime.identification import design_experiment

@@ -10,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import START, AsJson, app as commands, lines
+from deadtime.cli.application import START, AsJson, ProblemFile, app as commands, lines
 from deadtime.cli.printing import print_json, stage_line
 
 
@@ -24,7 +24,7 @@ from deadtime.cli.printing import print_json, stage_line
     ),
 )
 def app(
-    problem: Path = Path("paper"),
+    problem: ProblemFile = Path("paper"),
     *,
     port: int | None = None,
     address: str = "127.0.0.1",
@@ -37,8 +37,6 @@ def app(
 
     Parameters
     ----------
-    problem
-        paper, three-mode, follower, or a problem file.
     port
         Where to serve; the first free one from 5006 on by default.
     address
@@ -49,8 +47,6 @@ def app(
         Open a browser.
     sessions
         Pages that may be open at once; who comes then is asked to come later.
-    json_output
-        Print where the page is as JSON instead of text.
     """
     if not json_output:
         print(f"Starting the explorer with {problem}: half a minute the first time.", flush=True)

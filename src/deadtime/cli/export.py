@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, app, lines
+from deadtime.cli.application import BUILD, AsJson, FirstLaw, ProblemFile, Step, app, lines
 from deadtime.cli.printing import print_json
 from deadtime.cli.problems import problem_of
 
@@ -31,13 +31,13 @@ _FMU = ("path", "version", "binary")
     ),
 )
 def export(
-    problem: Path,
+    problem: ProblemFile,
     *,
     c: Path | None = None,
     fmu: Path | None = None,
     plant_fmu: Path | None = None,
-    law: str | None = None,
-    step: float | None = None,
+    law: FirstLaw = None,
+    step: Step = None,
     single: Annotated[bool, Parameter(name="--float", negative="", show_default=False)] = False,
     accuracy: float | None = None,
     rom_budget: int | None = None,
@@ -54,8 +54,6 @@ def export(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
     c
         Folder for the C: made if it is not there. Files in it that deadtime wrote are replaced;
         one that lacks "Written by deadtime" is not, and nothing is written.
@@ -63,10 +61,6 @@ def export(
         FMU of the controller, a path in .fmu; replaced if it is there.
     plant_fmu
         FMU of the plant with its delay, from the problem's x0 and u0; the same holds.
-    law
-        Which of the problem's laws; the first by default.
-    step
-        Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     single
         Single precision.
     accuracy
@@ -79,8 +73,6 @@ def export(
         Let the C say, too, which state its input will meet: NAME_predict.
     fmi
         Version of FMI.
-    json_output
-        Print what was written as JSON instead of text.
     """
     if prediction and c is None:
         raise ArgumentError("--prediction is for the C: give --c FOLDER, too.")

@@ -104,8 +104,6 @@ def identify(
         The figure to write, PNG, SVG, PDF or PGF.
     report
         The page to write, HTML: what there is to say, all intervals, figures of how well it fits.
-    json_output
-        Print the result as JSON instead of text.
     """
     from deadtime.identification import identify as identified
     from deadtime.reports.identification_report import HEADINGS, interval_rows

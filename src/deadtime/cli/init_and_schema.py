@@ -39,8 +39,6 @@ def init(
         Whose numbers to start with.
     force
         Replace a file that exists.
-    json_output
-        Print what was written as JSON instead of text.
     """
     from deadtime.base.staging import replacing
     from deadtime.problems.file.named_problems import template
@@ -66,10 +64,7 @@ def init(
 def schema(*, json_output: AsJson = False) -> None:
     """Print the JSON Schema of problem files, for editors that complete and check TOML.
 
-    Parameters
-    ----------
-    json_output
-        Accepted, as everywhere; the schema is JSON in any case.
+    With and without `--json`.
     """
     from deadtime.problems.file import json_schema
 

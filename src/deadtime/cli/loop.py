@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from deadtime.cli.application import JUDGE, AsJson, File, app, lines
+from deadtime.cli.application import (
+    JUDGE,
+    AsJson,
+    FirstLaw,
+    Picture,
+    ProblemFile,
+    StepOrIdeal,
+    app,
+    lines,
+)
 from deadtime.cli.printing import output_file, print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_with
 
@@ -28,14 +36,14 @@ _HEADINGS = ("mode", "growth, 1/s", "phase margin", "at, rad/s", "disk margin", 
     ),
 )
 def loop(
-    problem: Path,
+    problem: ProblemFile,
     *,
-    law: str | None = None,
-    step: float | Literal["ideal"] | None = None,
+    law: FirstLaw = None,
+    step: StepOrIdeal = None,
     at: Literal["input", "output"] = "input",
     channel: int = 0,
     output: int = 0,
-    out: File = None,
+    out: Picture = None,
     json_output: AsJson = False,
 ) -> int:
     """How near −1 is the loop? Bode, Nyquist, sensitivity and step response of every mode.
@@ -45,23 +53,12 @@ def loop(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
-    law
-        One law of the problem, by its name; the first by default.
-    step
-        Sampling period in seconds, or ideal; the problem's by default.
     at
         Where the loop is cut open: at the plant's inputs, or at what is measured.
     channel
         Which input is pushed, from 0; in a file with a [servo], which reference steps.
     output
         Which state, or which output where an observer runs, is shown then, from 0.
-    out
-        The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
-        default.
-    json_output
-        Print the margins as JSON instead of text.
     """
     from deadtime.base.wording import sentence_of, with_names
     from deadtime.margins.loop_view import loop_view

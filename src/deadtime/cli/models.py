@@ -6,7 +6,16 @@ from pathlib import Path
 from typing import Literal
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, COMPARE, AsJson, Folder, app, lines
+from deadtime.cli.application import (
+    BUILD,
+    COMPARE,
+    AsJson,
+    CellSignals,
+    Folder,
+    StudyFile,
+    app,
+    lines,
+)
 from deadtime.cli.printing import (
     output_file,
     output_folder,
@@ -64,8 +73,6 @@ def fit(
         only. It has no family and no figure.
     out
         The figure, PNG, SVG, PDF or PGF.
-    json_output
-        Print the fit as JSON instead of text.
     """
     from deadtime.cli.problems import numbers_of
     from deadtime.problems.asked import one_or_all
@@ -117,10 +124,10 @@ def fit(
     ),
 )
 def study(
-    file: Path,
+    file: StudyFile,
     *,
     out: Folder = Path("study-report"),
-    scenarios: int | None = None,
+    scenarios: CellSignals = None,
     workers: int | None = None,
     scheduler: str | None = None,
     json_output: AsJson = False,
@@ -132,18 +139,12 @@ def study(
 
     Parameters
     ----------
-    file
-        A study file; studies/paper.toml is a commented one.
     out
         Folder for the report.
-    scenarios
-        Signals per cell of the grid, instead of the file's.
     workers
         Processes; as many as there are processors by default. The result is the same.
     scheduler
         Address of a Dask scheduler, whose workers reach the folder, instead of this machine.
-    json_output
-        Print the findings as JSON instead of text.
     """
     from deadtime.cli.sweep import progress_of, with_scenarios
     from deadtime.reports.study.report import write_study

@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import COMPARE, AsJson, FigureWidth, File, app, lines
+from deadtime.cli.application import (
+    COMPARE,
+    AsJson,
+    FigureWidth,
+    Picture,
+    ProblemFile,
+    app,
+    lines,
+)
 from deadtime.cli.printing import (
     TABLES,
     output_file,
@@ -43,7 +51,7 @@ _DATA = (".nc", ".csv")
     ),
 )
 def monte_carlo(
-    problem: Path,
+    problem: ProblemFile,
     *,
     scenarios: int = 10_000,
     dwell_time: float | None = None,
@@ -51,7 +59,7 @@ def monte_carlo(
     seed: int = 0,
     backend: str = "numba",
     step: float | None = None,
-    out: File = None,
+    out: Picture = None,
     width: FigureWidth = None,
     data: Path | None = None,
     table: Path | None = None,
@@ -65,8 +73,6 @@ def monte_carlo(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
     scenarios
         Number of switching signals.
     dwell_time
@@ -80,17 +86,10 @@ def monte_carlo(
         numba, the compiled engine and the only one.
     step
         Sampling period in seconds; the problem's by default.
-    out
-        The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
-        default.
-    width
-        Of the picture: column (3.5 in), page (7.16 in), or inches; by default as its panels need.
     data
         A file for the metrics of every run: netCDF (.nc) or CSV (.csv).
     table
         A file for the table of the laws, with intervals, for LaTeX (.tex).
-    json_output
-        Print the results as JSON instead of text.
     """
     from deadtime.reports.figures.monte_carlo import plot_monte_carlo
     from deadtime.reports.tables.monte_carlo import summary

@@ -102,8 +102,6 @@ def plot(
     out
         The figure, PNG, SVG, PDF or PGF, where there is one; or a folder for PNG files, by default
         next to where you are and named after the store.
-    json_output
-        Print the paths as JSON instead of text.
     """
     out = Path(f"{Path(store).stem}-plots") if out is None else out
     plan = _plan(_open(store), kind, metric, law, (x, y), _where(where or []))

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadtime.cli.application import JUDGE, AsJson, File, app, lines
+from deadtime.cli.application import (
+    JUDGE,
+    AsJson,
+    FirstLaw,
+    Picture,
+    ProblemFile,
+    Step,
+    app,
+    lines,
+)
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -28,13 +36,13 @@ if TYPE_CHECKING:
     ),
 )
 def robustness(
-    problem: Path,
+    problem: ProblemFile,
     *,
-    law: str | None = None,
-    step: float | None = None,
+    law: FirstLaw = None,
+    step: Step = None,
     scenarios: int = 20,
     seed: int = 0,
-    out: File = None,
+    out: Picture = None,
     json_output: AsJson = False,
 ) -> None:
     """What does the loop stand? Wrong delay and gain, lost and late samples, late modes, noise.
@@ -44,21 +52,10 @@ def robustness(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
-    law
-        One law of the problem, by its name; the first by default.
-    step
-        Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     scenarios
         Runs for each value of what is random.
     seed
         Of the first of them.
-    out
-        The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
-        default.
-    json_output
-        Print the results as JSON instead of text.
     """
     from deadtime.base.checks import positive
     from deadtime.base.wording import with_names

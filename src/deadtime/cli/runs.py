@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from deadtime.cli.application import START, AsJson, FigureWidth, File, Folder, app, lines
+from deadtime.cli.application import (
+    START,
+    AllLaws,
+    AsJson,
+    FigureWidth,
+    File,
+    Folder,
+    ProblemFile,
+    StepOrIdeal,
+    app,
+    lines,
+)
 from deadtime.cli.printing import (
     output_file,
     output_folder,
@@ -33,7 +44,7 @@ if TYPE_CHECKING:
     ),
 )
 def reproduce(
-    problem: Path = Path("paper"),
+    problem: ProblemFile = Path("paper"),
     *,
     out: Folder = Path("report"),
     certificates: bool = True,
@@ -43,14 +54,10 @@ def reproduce(
 
     Parameters
     ----------
-    problem
-        paper, three-mode, follower, or a problem file.
     out
         Folder for the report.
     certificates
         Ask for every law if it stabilises every signal, which takes about half a minute.
-    json_output
-        Print the metrics as JSON instead of text.
     """
     from deadtime.reports.metrics import metrics_of
     from deadtime.reports.report import steps_of, write_report
@@ -76,10 +83,10 @@ def reproduce(
     ),
 )
 def simulate(
-    problem: Path,
+    problem: ProblemFile,
     *,
-    law: str | None = None,
-    step: float | Literal["ideal"] | None = None,
+    law: AllLaws = None,
+    step: StepOrIdeal = None,
     horizon: float | None = None,
     x0: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     out: File = None,
@@ -91,12 +98,6 @@ def simulate(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
-    law
-        One law of the problem, by its name; all by default.
-    step
-        Sampling period in seconds, or ideal; the problem's by default.
     horizon
         Length of the run in seconds; the problem's by default.
     x0
@@ -104,13 +105,9 @@ def simulate(
     out
         The figure, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
         default. With several laws a second figure compares them.
-    width
-        Of figures: column (3.5 in), page (7.16 in), or inches; by default as their panels need.
     csv
         The run as a log, which deadtime identify reads: time, states, inputs, the mode and, with a
         reference, outputs; of several laws, each into a file named after the law.
-    json_output
-        Print the metrics as JSON instead of text.
     """
     from deadtime.problems.comparison import compare
     from deadtime.reports.metrics import metrics_of

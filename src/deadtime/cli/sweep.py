@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import COMPARE, AsJson, Flag, app, lines
+from deadtime.cli.application import COMPARE, AsJson, CellSignals, Flag, StudyFile, app, lines
 from deadtime.cli.printing import (
     TABLES,
     on_terminal,
@@ -41,10 +41,10 @@ _EVERY = 10.0  # seconds between lines about a cluster's progress
     ),
 )
 def sweep(
-    file: Path,
+    file: StudyFile,
     *,
     store: str | None = None,
-    scenarios: int | None = None,
+    scenarios: CellSignals = None,
     scheduler: str | None = None,
     workers: int | None = None,
     status: Flag = False,
@@ -60,13 +60,9 @@ def sweep(
 
     Parameters
     ----------
-    file
-        A study file; studies/paper.toml is a commented one.
     store
         A folder, or a URL that fsspec knows; beside where you are, named after the study, by
         default. Workers of a cluster must reach it under this name.
-    scenarios
-        Signals per cell of the grid, instead of the file's.
     scheduler
         Address of a Dask scheduler; without it all cores of this machine work.
     workers
@@ -80,8 +76,6 @@ def sweep(
         Read everything that is stored first, and compute again what is damaged.
     table
         A file for medians and ratios to the oracle in every cell, with intervals, for LaTeX (.tex).
-    json_output
-        Print the result as JSON instead of text.
     """
     from deadtime.base.checks import count
     from deadtime.scenarios.sweeps import load_study, sweep as run

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from deadtime.cli.application import JUDGE, AsJson, app, lines
+from deadtime.cli.application import JUDGE, AsJson, ProblemFile, app, lines
 from deadtime.cli.printing import print_json, print_table
 from deadtime.cli.problems import problem_of
 
@@ -17,7 +15,7 @@ from deadtime.cli.problems import problem_of
     ),
 )
 def bound(
-    problem: Path,
+    problem: ProblemFile,
     *,
     dwell_time: float | None = None,
     json_output: AsJson = False,
@@ -26,12 +24,8 @@ def bound(
 
     Parameters
     ----------
-    problem
-        A problem file, or paper, three-mode, follower.
     dwell_time
         Dwell time in seconds; that of the problem by default, as `certify` takes it.
-    json_output
-        Print the constants as JSON instead of a table.
     """
     from deadtime.problems.asked import dwell_time_of
     from deadtime.reports.tables.constants import (

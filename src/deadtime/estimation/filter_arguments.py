@@ -6,13 +6,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, read_only, real_array, require_shape
+from deadtime.base.checks import (
+    as_floats,
+    read_only,
+    real_array,
+    require_covariance,
+    require_shape,
+)
 from deadtime.base.errors import ArgumentError
 from deadtime.loop.running_belief import belief_of
 from deadtime.plant import SwitchedSystem
 
 _ALIKE = 1e-9  # of an entry: modes whose entries all differ by less are the same
-_ROUND_OFF = 1e-9
 
 
 def require_distinct(plant: SwitchedSystem) -> None:
@@ -94,11 +99,7 @@ def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.n
     if given.ndim < 2:
         given = np.diag(np.full(n, given) if given.ndim == 0 else given)
     W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
-    size = np.abs(W).max()
-    if np.abs(W - W.T).max() > _ROUND_OFF * size or np.linalg.eigvalsh(W)[0] < -_ROUND_OFF * size:
-        raise ArgumentError(
-            f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
-        )
+    require_covariance(name, W)
     return read_only(0.5 * (W + W.T))  # a restored state must be symmetric to the last bit
 
 

@@ -149,7 +149,7 @@ class OutputFeedback(WithMemory, Law):
         >>> observer = dt.luenberger(problem.plant, [[1.0, 0.0]], poles=[-4, -5], step=0.02)
         >>> loop = dt.OutputFeedback(law, observer, covariance=[[0.1, 0.0], [0.0, 0.2]])
         >>> loop.drawn(1).estimate.round(3), loop.drawn(1).draws
-        (array([-0.168,  0.66 ]), False)
+        (array([0.009, 0.501]), False)
         """
         if not self.draws:
             return self

@@ -1,6 +1,5 @@
 from .forecast import Forecast as Forecast
 from .functional import Functional as Functional
 from .law import Law as Law, TableLaw as TableLaw, remember_table as remember_table
-from .outlook import Outlook as Outlook
 from .preview import Foresight as Foresight
 from .table import Factor as Factor, Feedback as Feedback

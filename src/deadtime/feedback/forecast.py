@@ -1,16 +1,12 @@
-"""Forecast: what a law believes in continuous time, the ideal loop's twin of `Feedback`.
+"""Forecast: a law's belief as branches, signals that its model may follow, in the ideal loop.
 
-A law updated continuously is a sum over branches, each a future of the switching signal,
+Along each branch, a signal that is followed for sure, u is the exact feedback: what is sent at t is
+first read at
 
-    u(t) = Σ_b K_b(t) P_b(t),
+    t + θ_j,   θ_j = min {θ ≥ 0: θ ≥ D_i,j},   i the branch's system at t + θ,
 
-where P_b(t) is the state at t + D of the law's model if it starts from x(t), takes the inputs
-in flight, and follows the branch. (A law may predict more than the state: its systems then
-have q ≥ n states and start from L x(t), L the `lift`.) A branch follows the path first, up to
-the time `until`, then holds its own system. The path is the signal itself for a law
-that foresees it, and otherwise the mode in which the forecast is made. So a law that forecasts
-no switching has until = −∞, a dwell-aware one the end of the guaranteed dwell, the oracle
-foresees its signal throughout, and a law with D = 0 predicts nothing.
+and the branch's part of u_j(t) is K_i,j x̂(t + θ_j), x̂ predicted from x(t) under the inputs in
+flight and, from where an input is read that is still to be sent, under its own feedback K x̂.
 """
 
 from __future__ import annotations
@@ -19,8 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
+from deadtime.feedback.functional import Functional, LoopSpeeds, fastest_rate
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -31,77 +28,104 @@ class Forecast:
 
     Attributes
     ----------
-    A : (systems, q, q), B : (systems, q, m)
-        The model's modes, and fictitious systems after them.
-    lead : float
-        How far the law predicts, seconds: the model's delay, or 0.
-    branches : (branches,) int
-        The system in which each branch ends.
+    A : (systems, n, n), B : (systems, n, m), delays : (systems, m)
+        The model's modes, and systems that may follow after them.
+    gains : (branches, systems, m, n)
+        K_i of every branch.
+    weights : (branches,)
+        By which the branches are added up.
     breaks : (count,)
-        Times at which the path switches or `until` jumps.
-    gains : callable
-        From times (T,) to K_b, shape (T, branches, m, q).
-    path : callable
-        From times (T,) to the system that is active there.
-    until : callable
-        From times t (T,) to the time up to which a forecast made at t follows the path.
-    foresees : bool
-        Whether the path at a later time is the system active then, or the one active now.
-    lift : (q, n) or None
-        L; None for systems in the plant's own states.
+        Times at which what is believed changes.
+    signals : callable
+        From a time t to what the branches believe at it: start times, increasing, and the system
+        from there on, both (branches, parts); the first part has begun at t, and the last has no
+        end.
+    settled : Functional
+        The same law once the last mode of the signal has lasted.
     """
 
-    A: Float[np.ndarray, "system q q"]
-    B: Float[np.ndarray, "system q m"]
-    lead: float
-    branches: Int[np.ndarray, " branch"]
+    A: Float[np.ndarray, "system n n"]
+    B: Float[np.ndarray, "system n m"]
+    delays: Float[np.ndarray, "system m"]
+    gains: Float[np.ndarray, "branch system m n"]
+    weights: Float[np.ndarray, " branch"]
     breaks: Float[np.ndarray, " break"]
-    gains: Callable[[np.ndarray], np.ndarray]
-    path: Callable[[np.ndarray], np.ndarray]
-    until: Callable[[np.ndarray], np.ndarray]
-    foresees: bool = False
-    lift: Float[np.ndarray, "q n"] | None = None
+    signals: Callable[[float], tuple[np.ndarray, np.ndarray]]
+    settled: Functional
 
     @classmethod
-    def constant(
+    def foreseeing(
         cls,
-        A: Float[np.ndarray, "system n n"],
-        B: Float[np.ndarray, "system n m"],
-        K: Float[np.ndarray, "system m n"],
-        lead: float,
+        plant: SwitchedSystem,
+        K: Float[np.ndarray, "mode m n"],
+        signal: SwitchingSignal,
+        settled: Functional,
     ) -> Forecast:
-        """The forecast of constant modes: a branch per system, with its (weighted) gain."""
-        return cls(
-            A,
-            B,
-            lead,
-            np.arange(A.shape[0]),
-            np.empty(0),
-            lambda times: np.broadcast_to(K, (times.size, *K.shape)),
-            lambda times: np.zeros(times.size, np.int64),
-            lambda times: np.full(times.size, -np.inf),
-        )
+        """The belief in a signal that is known."""
+        starts, modes, longest = signal.times, signal.modes, plant.longest_delay
+
+        def signals(t: float) -> tuple[np.ndarray, np.ndarray]:
+            first = int(np.searchsorted(starts, t, "right")) - 1
+            last = int(np.searchsorted(starts, t + 2.0 * longest, "right"))
+            part = slice(max(first, 0), max(last, 1))
+            return starts[None, part].copy(), modes[None, part].astype(np.int64)
+
+        systems = plant.A, plant.B, plant.delays
+        return cls(*systems, K[None], np.ones(1), starts[1:], signals, settled)
 
     @classmethod
     def dwelling(
         cls,
         plant: SwitchedSystem,
-        after: tuple[np.ndarray, np.ndarray, np.ndarray],
+        after: SwitchedSystem,
+        K: Float[np.ndarray, "system m n"],
+        weights: Float[np.ndarray, " system"],
         dwell_time: float,
         signal: SwitchingSignal,
+        settled: Functional,
     ) -> Forecast:
-        """The forecast that the mode is held for its dwell time, then the systems `after`.
+        """The belief that the mode is held for its dwell time, then each system of `after`.
 
-        `after` are the A, B and (weighted) K of these systems, as in `constant`.
+        `K` and `weights` are those of these systems; a branch has the gain of its last throughout.
         """
-        A, B, K = after
+        modes, branches = plant.modes, after.modes
+        follows = modes + np.arange(branches)
+
+        def signals(t: float) -> tuple[np.ndarray, np.ndarray]:
+            now = np.array([t])
+            until = float(signal.last_switch(now)[0]) + dwell_time
+            starts = np.tile([min(t, until) - 1.0, until], (branches, 1))
+            here = np.full(branches, int(signal(now)[0]))
+            return starts, np.stack((here, follows), axis=1)
+
         return cls(
-            np.concatenate((plant.A, A)),
-            np.concatenate((plant.B, B)),
-            plant.delay,
-            plant.modes + np.arange(A.shape[0]),
-            signal.last_switch(signal.times) + dwell_time,
-            lambda times: np.broadcast_to(K, (times.size, *K.shape)),
-            signal,
-            lambda times: signal.last_switch(times) + dwell_time,
+            np.concatenate((plant.A, after.A)),
+            np.concatenate((plant.B, after.B)),
+            np.concatenate((plant.delays, after.delays)),
+            np.repeat(K[:, None], modes + branches, axis=1),
+            weights,
+            np.append(signal.times[1:], signal.last_switch(signal.times) + dwell_time),
+            signals,
+            settled,
         )
+
+    @property
+    def reaches(self) -> Float[np.ndarray, " reach"]:
+        """How long ago what a prediction reads was sent, at the most: its delays, seconds."""
+        return np.unique(self.delays)
+
+    def speeds(self, plant: SwitchedSystem) -> LoopSpeeds:
+        """How fast the loop with a plant is."""
+        A, B = np.concatenate((plant.A, self.A)), np.concatenate((plant.B, self.B))
+        gains = np.abs(self.gains).sum(axis=0)
+        rate = fastest_rate(A, B, gains)
+        jumps = {float(end): rate for end in np.unique(self.delays)}
+        # In a system an input is in flight on when another one has arrived, which it then moves.
+        K = gains.max(axis=0)
+        for own, B_i in zip(self.delays, np.abs(self.B), strict=True):
+            for j, k in zip(*np.nonzero(own[:, None] < own), strict=True):
+                end = float(own[k] - own[j])
+                jumps[end] = max(jumps.get(end, 0.0), float(K[j] @ B_i[:, k]))
+        # Weights are bounds: of several delays 1e-10 moves a run by 2e-12, and takes several times
+        # as long. At the ends of a segment u is extrapolated, which wants it shorter.
+        return LoopSpeeds(1.5 * rate, rate, jumps, 1e-15 if self.reaches.size == 1 else 1e-7)

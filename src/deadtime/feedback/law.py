@@ -19,7 +19,6 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
 from deadtime.feedback.functional import Functional
 from deadtime.feedback.known_state import Known
-from deadtime.feedback.outlook import Outlook
 from deadtime.feedback.preview import Foresight
 from deadtime.feedback.table import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
@@ -51,7 +50,7 @@ class Remembering(ABC):
 # What the methods of a law return, whoever writes it.
 _ANSWERS = {
     "digital": (Feedback,),
-    "ideal": (Forecast, Functional, Outlook),
+    "ideal": (Functional, Forecast),
     "online": (Callable,),
     "foresight": (Foresight, NoneType),
 }
@@ -157,7 +156,7 @@ class Law(Frozen, ABC):
         """
 
     @abstractmethod
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
         """The law in continuous time, for a run on [0, horizon] along a signal.
 
         Raises `ArgumentError` for a law that has no such form.

@@ -45,13 +45,11 @@ class Factor(NamedTuple):
     def taps(self, count: int) -> Float[np.ndarray, "context N m m"]:
         """The first `count` taps G_{c,1}, G_{c,2}, …, multiplied out."""
         contexts, m, _ = self.H.shape
-        result = np.empty((contexts, count, m, m))
-        column = self.input
-        for j in range(count - 1):
-            result[:, j] = self.H @ column
-            column = self.S @ column
-        result[:, -1] = self.last
-        return result
+        columns, power = self.input, self.S  # Γ_s, S Γ_s, …: twice as many each time
+        while columns.shape[1] < (count - 1) * m:
+            columns, power = np.hstack((columns, power @ columns)), power @ power
+        taps = (self.H @ columns[:, : (count - 1) * m]).reshape(contexts, m, count - 1, m)
+        return np.concatenate((taps.swapaxes(1, 2), self.last[:, None]), axis=1)
 
 
 def side_by_side(taps: Float[np.ndarray, "context N r m"]) -> Float[np.ndarray, "context r past"]:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, number, real_array, require_shape
+from deadtime.base.checks import as_floats, number, real_array, require_covariance, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Sizes, once, per_signal
 from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
@@ -70,21 +70,13 @@ class WhiteDisturbance(DrawnDisturbance):
             form = "(modes, n, n)"
             each = require_shape(name, real_array(name, given, form, 3), (sizes.modes, n, n), form)
             for mode, W in enumerate(each):
-                _require_covariance(f"{name}[{mode}]", W)
+                require_covariance(f"{name}[{mode}]", W)
             return each
         if given.ndim < 2:
             given = np.diag(per_signal(name, given, n))
         W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
-        _require_covariance(name, W)
+        require_covariance(name, W)
         return W
-
-
-def _require_covariance(name: str, W: Float[np.ndarray, "n n"]) -> None:
-    size = np.abs(W).max()
-    if np.abs(W - W.T).max() > 1e-9 * size or np.linalg.eigvalsh(W)[0] < -1e-9 * size:
-        raise ArgumentError(
-            f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
-        )
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import real_array, require_shape
-from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional, Outlook
+from deadtime.base.checks import real_array, require_probabilities, require_shape
+from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
@@ -82,12 +82,7 @@ class AveragedPredictor(TableLaw):
         given = np.full(modes, 1.0 / modes) if weights is None else weights
         weights = real_array("weights", given, "(modes,)", 1)
         require_shape("weights", weights, (modes,), "(modes,)")
-        if weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-9:
-            raise ArgumentError(
-                f"weights must be ≥ 0 and sum to 1, got {weights.tolist()} with sum "
-                f"{weights.sum():.10g}: give probabilities; if none is negative, divide them by "
-                "their sum."
-            )
+        require_probabilities("weights", weights)
         vars(self).update(
             plant=plant,
             gains=gains,
@@ -154,11 +149,6 @@ class AveragedPredictor(TableLaw):
         notes = ["minimax"] * self.tuned + ["dwell-aware"] * (self.dwell_time is not None)
         return ", ".join(["averaged", *notes])
 
-    @property
-    def _after(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and weighted gain of the systems that may follow."""
-        return self.plant.A, self.plant.B, self.weights[:, None, None] * self.gains
-
     @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
@@ -185,15 +175,14 @@ class AveragedPredictor(TableLaw):
             return held_spread(self.plant, known, W)
         return dwelling_spread(self.plant, self.plant, self.dwell_time, step, known, W, W)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
-        plant, rest = self.plant, self.dwell_time
-        if plant.has_one_delay:
-            if rest is not None:
-                return Forecast.dwelling(plant, self._after, rest, signal)
-            return Forecast.constant(*self._after, plant.delay)
-        from deadtime.laws.tables.windows import constant_functional
-
-        settled = constant_functional(plant, self.gains, self.weights)
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
+        plant, rest, settled = self.plant, self.dwell_time, self._settled
         if rest is None:
             return settled
-        return Outlook.dwelling(plant, plant, self.gains, self.weights, rest, signal, settled)
+        return Forecast.dwelling(plant, plant, self.gains, self.weights, rest, signal, settled)
+
+    @cached_property
+    def _settled(self) -> Functional:
+        from deadtime.laws.tables.windows import constant_functional
+
+        return constant_functional(self.plant, self.gains, self.weights)

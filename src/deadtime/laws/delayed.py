@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.law import TableLaw
 from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SwitchedSystem
@@ -60,15 +60,5 @@ class DelayedStateFeedback(TableLaw):
         taps = np.zeros((modes, sampled.longest_lag, m, m))
         return Feedback(self.gains, taps, "mode", sampled.step)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
-        plant = self.plant
-        return Forecast(
-            plant.A,
-            plant.B,
-            lead=0.0,
-            branches=np.zeros(1, np.int64),
-            breaks=np.empty(0),
-            gains=lambda times: self.gains[signal(times)][:, None],
-            path=signal,
-            until=lambda times: np.full(times.size, -np.inf),
-        )
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional:
+        return Functional.of_state(self.gains, signal)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Foresight, Outlook
+from deadtime.feedback import Feedback, Forecast, Foresight
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import require_finite_gains
@@ -154,24 +154,11 @@ class ExactPredictor(TableLaw):
         gains = extended_gains(self.gains, rows)
         return ExactPredictor(plant, gains, self.signal, allow_unstable=True)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Outlook:
-        plant, known = self.plant, self._require_signal(signal, horizon)
-        if not plant.has_one_delay:
-            from deadtime.laws.tables.windows import constant_functional
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        from deadtime.laws.tables.windows import constant_functional
 
-            last = [int(known.modes[-1])]
-            own = plant.like(plant.A[last], plant.B[last], plant.delays[last])
-            settled = constant_functional(own, self.gains[last], np.ones(1))
-            return Outlook.foreseeing(plant, self.gains, known, settled)
-        delay = plant.delay
-        return Forecast(
-            plant.A,
-            plant.B,
-            lead=delay,
-            branches=np.zeros(1, np.int64),
-            breaks=known.times[1:],
-            gains=lambda times: self.gains[known(times + delay)][:, None],
-            path=known,
-            until=lambda times: np.full(times.size, np.inf),
-            foresees=True,
-        )
+        plant, known = self.plant, self._require_signal(signal, horizon)
+        last = [int(known.modes[-1])]
+        own = plant.like(plant.A[last], plant.B[last], plant.delays[last])
+        settled = constant_functional(own, self.gains[last], np.ones(1))
+        return Forecast.foreseeing(plant, self.gains, known, settled)

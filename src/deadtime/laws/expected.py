@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional
+from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, remember_table, require_room, room
 from deadtime.feedback.prediction_rows import extended_gains
@@ -139,24 +139,16 @@ class ExpectedPredictor(TableLaw):
         ages = self.digital(step).ages
         return chain_spread(sampled, self._chain(sampled, ages), ages, known, W)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional:
         plant, generator = self.plant, self.model.generator
         if generator is None:
             raise ArgumentError(
                 "step must be given: ExpectedPredictor has no closed form in continuous time "
                 f"under a {type(self.model).__name__} model."
             )
-        from deadtime.laws.tables.markov import CLOSED_FORM, markov_forecast
+        from deadtime.laws.tables.passage_windows import passage_functional
 
-        if plant.has_one_delay:
-            law = markov_forecast(plant.A, plant.B, self.gains, generator, plant.delay, signal)
-        else:
-            from deadtime.laws.tables.markov_windows import markov_functional
-            from deadtime.laws.tables.passage_windows import passage_functional
-
-            alike = (plant.delays == plant.delays[0]).all()
-            functional = markov_functional if alike else passage_functional
-            law = functional(plant, self.gains, generator, signal, CLOSED_FORM)
+        law = passage_functional(plant, self.gains, generator, signal)
         if law is None:
             raise ArgumentError(
                 "step must be given: the closed form of ExpectedPredictor in continuous time "

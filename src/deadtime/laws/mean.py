@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional, Outlook
+from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
@@ -101,16 +102,10 @@ class MeanPredictor(TableLaw):
         return "mean" if self.dwell_time is None else "mean, dwell-aware"
 
     @property
-    def _after(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and gain of the one system that may follow."""
-        A, B = self.mean
-        return A[None], B[None], self.gain[None]
-
-    @property
     def _mean_plant(self) -> SwitchedSystem:
         """The one mode that may follow, with its delays."""
-        A, B, _ = self._after
-        return self.plant.like(A, B, self.plant.mean().delays)
+        A, B = self.mean
+        return self.plant.like(A[None], B[None], self.plant.mean().delays)
 
     @remember_table
     def digital(
@@ -146,16 +141,15 @@ class MeanPredictor(TableLaw):
         plants = self.plant, self._mean_plant
         return dwelling_spread(*plants, self.dwell_time, step, known, W, mean_W)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
-        plant, mean, rest = self.plant, self._mean_plant, self.dwell_time
-        if rest is not None and plant.has_one_delay:
-            return Forecast.dwelling(plant, self._after, rest, signal)
-        if rest is None and mean.has_one_delay:
-            return Forecast.constant(*self._after, mean.delay)
-        from deadtime.laws.tables.windows import constant_functional
-
-        K, weights = self.gain[None], np.ones(1)
-        settled = constant_functional(mean, K, weights)
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
+        rest, settled = self.dwell_time, self._settled
         if rest is None:
             return settled
-        return Outlook.dwelling(plant, mean, K, weights, rest, signal, settled)
+        after = self._mean_plant, self.gain[None], np.ones(1)
+        return Forecast.dwelling(self.plant, *after, rest, signal, settled)
+
+    @cached_property
+    def _settled(self) -> Functional:
+        from deadtime.laws.tables.windows import constant_functional
+
+        return constant_functional(self._mean_plant, self.gain[None], np.ones(1))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
-from deadtime.feedback import Feedback, Forecast, Functional
+from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
@@ -88,10 +89,11 @@ class SingleModePredictor(TableLaw):
 
         return held_spread(self.plant, known, W)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
-        plant, gain = self._own, self.gains[self.mode : self.mode + 1]
-        if not plant.has_one_delay:
-            from deadtime.laws.tables.windows import constant_functional
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional:
+        return self._settled
 
-            return constant_functional(plant, gain, np.ones(1))
-        return Forecast.constant(plant.A, plant.B, gain, plant.delay)
+    @cached_property
+    def _settled(self) -> Functional:
+        from deadtime.laws.tables.windows import constant_functional
+
+        return constant_functional(self._own, self.gains[[self.mode]], np.ones(1))

@@ -157,14 +157,12 @@ def final_place(
     x: Float[np.ndarray, " n"],
     place: int,
     beside: Beside | None,
-    others: Float[np.ndarray, " m"] | float = 0.0,
 ) -> int:
     """The place whose mode's gain the feedback takes at the end of a prediction.
 
-    On a boundary that the state slides along it is the one beyond, if its own gain leads on there,
-    with what other inputs read, 0 for those of the gain.
+    On a boundary that the state slides along it is the one beyond, if its own gain leads on there.
     """
     if beside is None:
         return place
-    there = gains[motion.mode_of(beside.place)] @ x + others
+    there = gains[motion.mode_of(beside.place)] @ x
     return beside.place if motion.leads_on(x, beside, there) else place

@@ -8,14 +8,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, real_array, require_shape
+from deadtime.base.checks import as_floats, real_array, require_probabilities, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.loop.bank_steps import BankState, advance_bank, begin_bank, start_anew
 from deadtime.loop.belief_steps import BeliefState, advance_belief, begin_belief, share_rows
-
-_SUM = 1e-9
 
 
 class RunningBelief:
@@ -163,12 +161,8 @@ def belief_of(
     given = as_floats(name, value, form)
     given = real_array(name, given, form, 2 if given.ndim == 2 else 1)
     require_shape(name, given, now.shape if given.ndim == 2 else (modes,), form)
+    require_probabilities(name, given)
     total = float(given.sum())
-    if given.min() < 0.0 or abs(total - 1.0) > _SUM:
-        raise ArgumentError(
-            f"{name} must be probabilities, ≥ 0 with sum 1, got {given.tolist()} with sum "
-            f"{total:.10g}: if none is negative, divide them by their sum."
-        )
     if given.ndim == 2:
         return given / total
     own = now.sum(axis=1, keepdims=True)

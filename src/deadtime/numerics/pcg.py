@@ -32,9 +32,8 @@ from jaxtyping import Float, UInt64
 
 from deadtime.base.checks import read_only
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.philox import high_word
-from deadtime.numerics.seeds import states
-from deadtime.numerics.streams import spawn_key, stream
+from deadtime.numerics.philox import first_words, high_word
+from deadtime.numerics.streams import Words, stream
 
 # Where the tail begins if 256 layers of its area are to end at x = 0, where the curve is 1.
 TAIL = Decimal("3.654152885361008771645429720399515763")
@@ -130,7 +129,8 @@ class Streams:
 
     @cached_property
     def _words(self) -> UInt64[np.ndarray, "stream 4"]:
-        return states(self.seeds, [*spawn_key(self.name, self.index), *self.spawned], 4)
+        purpose = Words(0, self.name, self.index, *self.spawned).key[1]
+        return first_words(read_only(self.seeds), np.uint64(purpose))
 
 
 @lru_cache(1)

@@ -64,6 +64,17 @@ def block_words(key, block, scenario, stream):
 
 
 @kernel(eager=True, nogil=True)
+def first_words(seeds, purpose):
+    """The first words that NumPy draws with the key (seed, purpose), of many seeds (count, 4)."""
+    result = np.empty((seeds.size, WORDS), np.uint64)
+    for i in range(seeds.size):
+        words = block_words((seeds[i], purpose), 1, 0, 0)
+        for w in range(WORDS):
+            result[i, w] = words[w]
+    return result
+
+
+@kernel(eager=True, nogil=True)
 def uniform(word):
     """A word as a double in (0, 1)."""
     return (np.float64(word >> DROPPED) + 0.5) * 2.0**-52

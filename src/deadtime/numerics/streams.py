@@ -1,8 +1,9 @@
 """Streams of random numbers: each is a function of a seed and of what it is for.
 
-Whoever draws once in order takes the generator of `stream`; whoever does so for many seeds takes
-`deadtime.numerics.pcg.Streams`, compiled, which draws what these generators do. Whoever must reach
-any number at once takes `uniforms`, which addresses the generator Philox by its counter; this is
+All are keyed by words of the counter-based generator Philox, and there is no state that one takes
+from another. Whoever draws once in order takes the generator of `stream`; whoever does so for many
+seeds takes `deadtime.numerics.pcg.Streams`, compiled, which draws what these generators do. Whoever
+must reach any number at once takes `uniforms`, which addresses Philox by its counter; this is
 NumPy's, for few numbers, and `deadtime.numerics.philox` gives the same ones compiled, for many.
 """
 
@@ -12,11 +13,35 @@ from hashlib import blake2b
 
 import numpy as np
 from jaxtyping import Float, UInt64
+from numpy.random.bit_generator import ISpawnableSeedSequence
+from numpy.typing import DTypeLike
 
 from deadtime.base.checks import read_only
+from deadtime.base.errors import ArgumentError
 
 WORDS = 4  # that Philox makes of a counter
 DROPPED = np.uint64(12)  # bits of a word, of which a double holds the others and a half
+
+
+class Words(ISpawnableSeedSequence):
+    """What a generator of NumPy's begins from: words of Philox with the key (seed, purpose)."""
+
+    def __init__(self, seed: int, *purpose: str | int) -> None:
+        self.seed, self.purpose = seed, purpose
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """The seed, and 64 bits of what it is for; of a larger seed the rest is a part of it."""
+        text = repr((*self.purpose, self.seed >> 64)).encode()
+        return self.seed % 2**64, int.from_bytes(blake2b(text, digest_size=8).digest(), "little")
+
+    def generate_state(self, n_words: int, dtype: DTypeLike = np.uint32) -> np.ndarray:
+        if dtype != np.uint64:
+            raise ArgumentError("dtype must be uint64: these words are for PCG64 and Philox.")
+        return np.random.Philox(key=np.array(self.key, np.uint64)).random_raw(n_words)
+
+    def spawn(self, n_children: int) -> list[Words]:
+        return [Words(self.seed, *self.purpose, i) for i in range(n_children)]
 
 
 def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Generator:
@@ -31,14 +56,7 @@ def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Gen
     >>> stream(1, "Noise").random() == stream(1, "Dropout").random()
     False
     """
-    key = *spawn_key(name, index), *spawned
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-
-
-def spawn_key(name: str, index: int) -> tuple[int, int]:
-    """The spawn key of a stream."""
-    word = int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")
-    return word, index
+    return np.random.default_rng(Words(seed, name, index, *spawned))
 
 
 def key_of(seed: int) -> UInt64[np.ndarray, 2]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt64
 
 from deadtime.base.errors import ArgumentError
-from deadtime.numerics.seeds import states
+from deadtime.numerics.streams import WORDS, key_of
 from deadtime.switching import SignalBatch, SwitchingModel, SwitchingSignal
 
 
@@ -26,21 +26,21 @@ class SignalSampler(Protocol):
 def scenario_seed(seed: int, scenario: int) -> int:
     """The seed of one scenario's signal, a function of `seed` and the scenario's number only.
 
-    It is drawn from `numpy.random.SeedSequence(seed).spawn(…)[scenario]`, so scenarios are
-    independent of each other, of how many there are and of the order in which they run.
+    It is a word of Philox with the key of the seed, so scenarios are independent of each other, of
+    how many there are and of the order in which they run.
 
     Examples
     --------
     >>> scenario_seed(0, 3) == scenario_seed(0, 3), scenario_seed(0, 3) == scenario_seed(3, 0)
     (True, False)
     """
-    child = np.random.SeedSequence(seed, spawn_key=(scenario,))
-    return int(child.generate_state(1, np.uint64)[0])
+    return int(scenario_seeds(seed, scenario, 1)[0])
 
 
 def scenario_seeds(seed: int, first: int, count: int) -> UInt64[np.ndarray, " scenario"]:
-    """Those of the scenarios first, …, first + count − 1, all below 2³²."""
-    return states(seed, [np.arange(first, first + count)], 1)[:, 0]
+    """Those of the scenarios first, …, first + count − 1, a word each, four to a block."""
+    block, before = divmod(first, WORDS)
+    return np.random.Philox(key=key_of(seed), counter=block).random_raw(before + count)[before:]
 
 
 class Source(ABC):

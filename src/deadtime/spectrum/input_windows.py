@@ -4,10 +4,7 @@ With one mode held, a law updated continuously is
 
     u(t) = F x(t) + Σ_p C_p ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ,    τ from α_p to β_p.
 
-A `Functional` says so itself, and an `Outlook` what it has settled to. A `Forecast` is one window
-from 0 to its lead D̂: each of its branches stays in one system, and all together are one frozen
-system (S, R), the branches' A and B stacked, that starts from L x(t) and is read by K, the
-branches' gains side by side: C = K and F = K e^{S D̂} L.
+A `Functional` says so itself, and a `Forecast` what it has settled to.
 
     W(s) = Σ_p W_p(s),    W_p(s) = C_p ∫ e^{S_p (τ − α_p)} e^{−sτ} dτ R_p
          = C_p (sI − S_p)⁻¹ (e^{−sα_p} − e^{−sβ_p} e^{S_p (β_p − α_p)}) R_p,
@@ -24,7 +21,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Forecast, Functional, Outlook
+from deadtime.feedback import Forecast, Functional
 
 # A Gauss panel of so many nodes integrates e^{at} to round-off for |a| · length ≤ _RATE.
 _NODES, _RATE = 16, 8.0
@@ -71,37 +68,13 @@ class LawWindow(NamedTuple):
 
 
 def windows_of(
-    law: Forecast | Functional | Outlook, units: Float[np.ndarray, " n"]
+    law: Functional | Forecast, units: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "m n"], tuple[LawWindow, ...]]:
     """F, of a state x in units of its own, and the windows of a law with its mode held."""
-    law = law.settled if isinstance(law, Outlook) else law
-    if isinstance(law, Functional):
-        row = int(law.row(np.zeros(1))[0])
-        pieces = zip(law.C[row], law.S, law.R, law.near.tolist(), law.far.tolist(), strict=True)
-        return law.F[row] * units, tuple(LawWindow.balanced(*piece) for piece in pieces)
-    from deadtime.numerics.exponential import balance
-
-    K, S, R, L = _terms_in_aged_mode(law)
-    window = LawWindow.balanced(K, S, R, 0.0, law.lead)
-    return window.ending @ (L * units / balance(S)[:, None]), (window,)
-
-
-def _terms_in_aged_mode(
-    forecast: Forecast,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """K, S, R, L of a forecast in a mode that has been held throughout."""
-    from scipy.linalg import block_diag
-
-    start = forecast.until(np.zeros(1))
-    late = np.maximum(start, 0.0) + 1.0 if np.isfinite(start[0]) else np.zeros(1)
-    stays = forecast.until(late)[0] > late[0]
-    ends = forecast.path(late).repeat(forecast.branches.size) if stays else forecast.branches
-    gains = forecast.gains(late)[0]
-    n = forecast.A.shape[1]
-    lift = np.eye(n) if forecast.lift is None else forecast.lift
-    S = np.asarray(block_diag(*forecast.A[ends]))
-    R = np.concatenate([forecast.B[e] for e in ends])
-    return np.concatenate(list(gains), axis=1), S, R, np.tile(lift, (ends.size, 1))
+    held = law.settled
+    row = int(held.row(np.zeros(1))[0])
+    pieces = zip(held.C[row], held.S, held.R, held.near.tolist(), held.far.tolist(), strict=True)
+    return held.F[row] * units, tuple(LawWindow.balanced(*piece) for piece in pieces)
 
 
 def weights(

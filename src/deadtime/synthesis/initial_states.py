@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, number, positive, read_only, real_array
+from deadtime.base.checks import as_floats, positive, read_only, real_array, share
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
@@ -107,9 +107,7 @@ class InitialStates(Frozen):
             If the covariance is not symmetric and positive semidefinite, or is 0, or the
             probability is out of range.
         """
-        part = number("probability", probability)
-        if not 0.0 < part < 1.0:
-            raise ArgumentError(f"probability must be above 0 and below 1, got {part:g}.")
+        part = share("probability", probability)
         return InitialStates("normal", _semidefinite("covariance", covariance), part)
 
     def require_plant(self, plant: SwitchedSystem) -> None:

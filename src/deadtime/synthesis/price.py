@@ -29,33 +29,6 @@ BLOCKS = 4000  # of one delay each
 _SHORTEST = 16  # periods
 
 
-def loop_cost(
-    plant: SwitchedSystem, feedback: Feedback, mode: int, weight: Weight | None = None
-) -> float:
-    """∫ xᵀQx + uᵀRu with one mode held, the mean over x₀ on the unit sphere; ∞ if unstable.
-
-    Parameters
-    ----------
-    plant : SwitchedSystem
-        The truth.
-    feedback : Feedback
-        The law's table; the row of a mode that has been held throughout applies.
-    mode : int
-        The mode.
-    weight : Weight, optional
-        Of the cost, by `weight_of`.
-
-    Examples
-    --------
-    >>> import deadtime as dt
-    >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], delay=0.2)
-    >>> idle = dt.DelayedStateFeedback(plant, [[[0.0]]]).digital(0.1)
-    >>> round(loop_cost(plant, idle, 0), 12)                     # ∫ e^{−2t} dt
-    0.5
-    """
-    return cost_and_growth(plant, feedback, mode, weight=weight)[0]
-
-
 def cost_and_growth(
     plant: SwitchedSystem,
     feedback: Feedback,
@@ -63,9 +36,17 @@ def cost_and_growth(
     blocks: int = BLOCKS,
     weight: Weight | None = None,
 ) -> tuple[float, float]:
-    """The cost; and how fast the loop grows, about, 1/s: negative where it decays.
+    """The cost, ∞ if unstable; and how fast the loop grows, about, 1/s: negative where it decays.
 
     After so many `blocks` of one delay the rest is taken for a geometric series.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], delay=0.2)
+    >>> idle = dt.DelayedStateFeedback(plant, [[[0.0]]]).digital(0.1)
+    >>> round(cost_and_growth(plant, idle, 0)[0], 12)                     # ∫ e^{−2t} dt
+    0.5
     """
     from deadtime.numerics.exponential import energy_gramian
     from deadtime.synthesis.march import cost_of_run

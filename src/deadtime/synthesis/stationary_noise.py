@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, number, read_only, real_array
+from deadtime.base.checks import as_floats, read_only, real_array, share
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
@@ -73,9 +73,7 @@ class StationaryNoise(Frozen):
     def __init__(
         self, process: ArrayLike = 0.0, measurement: ArrayLike = 0.0, probability: float = 0.99
     ) -> None:
-        part = number("probability", probability)
-        if not 0.0 < part < 1.0:
-            raise ArgumentError(f"probability must be above 0 and below 1, got {part:g}.")
+        part = share("probability", probability)
         parts = {
             "process": _process(process),
             "measurement": weight_part("measurement", measurement, "n"),

@@ -15,48 +15,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import read_only
 from deadtime.feedback import Factor, Feedback
 from deadtime.laws.tables.along_signal import rows_along
-from deadtime.numerics.exponential import discretise, discretise_into, discretise_modes, product
-from deadtime.numerics.kernels import kernel
+from deadtime.numerics.exponential import discretise_modes
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import SwitchingSignal
-
-
-@kernel
-def place(tap, lag, G):
-    """Add what a stretch gives its inputs to their taps, G (N, m, m), the youngest first."""
-    m = tap.shape[0]
-    for j in range(m):
-        for i in range(m):
-            G[lag[j] - 1, i, j] += tap[i, j]
-
-
-@kernel
-def _rows(A, B, K, weights, ahead, longest, delay):
-    """Σ_i w_i of the rows above: F (m, n), G (N, m, m), N = `longest`."""
-    m, n = K.shape[1:]
-    kinds, stretches = ahead.length.size, ahead.kind.size
-    F, G = np.zeros((m, n)), np.zeros((longest, m, m))
-    Phi, Gamma = np.empty((kinds, n, n)), np.empty((kinds, n, m))
-    row, carried, tap = np.empty((m, n)), np.empty((m, n)), np.empty((m, m))
-    for i in range(A.shape[0]):
-        for kind in range(kinds):
-            discretise_into(A[i], B[i], ahead.length[kind], Phi[kind], Gamma[kind])
-        for a in range(m):
-            for b in range(n):
-                row[a, b] = weights[i] * K[i, a, b]
-        product(row, discretise(A[i], B[i], delay)[0], carried)
-        for a in range(m):
-            for b in range(n):
-                F[a, b] += carried[a, b]
-        for p in range(stretches - 1, -1, -1):
-            product(row, Gamma[ahead.kind[p]], tap)
-            place(tap, ahead.lag[p], G)
-            product(row, Phi[ahead.kind[p]], carried)
-            row, carried = carried, row
-    return F, G
 
 
 def constant_table(
@@ -69,20 +32,22 @@ def constant_table(
 
     With one delay it has its factorisation (S block-diagonal over modes), else it is dense.
     """
-    A, B, sampled = plant.A, plant.B, SampledPlant(plant, step)
+    sampled = SampledPlant(plant, step)
     if not plant.has_one_delay:
         return _dense_table(sampled, K, weights)
-    F, G = _rows(
-        A, B, K, read_only(weights), sampled.ahead, sampled.longest_lag, sampled.window.delay
-    )
-    Phi, Gamma = discretise_modes(A, B, sampled.step)
-    modes, n, m = B.shape
-    H = (weights[:, None, None] * K).transpose(1, 0, 2).reshape(1, m, modes * n)
-    S = np.zeros((modes * n, modes * n))
-    for i in range(modes):
-        S[i * n : (i + 1) * n, i * n : (i + 1) * n] = Phi[i]
-    factor = Factor(H, S, Gamma.reshape(modes * n, m), G[None, -1])
-    return Feedback(F[None], G[None], "none", sampled.step, factor=factor)
+    window, (modes, n, m) = sampled.window, plant.B.shape
+    spans = window.step, window.phase, window.delay
+    (Phi, Gamma), (_, late), (whole, _) = (discretise_modes(plant.A, plant.B, t) for t in spans)
+    row = weights[:, None, None] * K
+    with np.errstate(all="ignore"):  # a table refuses what overflows
+        F = (row @ whole).sum(axis=0)
+        last = (row @ np.linalg.matrix_power(Phi, window.count - 1) @ late).sum(axis=0)
+        H = row.transpose(1, 0, 2).reshape(1, m, modes * n)
+        S, of = np.zeros((modes, n, modes, n)), np.arange(modes)
+        S[of, :, of] = Phi
+        size = modes * n
+        factor = Factor(H, S.reshape(size, size), Gamma.reshape(size, m), last[None])
+        return Feedback(F[None], factor.taps(window.count), "none", window.step, factor=factor)
 
 
 def _dense_table(sampled: SampledPlant, K: np.ndarray, weights: np.ndarray) -> Feedback:

@@ -21,12 +21,20 @@ from jaxtyping import Float
 from deadtime.feedback import Feedback
 from deadtime.feedback.law import require_room, room
 from deadtime.laws.tables.along_signal import rows_along
-from deadtime.laws.tables.constant_mode import place
 from deadtime.numerics.exponential import discretise_into, product
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.switching import SwitchingSignal
+
+
+@kernel
+def place(tap, lag, G):
+    """Add what a stretch gives its inputs to their taps, G (N, m, m), the youngest first."""
+    m = tap.shape[0]
+    for j in range(m):
+        for i in range(m):
+            G[lag[j] - 1, i, j] += tap[i, j]
 
 
 @kernel(eager=True)

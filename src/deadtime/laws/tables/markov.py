@@ -30,7 +30,7 @@ The ideal loop takes the same form in the limit h → 0: with the current mode c
     u(t) = (q_cᵀ ⊗ [K]) (e^{𝒜'D} L x(t) + ∫_{t−D}^{t} e^{𝒜'(t−θ)} ℬ' u(θ) dθ),   q_c = e^{DΛᵀ} e_c,
     𝒜' = I ⊗ 𝒜 − Λ ⊗ I,    ℬ' = stack_s ℬ (e_s ⊗ I_m),    L = stack_s (e_s ⊗ I_n):
 
-a frozen system of (l + 1)² n states that starts from L x(t).
+a frozen system of (l + 1)² n states that starts from L x(t) (`passage_windows`).
 """
 
 from __future__ import annotations
@@ -40,13 +40,11 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Factor, Feedback, Forecast
+from deadtime.feedback import Factor, Feedback
 from deadtime.numerics.covariance import transition
 from deadtime.plant import SampledPlant, Window
-from deadtime.switching import SwitchingSignal
 
 _AGREEMENT = 1e-13
-CLOSED_FORM = 1e-11  # of its gains: the most digits that the ideal loop's closed form may lose
 _PROBABILITY = 1e-9
 
 
@@ -88,42 +86,6 @@ def markov_table(
     E = transition(Z, h)
     factor = _factor(K, generator, E[:states, :states], E[:states, states:], G, sampled.window)
     return Feedback(np.ascontiguousarray(F), G, "mode", h, factor=factor)
-
-
-def markov_forecast(
-    A: Float[np.ndarray, "mode n n"],
-    B: Float[np.ndarray, "mode n m"],
-    K: Float[np.ndarray, "mode m n"],
-    generator: Float[np.ndarray, "mode mode"],
-    delay: float,
-    signal: SwitchingSignal,
-) -> Forecast | None:
-    """The law in continuous time, or None where the closed form loses digits."""
-    modes, n, m = B.shape
-    free, forced = _expected_system(A, B, generator)
-    states = modes * n
-    inputs = forced.reshape(states, modes, m).transpose(1, 0, 2).reshape(modes * states, m)
-    system = np.kron(np.eye(modes), free) - np.kron(generator, np.eye(states))
-    lift = np.eye(states).reshape(states, modes, n).transpose(1, 0, 2).reshape(modes * states, n)
-    ahead = transition(generator.T, delay)
-    gains = np.einsum("sc,iab->casib", ahead, K).reshape(modes, m, modes * states)
-
-    row = K.transpose(1, 0, 2).reshape(m, states)
-    direct = (row @ transition(free, delay)).reshape(m, modes, n).transpose(1, 0, 2)
-    closed = gains @ transition(system, delay) @ lift
-    if not np.abs(closed - direct).max() <= CLOSED_FORM * np.abs(direct).max():
-        return None
-    return Forecast(
-        system[None],
-        inputs[None],
-        delay,
-        np.zeros(1, np.int64),
-        np.empty(0),
-        lambda times: gains[signal(times)][:, None],
-        lambda times: np.zeros(times.size, np.int64),
-        lambda times: np.full(times.size, -np.inf),
-        lift=np.ascontiguousarray(lift),
-    )
 
 
 def _expected_system(

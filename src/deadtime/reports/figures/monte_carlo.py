@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import Width, inches, legend_columns, new_figure, style_of
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.plant.weight import PLAIN
@@ -68,8 +67,6 @@ def plot_monte_carlo(
     >>> [axes.get_xscale() for axes in plot_monte_carlo(data).axes]
     ['log', 'log']
     """
-    if count_of(data) == 0:
-        raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
     names, count = names_of(data), count_of(data)
     with rc_context(style_of(width)):
         wide = 1.55 * WIDTH if width is None else inches(width)

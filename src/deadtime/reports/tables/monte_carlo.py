@@ -199,9 +199,7 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
     >>> first.relative, first.diverged, first.cost[2], round(second.best, 2)
     (2.0, 1, inf, 1.0)
     """
-    if count_of(data) == 0:
-        raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
-    measure = measure_in(data)
+    count, measure = count_of(data), measure_in(data)
     cost, ise, ranked = (losses(data, name) for name in ("cost", "ise", measure))
     least = ranked.min(axis=0)
     best = [Proportion.of(row) for row in (ranked == least) & np.isfinite(least)]
@@ -223,7 +221,7 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
         )
         for i, name in enumerate(names_of(data))
     )
-    return Summary(count_of(data), reference_of(data), laws, measure)
+    return Summary(count, reference_of(data), laws, measure)
 
 
 def measure_in(data: xr.Dataset | Comparison) -> str:
@@ -242,8 +240,11 @@ def names_of(data: xr.Dataset | Comparison) -> list[str]:
 
 
 def count_of(data: xr.Dataset | Comparison) -> int:
-    """How many scenarios there are."""
-    return data.scenarios if isinstance(data, Comparison) else data.sizes["scenario"]
+    """How many scenarios there are; refused if there is none."""
+    count = data.scenarios if isinstance(data, Comparison) else data.sizes["scenario"]
+    if count == 0:
+        raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
+    return count
 
 
 def reference_of(data: xr.Dataset | Comparison) -> str:

@@ -14,9 +14,7 @@ from jaxtyping import Float
 
 from deadtime.switching import SwitchingSignal
 
-_DEPTH = 10
 _SAME = 1e-12
-FAINT = 1e-15  # no weight in double precision
 
 
 class Shift(NamedTuple):
@@ -45,31 +43,12 @@ def merge(times: np.ndarray, low: float, high: float) -> Float[np.ndarray, " edg
     return np.concatenate(([low], kept, [high]))
 
 
-def add_shifts(times: np.ndarray, delays: tuple[float, ...], high: float) -> np.ndarray:
-    """The times and all their shifts by sums of up to ten of the delays, up to `high`.
-
-    Examples
-    --------
-    >>> add_shifts(np.array([0.0, 0.3]), (1.0,), 2.5).tolist()
-    [0.0, 0.3, 1.0, 1.3, 2.0, 2.3]
-    """
-    steps = sorted(set(delays))
-    reached, front = [times], times
-    for _ in range(_DEPTH):
-        front = np.concatenate([front + delay for delay in steps])
-        front = np.unique(front[front <= high])
-        if not front.size:
-            break
-        reached.append(front)
-    return np.concatenate(reached)
-
-
 def pass_on(
     times: np.ndarray,
     shifts: list[Shift],
     signal: SwitchingSignal,
     high: float,
-    faint: float = FAINT,
+    faint: float = 1e-15,
 ) -> np.ndarray:
     """The times and their shifts up to `high`, as long as what is passed on weighs over `faint`.
 

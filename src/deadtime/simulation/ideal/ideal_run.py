@@ -8,8 +8,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import read_only
-from deadtime.feedback import Forecast, Functional, Outlook
+from deadtime.feedback import Forecast, Functional
 from deadtime.feedback.table import require_finite_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem, Weight
@@ -98,44 +97,18 @@ class Segments(NamedTuple):
     inputs: np.ndarray
 
 
-class Believed(NamedTuple):
-    """A `Forecast` on the segments, for the compiled march: `here` and `path` are its systems at
-    the middle of a segment and a lead after it; `twin` the one that is a mode of the plant, or −1.
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    lead: float
-    branches: np.ndarray
-    gains: np.ndarray
-    here: np.ndarray
-    path: np.ndarray
-    until: np.ndarray
-    foresees: bool
-    lift: np.ndarray
-    twin: np.ndarray
-
-
 def run_ideal(
     plant: SwitchedSystem,
-    law: Forecast | Functional | Outlook,
+    law: Functional | Forecast,
     signal: SwitchingSignal,
     x0: Float[np.ndarray, " n"],
     horizon: float,
     history: InputHistory,
 ) -> tuple[IdealRecord, float | None]:
     """Solve the loop on [0, horizon]; return the record, and where it ended if it diverged."""
-    if isinstance(law, Forecast):
-        from deadtime.numerics.exponential import discretise_modes
+    from deadtime.simulation.ideal.branch_march import ReadsAgain
 
-        ahead, _ = discretise_modes(*_contiguous(law), law.lead)
-        require_finite_gains(ahead)
-    elif isinstance(law, Functional):
-        require_finite_gains(law.F)
-    if not isinstance(law, Outlook):
-        return _solve(plant, law, signal, x0, horizon, history, rereads=False)
-    from deadtime.simulation.ideal.outlooks import ReadsAgain
-
+    require_finite_gains(law.settled.F)
     try:
         return _solve(plant, law, signal, x0, horizon, history, rereads=False)
     except ReadsAgain:
@@ -144,7 +117,7 @@ def run_ideal(
 
 def _solve(
     plant: SwitchedSystem,
-    law: Forecast | Functional | Outlook,
+    law: Functional | Forecast,
     signal: SwitchingSignal,
     x0: Float[np.ndarray, " n"],
     horizon: float,
@@ -163,13 +136,9 @@ def _solve(
     line = Segments(edges, begin, stop, signal(run), inputs)
     moving = SegmentPlant(plant.A, plant.B, plant.delays)
     if isinstance(law, Forecast):
-        from deadtime.simulation.ideal.segment_march import march
+        from deadtime.simulation.ideal.branch_march import march_branches
 
-        states, done = march(moving, line, _believed(law, middles, plant), x0, nodes)
-    elif isinstance(law, Outlook):
-        from deadtime.simulation.ideal.outlooks import march_outlook
-
-        states, done = march_outlook(moving, line, law, x0, nodes, rereads)
+        states, done = march_branches(moving, line, law, x0, nodes, rereads)
     else:
         from deadtime.simulation.ideal.window_march import march_windows, windows_of
 
@@ -185,26 +154,3 @@ def _solve(
         ),
         end,
     )
-
-
-def _believed(forecast: Forecast, middles: np.ndarray, plant: SwitchedSystem) -> Believed:
-    """A forecast on the segments around these times."""
-    run = np.maximum(middles, 0.0)
-    twins = [[i for i, A in enumerate(forecast.A) if np.array_equal(A, own)] for own in plant.A]
-    return Believed(
-        *_contiguous(forecast),
-        forecast.lead,
-        forecast.branches,
-        np.ascontiguousarray(forecast.gains(run)),
-        forecast.path(run),
-        forecast.path(np.maximum(middles + forecast.lead, 0.0)),
-        forecast.until(run),
-        forecast.foresees,
-        np.eye(plant.states) if forecast.lift is None else forecast.lift,
-        np.array([twin[0] if twin else -1 for twin in twins]),
-    )
-
-
-def _contiguous(forecast: Forecast) -> tuple[np.ndarray, np.ndarray]:
-    """The forecast's A and B as the compiled code needs them."""
-    return read_only(forecast.A), read_only(forecast.B)

@@ -69,8 +69,8 @@ def feedback_through_rereading(
 ) -> Float[np.ndarray, "m columns"]:
     """What a branch sends at t on segment g, a row per input: 1, then u of the nodes, (p, m).
 
-    `line` and `branch` are those of `deadtime.simulation.ideal.outlooks`; no piece is longer than
-    `longest` seconds.
+    `line` and `branch` are those of `deadtime.simulation.ideal.branch_march`; no piece is longer
+    than `longest` seconds.
     """
     m, near = branch.K.shape[1], 1e-13 * (1.0 + abs(t))
     columns = 1 + nodes.points.size * m

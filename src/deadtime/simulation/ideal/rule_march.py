@@ -1,27 +1,25 @@
 """The ideal loop under a rule: exact prediction where the state switches the plant.
 
-With the plant as its model the law knows x(t + D), and u(t) = K_σ(t+D) x(t + D) reaches the plant
-as x gets there. So, with what is in the delay line held piece by piece,
+With the plant as its model the law knows x ahead, so that what it sends to input j is K_i,j x of
+where it is first read, by the mode i of that instant: with one delay x' = (A_σ + B_σ K_σ) x from D
+on, σ = r(x). Where delays differ between modes it is a delay equation. A mode with a longer delay
+than the one before reads once more what was read already, and one with a shorter delay finds
+samples that are overdue: they are K_i,j x of where it is entered. So x is marched by the method of
+steps. On a piece every mode i either reads input j anew, as K_i,j x, or reads what is known by now,
+a polynomial v of time,
 
-    x' = A_σ x + B_σ u₀(t − D),    0 ≤ t < D,        x' = (A_σ + B_σ K_σ) x,    t ≥ D,
+    x' = (A_i + Σ_{j anew} b_i,j K_i,j) x + Σ_{j known} b_i,j v_j(t − D_i,j),
 
-σ = r(x): two plants under held inputs, which a `Motion` moves from crossing to crossing. Where
-every input has its own delay, the same D_j in all modes, u_j(t) = K_σ,j x(t + D_j) with the σ of
-t + D_j reaches it likewise, and there is one plant more for every further delay,
-
-    x' = A_σ x + Σ_{j: D_j ≤ t} b_σ,j K_σ,j x + Σ_{j: D_j > t} b_σ,j u₀,j(t − D_j).
-
-(Where an input's delay differs between modes a mode may read once more what was read already, as
-K x of then: a delay equation, see `rule_rereading`.) Along a boundary at which both closed loops
-point σ jumps without end, u with it, and x follows Filippov's mean of the two; the mode and the
-input that are reported there are those of the mode it came from.
-States are kept as polynomials on segments, as those of every ideal loop.
+and a polynomial solves w₀' = w₁, w₁' = w₂, …, w₀ = v: with these as further states, which the rule
+does not see, the plant is one under no input, and a `Motion` finds where it crosses and slides.
+Pieces end where what any mode reads bends, and wherever the mode changes; a piece that is shorter
+than the motion's is cut off it. Along a boundary that x slides along both modes read; the mode and
+the input that are reported there are those of the mode it came from.
 """
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -30,54 +28,45 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.laws import StateDependentPredictor
-from deadtime.laws.state_dependent import final_place
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import RunOutcome
-from deadtime.simulation.ideal.breakpoints import merge, subdivide
 from deadtime.simulation.ideal.ideal_run import NODES, IdealRecord
 from deadtime.simulation.ideal.piecewise import Piecewise, side_by_side
 from deadtime.simulation.ideal.rule_parts import RulePart, no_loop, outcome_of
+from deadtime.simulation.ideal.sent import Sent, with_edge
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.switching import Rule
-from deadtime.switching.rules.motion import Beside, Motion
+from deadtime.switching.rules.motion import Beside, Leg, Motion, Move
 
-_PIECE, _SEGMENT = (
-    4.0,
-    1.0,
-)  # lengths, times the fastest rate: of what is moved over, of polynomials
-_MOST_PIECES = 1e6
-_SAME = 1e-12  # of the time: edges that close are one
+_PIECE = 1.0  # longest, times the fastest rate; half of it where polynomials are read again
+_LINE = 4.0  # longest piece of what is in the delay line, likewise
+_STRETCH = 4.0  # w_k = v⁽ᵏ⁾ (length/4)ᵏ, so that none is large
+_NEAR = 1e-13  # of the time
+_MOST_TURNS = 20  # of the mode, at one instant
+MOST_PIECES = 100_000
+_ROUGH = 4  # nodes for what modes would read that are not in force
+_SHORTEST = 40  # halvings of the longest piece
+_FINEST = 64  # parts of the longest piece: no shorter for modes that are not in force
 
 
-class _InputStage(NamedTuple):
-    """A stretch of time over which the same inputs have arrived.
+class _Known(NamedTuple):
+    """What some modes read of input j, `delay` seconds late: how many of the w it takes."""
 
-    arrived : (m,)
-        Whether what an input reads is the law's own.
-    edges : (pieces + 1,)
-        Of the pieces over which what has been in the line is held, seconds.
-    lengths, kinds : tuple, (pieces,)
-        The lengths that pieces have, and which of them each has.
-    held : (pieces, m)
-        What is read from the line, 0 for inputs that have arrived.
+    j: int
+    delay: float
+    size: int
+
+
+class _Readings(NamedTuple):
+    """What is read on a piece.
+
+    anew : (modes, m), whether a mode reads what no mode has read before
+    reader : (m,), the mode in force that does, −1 where none does
     """
 
-    arrived: np.ndarray
-    edges: np.ndarray
-    lengths: tuple[float, ...]
-    kinds: np.ndarray
-    held: np.ndarray
-
-
-class _RuleMarch(NamedTuple):
-    """Parts of a run; state, place and boundary at their end; and what keeps it from going on."""
-
-    parts: list[RulePart]
-    x: np.ndarray
-    place: int
-    beside: Beside | None
-    stop: str = ""
+    anew: np.ndarray
+    reader: np.ndarray
 
 
 def run_ideal_rule(
@@ -89,49 +78,31 @@ def run_ideal_rule(
     u0: InitialInput,
 ) -> RunOutcome:
     """Solve the loop on [0, horizon]."""
-    delays, gains = plant.delays[0], _exact_gains(plant, law, rule)
-    if not (plant.delays == delays).all():
-        from deadtime.simulation.ideal.rule_rereading import (
-            MOST_PIECES,
-            PIECE,
-            run_rereading_rule,
-        )
-
-        rate = _rate(np.abs(plant.A) + np.abs(plant.B) @ np.abs(gains))
-        _require_room(plant, horizon, PIECE / rate, MOST_PIECES)
-        return run_rereading_rule(plant, gains, rule, x0, horizon, _line(plant, u0, rate), rate)
-    arrivals = np.unique(delays).tolist()
-    arrived = [delays <= time for time in (0.0, *arrivals)]
-    loops = [plant.A + plant.B @ (gains * own[:, None]) for own in arrived]
-    rate = max(_rate(A) for A in loops)
-    _require_room(plant, horizon, _PIECE / rate, _MOST_PIECES)
+    gains = _exact_gains(plant, law, rule)
+    rate = _rate(np.abs(plant.A) + np.abs(plant.B) @ np.abs(gains))
+    alike = (plant.delays == plant.delays[0]).all()
+    longest = (_PIECE if alike else _PIECE / 2.0) / rate
+    _require_room(plant, horizon, longest)
     line = _line(plant, u0, rate)
-    stages = [
-        *(_waiting(line, delays, *ends) for ends in pairwise((0.0, *arrivals))),
-        _closed(plant, horizon, rate),
-    ]
-    motions = [
-        rule.motion(plant.like(A, plant.B), stage.lengths)
-        for A, stage in zip(loops, stages, strict=True)
-    ]
-    march = _march(motions[0], stages[0], x0, motions[0].place_of(x0))
-    for q, stage in enumerate(stages[1:], 1):
-        if march.stop:
-            break
-        fresh = gains * (stage.arrived & ~stages[q - 1].arrived)[:, None]
-        at = march.x, march.place, march.beside
-        place = final_place(motions[q - 1], fresh, *at, stage.held[0])
-        rest = _march(motions[q], stage, march.x, place)
-        march = rest._replace(parts=march.parts + rest.parts)
-    return _outcome(plant, gains, march, line, horizon, rate)
+    march = _RuleMarch(plant, gains, rule, x0, horizon, line, longest)
+    while not march.stop and min(each.newest for each in march.sent) < horizon:
+        march.read()
+        march.advance()
+    end = min(horizon, min(each.newest for each in march.sent))
+    if march.stop and (not march.parts or end <= 0.0):
+        raise no_loop(march.stop, plant.longest_delay)
+    states = Piecewise(np.array(march.edges), np.array(march.states))
+    inputs = side_by_side([each.until(end) for each in march.sent])
+    record = IdealRecord(plant, with_edge(states, end), inputs)
+    return outcome_of(record, march.parts, end, march.stop)
 
 
-def _require_room(plant: SwitchedSystem, horizon: float, piece: float, most: float) -> None:
+def _require_room(plant: SwitchedSystem, horizon: float, piece: float) -> None:
     """Refuse a horizon that takes too many pieces."""
-    if horizon + plant.longest_delay > piece * most:
+    if horizon + plant.longest_delay > piece * MOST_PIECES:
         raise ArgumentError(
             f"horizon = {horizon:g} s is too long for the ideal loop, more than "
-            f"{most:.0e} pieces of {piece:.1e} s: shorten it, or give a step."
+            f"{MOST_PIECES:.0e} pieces of {piece:.1e} s: shorten it, or give a step."
         )
 
 
@@ -181,109 +152,217 @@ def _line(plant: SwitchedSystem, u0: InitialInput, rate: float) -> Float[np.ndar
     history = input_function(u0, plant.inputs, longest)
     held = max(history.jumps.size, 1)
     middles = -longest * (np.arange(held, 0, -1) - 0.5) / held
-    each = math.ceil(longest * rate / held / _PIECE)
+    each = math.ceil(longest * rate / held / _LINE)
     return np.repeat(history.function(middles), max(each, 1), axis=0)
 
 
-def _waiting(line: np.ndarray, delays: np.ndarray, begin: float, end: float) -> _InputStage:
-    """The stage from one arrival to the next: some inputs still read what was in the line."""
-    arrived, longest = delays <= begin, delays.max()
-    sent = np.linspace(-longest, 0.0, len(line) + 1)
-    edges = merge(np.add.outer(delays[~arrived], sent).ravel(), begin, end)
-    lengths, kinds = tuple(np.diff(edges).tolist()), np.arange(edges.size - 1)
-    even = np.linspace(begin, end, edges.size)
-    if np.abs(edges - even).max() <= _SAME * longest:
-        edges, lengths, kinds = even, ((end - begin) / kinds.size,), np.zeros_like(kinds)
-    ago = delays - (edges[:-1] + edges[1:])[:, None] / 2.0
-    place = np.floor((1.0 - ago / longest) * len(line)).astype(int)
-    read = np.take_along_axis(line, np.clip(place, 0, len(line) - 1), axis=0)
-    return _InputStage(arrived, edges, lengths, kinds, np.where(arrived, 0.0, read))
+class _RuleMarch:
+    """A run on its way: x at t and where it is, what has been sent, and what there is to report."""
 
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        gains: np.ndarray,
+        rule: Rule,
+        x0: np.ndarray,
+        horizon: float,
+        line: np.ndarray,
+        longest: float,
+    ) -> None:
+        self.plant, self.gains, self.rule = plant, gains, rule
+        self.horizon, self.longest = horizon, longest
+        self.t, self.x, self.stop = 0.0, x0.copy(), ""
+        self.edges, self.states, self.parts = [0.0], [], []
+        self.sent = [Sent.before(each, plant.longest_delay) for each in line.T]
+        self._motions: dict[tuple, Motion] = {}
+        self._places = rule.motion(plant, (longest,))
+        self._turns, self._reader = 0, np.full(plant.inputs, -1)
+        self._unit = _units_of_inputs(plant, longest)
+        self._go(self._places.place_of(x0), None)
 
-def _closed(plant: SwitchedSystem, horizon: float, rate: float) -> _InputStage:
-    """The stage from the last arrival on, up to that of what is sent at the horizon."""
-    pieces = math.ceil(horizon * rate / _PIECE)
-    edges = np.linspace(plant.longest_delay, plant.longest_delay + horizon, pieces + 1)
-    held, kinds = np.zeros((pieces, plant.inputs)), np.zeros(pieces, dtype=int)
-    return _InputStage(np.ones(plant.inputs, dtype=bool), edges, (horizon / pieces,), kinds, held)
+    def _go(self, place: int, beside: Beside | None) -> None:
+        """Go on from t in a place; what is sent from there on bends."""
+        here = [place] if beside is None else [place, beside.place]
+        self.place, self.beside, self._order = place, beside, 1
+        self._modes = [self._places.mode_of(each) for each in here]
 
+    @property
+    def _near(self) -> float:
+        return _NEAR * (1.0 + self.t)
 
-def _march(motion: Motion, stage: _InputStage, x: np.ndarray, place: int) -> _RuleMarch:
-    """Move over the pieces of a stage."""
-    from deadtime.simulation.loop_arrays import LIMIT
+    def read(self) -> None:
+        """Let the modes in force read what is overdue: it is K x of now."""
+        for i in self._modes:
+            for j, sent in enumerate(self.sent):
+                until = self.t - self.plant.delays[i, j]
+                if until > sent.newest + self._near:
+                    sent.bend(0)
+                    value = float(self.gains[i, j] @ self.x)
+                    sent.send(until, np.full(NODES + 2, value), held=True)
+                    self._reader[j] = -1
 
-    edges = stage.edges.tolist()
-    parts: list[RulePart] = []
-    beside = None
-    pieces = zip(edges[:-1], edges[1:], stage.kinds.tolist(), stage.held, strict=True)
-    for a, b, kind, u in pieces:
-        move = motion.advance(kind, x, place, u, beside)
-        if not np.abs(move.x).max() <= LIMIT:
-            return _RuleMarch(
-                parts, x, place, None, f"diverged: |x| leaves 1e100 before t = {b:g} s"
+    def _readings(self) -> _Readings:
+        """Who reads what from t on, for as long as the mode stays what it is."""
+        delays = self.plant.delays
+        newest = np.array([sent.newest for sent in self.sent]) - self._near
+        first = delays[self._modes].argmin(axis=0)
+        shortest = delays[self._modes].min(axis=0)
+        moves = self.t - shortest >= newest
+        anew = np.where(moves, delays <= shortest + self._near, self.t - delays >= newest)
+        return _Readings(anew, np.where(moves, np.array(self._modes)[first], -1))
+
+    def _until(self, readings: _Readings) -> tuple[float, int | None]:
+        """Where the piece from t on ends at the latest, and which derivative of x jumps there."""
+        cuts: list[tuple[float, int | None]] = [(self.t + self.longest, None), (self.horizon, None)]
+        for j, sent in enumerate(self.sent):
+            i = readings.reader[j]
+            if i >= 0:
+                cuts.append((self.horizon + self.plant.delays[i, j], None))
+            here = self._delays_of_known(readings, j, self._modes)
+            for delay in self._delays_of_known(readings, j, list(range(self.plant.modes))):
+                cut = sent.newest + delay
+                if delay in here:
+                    cuts.append((cut, None if i >= 0 else 1))
+                else:
+                    cuts.append((max(cut, self.t + self.longest / _FINEST), None))
+            for delay in here:
+                cuts += [(time + delay, order + 1) for time, order in sent.bends]
+        ahead = [cut for cut in cuts if cut[0] > self.t + self._near]
+        end = min(time for time, _ in ahead)
+        orders = [order for time, order in ahead if time <= end + self._near and order is not None]
+        return end, min(orders, default=None)
+
+    def advance(self) -> None:
+        """Move over one piece, or up to where the mode changes."""
+        if len(self.parts) > MOST_PIECES:
+            raise ArgumentError(
+                "step must be given: the ideal loop under this rule takes more than "
+                f"{MOST_PIECES} pieces: shorten the horizon, make delays that hardly differ equal, "
+                "or give a step."
             )
-        stop = ""
-        if move.chatter is not None:
-            b = a + move.chatter.time
-            stop = f"chattering at t = {b:.12g} s: {move.chatter.reason}"
-        starts = [min(a + leg.time, b) for leg in move.legs]
-        ends = [*starts[1:], b]
-        parts += [
-            RulePart(start, until, motion, leg, u)
-            for start, until, leg in zip(starts, ends, move.legs, strict=True)
-            if until > start
-        ]
-        x, place, beside = move.x, move.place, move.beside
-        if stop:
-            return _RuleMarch(parts, x, place, None, stop)
-    return _RuleMarch(parts, x, place, beside)
+        readings = self._readings()
+        end, order = self._until(readings)
+        known = self._known(readings, end)
+        length = self.longest
+        while length * 0.5 >= end - self.t and length > self.longest * 0.5**_SHORTEST:
+            length *= 0.5
+        motion = self._motion(readings, known, length)
+        z = np.concatenate([self.x, *(self._derivatives(each, end, length) for each in known)])
+        move = motion.advance(0, z, self.place, np.zeros(self.plant.inputs), self.beside)
+        self._take(motion, move, readings, end, order)
+
+    def _delays_of_known(self, readings: _Readings, j: int, modes: list[int]) -> list[float]:
+        """How late some modes read of input j what is known."""
+        own = self.plant.delays[modes, j]
+        return np.unique(own[~readings.anew[modes, j]]).tolist()
+
+    def _known(self, readings: _Readings, end: float) -> list[_Known]:
+        """What modes read up to `end` of what is known.
+
+        What others than those in force would read says on which side of a boundary they lead, no
+        more: when they are in force the piece begins anew. Where their delays hardly differ it is
+        the newest that is known.
+        """
+        known = []
+        for j, sent in enumerate(self.sent):
+            here = self._delays_of_known(readings, j, self._modes)
+            for delay in self._delays_of_known(readings, j, list(range(self.plant.modes))):
+                middle, half = 0.5 * (self.t + end) - delay, 0.49 * (end - self.t)
+                held = sent.is_held(middle - half, middle + half)
+                known.append(_Known(j, delay, 1 if held else NODES if delay in here else _ROUGH))
+        return known
+
+    def _derivatives(self, known: _Known, end: float, length: float) -> np.ndarray:
+        """The w of what is read, at t."""
+        points, size = gauss(known.size).points, end - self.t
+        sent, times = self.sent[known.j], self.t + size * points - known.delay
+        values = sent.at(np.minimum(times, sent.newest)) / self._unit[known.j]
+        order = np.arange(known.size)
+        terms = np.linalg.solve(points[:, None] ** order, values)
+        factorials = np.array([math.factorial(k) for k in order.tolist()], dtype=float)
+        return terms * factorials * (length / size / _STRETCH) ** order
+
+    def _motion(self, readings: _Readings, known: list[_Known], length: float) -> Motion:
+        """The plant with what it reads as states of its own."""
+        key = readings.anew.tobytes(), tuple(known), length
+        if key not in self._motions:
+            (modes, n, m), extra = self.plant.B.shape, sum(each.size for each in known)
+            A, B = np.zeros((modes, n + extra, n + extra)), np.zeros((modes, n + extra, m))
+            own = self.plant.B * readings.anew[:, None]
+            A[:, :n, :n], B[:, :n] = self.plant.A + own @ self.gains, self.plant.B
+            at = n
+            for j, delay, size in known:
+                reads = ~readings.anew[:, j] & (self.plant.delays[:, j] == delay)
+                A[reads, :n, at] = self.plant.B[reads, :, j] * self._unit[j]
+                chain = np.arange(at, at + size - 1)
+                A[:, chain, chain + 1] = _STRETCH / length
+                at += size
+            self._motions[key] = self.rule.motion(self.plant.like(A, B), (length,), extra)
+        return self._motions[key]
+
+    def _take(
+        self, motion: Motion, move: Move, readings: _Readings, end: float, order: int | None
+    ) -> None:
+        """Take the first leg of a move, up to `end`."""
+        n, most = self.x.size, end - self.t
+        now = max(k for k, leg in enumerate(move.legs) if leg.time <= 0.1 * self._near)
+        leg, after = move.legs[now], move.legs[now + 1 : now + 2]
+        beyond = None if leg.beside is None else leg.beside.place
+        if (leg.place, beyond) != (
+            self.place,
+            None if self.beside is None else self.beside.place,
+        ):
+            self._turn(leg, n)
+            return
+        self._turns = 0
+        crosses = bool(after) and after[0].time <= most
+        lasts = after[0].time if crosses else most
+        if move.chatter is not None and move.chatter.time <= lasts:
+            lasts, crosses = move.chatter.time, False
+            self.stop = f"chattering at t = {self.t + lasts:.12g} s: {move.chatter.reason}"
+        if lasts > 0.0:
+            self._keep(motion, leg, readings, self.t + lasts if crosses or self.stop else end)
+        if crosses:
+            self.x = after[0].x[:n].copy()
+            self._go(after[0].place, after[0].beside)
+        else:
+            self._order = order
+            place = self._places.place_of(self.x)
+            if self.beside is None and self._places.mode_of(place) == self._modes[0]:
+                self.place = place
+
+    def _turn(self, leg: Leg, n: int) -> None:
+        """Change the mode at t itself."""
+        self._turns += 1
+        self.x = leg.x[:n].copy()
+        self._go(leg.place, leg.beside)
+        if self._turns > _MOST_TURNS:
+            self.stop = f"chattering at t = {self.t:.12g} s: modes change without end"
+
+    def _keep(self, motion: Motion, leg: Leg, readings: _Readings, end: float) -> None:
+        """Keep what x did from t to `end`, and what inputs were sent to make it so."""
+        from deadtime.simulation.loop_arrays import LIMIT
+
+        n, support, none = self.x.size, gauss(NODES).support, np.zeros(self.plant.inputs)
+        times = (end - self.t) * support
+        x = np.array([motion.along(leg, none, time)[:n] for time in times.tolist()])
+        self.parts.append(RulePart(self.t, end, motion, leg, none))
+        self.edges.append(end)
+        self.states.append(x)
+        for j, (sent, i) in enumerate(zip(self.sent, readings.reader.tolist(), strict=True)):
+            if i >= 0:
+                sent.bend(0 if i != self._reader[j] else self._order)
+                sent.send(end - self.plant.delays[i, j], x @ self.gains[i, j])
+        self._reader = readings.reader
+        self.t, self.x = end, x[-1].copy()
+        if not np.abs(x[-1]).max() <= LIMIT:
+            self.stop = f"diverged: |x| leaves 1e100 before t = {end:g} s"
 
 
-def _outcome(
-    plant: SwitchedSystem,
-    gains: np.ndarray,
-    march: _RuleMarch,
-    line: np.ndarray,
-    horizon: float,
-    rate: float,
-) -> RunOutcome:
-    """Lay the parts out as polynomials, and say what there is to say."""
-    parts, longest, stop = march.parts, plant.longest_delay, march.stop
-    reached = parts[-1].end if parts else 0.0
-    if stop and reached <= longest:
-        raise no_loop(stop, longest)
-    end = reached - longest if stop else horizon
-    edges, x, modes = _polynomials(parts, rate, end)
-    sent = _sent(plant.delays[0], edges, np.einsum("smn,spn->spm", gains[modes], x), line)
-    record = IdealRecord(plant, Piecewise(edges, x), sent)
-    return outcome_of(record, parts, end, stop)
+def _units_of_inputs(plant: SwitchedSystem, time: float) -> Float[np.ndarray, " m"]:
+    """Powers of two in which what inputs make of the states within a time is like these."""
+    from deadtime.numerics.exponential import balance
 
-
-def _polynomials(
-    parts: list[RulePart], rate: float, cut: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges of segments, one of them at `cut`, x at the nodes of each, and its mode."""
-    nodes = gauss(NODES)
-    edges, values, modes = [parts[0].begin], [], []
-    for part in parts:
-        ends = [part.begin, cut, part.end] if part.begin < cut < part.end else part[:2]
-        for a, b in pairwise(subdivide(np.array(ends), _SEGMENT / rate).tolist()):
-            times = a + (b - a) * nodes.support - part.begin
-            values.append([part.motion.along(part.leg, part.u, time) for time in times.tolist()])
-            modes.append(part.mode)
-            edges.append(b)
-    return np.array(edges), np.array(values), np.array(modes)
-
-
-def _sent(
-    delays: np.ndarray, edges: np.ndarray, feedback: np.ndarray, line: np.ndarray
-) -> Piecewise:
-    """All inputs: what was in the line, and K_σ x (segments, nodes, m) sent a delay before."""
-    before = np.linspace(-delays.max(), 0.0, len(line) + 1)
-    held = np.repeat(line[:, None], feedback.shape[1], axis=1)
-    each = []
-    for j, delay in enumerate(delays.tolist()):
-        first = int(np.searchsorted(edges, delay * (1.0 - 1e-15)))
-        times = np.concatenate((before, edges[first + 1 :] - delay))
-        each.append(Piecewise(times, np.concatenate((held, feedback[first:]))[..., j : j + 1]))
-    return side_by_side(each)
+    units = balance(np.abs(plant.A).sum(axis=0))
+    moved = time * np.abs(plant.B / units[:, None]).max(axis=(0, 1))
+    return 2.0 ** np.rint(-np.log2(np.where(moved > 0.0, moved, 1.0)))

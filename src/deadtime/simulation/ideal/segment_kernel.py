@@ -1,36 +1,29 @@
-"""The compiled loop of the ideal simulation: one segment after another.
+"""The kernels of the ideal simulation: one segment after another.
 
-Time is cut into segments on which everything is analytic. On a segment [a, b] in mode σ:
+Time is cut into segments on which everything is analytic. On a segment [a, b] in mode σ
 
-1. x solves dx/dt = A_σ x + B_σ u(t − D), whose input lies in the past (of every input its own
-   delay in mode σ).
-2. Each branch's prediction starts from P_b(a), summed afresh over the inputs in flight (so
-   that nothing drifts from segment to segment), and solves
+    dx/dt = A_σ x + B_σ u(t − D),
 
-       dP_b/dt = A_e P_b + B_e u(t) + M_b(t) r_b(t),
-       r_b = L (A_σ x + B_σ u(t − D)) − A_f L x − B_f u(t − D'),
-
-   D' the law's delay and L its lift (I, unless it predicts more than the state), f and e the
-   systems in which the branch starts (at t) and ends (at t + D'), M_b its transition from t to
-   t + D': the last term is how the plant, moving otherwise than the branch believes, shifts the
-   prediction. From a on M_b(t) = e^{A_e(t−a)} M_b(a) e^{−A_f(t−a)}.
-3. u = Σ_b K_b P_b turns this into a linear system for u at the nodes.
-
-Both differential equations are solved by variation of constants,
+whose input lies in the past (of every input its own delay in mode σ), and what a law predicts obeys
+such an equation, too. They are solved by variation of constants,
 
     y(t) = e^{A(t−a)} (y(a) + ∫_a^t e^{−A(θ−a)} f(θ) dθ),
 
 the integral from a to each Gauss node by collocation; a segment is so short that e^{−A(θ−a)} is
-far from losing digits. No system is solved but the one for u.
+far from losing digits. What is sought is u at the nodes, which solves a linear system.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from deadtime.numerics.exponential import discretise, product
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.loop_arrays import LIMIT
+
+_SAME = 1e-15  # of the run: lengths of segments so close are one
 
 
 @kernel(eager=True)
@@ -73,6 +66,20 @@ def sample(edges, values, support, barycentric, times, hint):
         i = locate(edges, times[k], i)
         c = (times[k] - edges[i]) / (edges[i + 1] - edges[i])
         interpolate(values, i, support, barycentric, min(max(c, 0.0), 1.0), result, k)
+    return result
+
+
+@kernel(eager=True)
+def arrivals(line, delays, times, nodes, hint):
+    """What acts at increasing times in a mode, u_j(t − D_j), (T, m)."""
+    edges, inputs = line.edges, line.inputs
+    known = inputs, nodes.support, nodes.barycentric
+    result = sample(edges, *known, times - delays[0], hint)
+    for j in range(1, delays.size):
+        if delays[j] != delays[0]:
+            other = sample(edges, *known, times - delays[j], hint)
+            for k in range(times.size):
+                result[k, j] = other[k, j]
     return result
 
 
@@ -129,6 +136,33 @@ def flows(A, length, points, forward, backward):
                     forward[k, i, j] += added
                     if k < back:
                         backward[k, i, j] += sign * added
+
+
+class Flows(NamedTuple):
+    """e^{A c} and e^{−A c} of systems over a segment, at its nodes; the first also at its end.
+
+    forward : (systems, p + 1, n, n);  backward : (systems, p, n, n)
+    length : (systems,), the segment's, −1 at first
+    """
+
+    forward: np.ndarray
+    backward: np.ndarray
+    length: np.ndarray
+
+
+@kernel(eager=True)
+def flows_of(systems, p, n):
+    """Room for the flows of so many systems."""
+    forward, backward = np.empty((systems, p + 1, n, n)), np.empty((systems, p, n, n))
+    return Flows(forward, backward, np.full(systems, -1.0))
+
+
+@kernel(eager=True)
+def renew(flow, s, A, length, points, horizon):
+    """The flows of a system over a segment, where it is not as long as the one before."""
+    if abs(length - flow.length[s]) > _SAME * horizon:
+        flows(A, length, points, flow.forward[s], flow.backward[s])
+        flow.length[s] = length
 
 
 @kernel(eager=True)

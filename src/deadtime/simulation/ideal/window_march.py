@@ -2,7 +2,7 @@
 
     u(t) = F_c x(t) + Σ_p C_c,p y_p(t),    y_p(t) = ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ, α_p to β_p,
 
-c the row that applies on a segment [a, b]. There x is solved first, as in `ideal.kernel`. Every
+c the row that applies on a segment [a, b]. There x is solved first, as in `segment_kernel`. Every
 y_p(a) is summed afresh over the inputs sent from a − β_p to a − α_p, so that nothing drifts from
 segment to segment, and then
 
@@ -18,22 +18,24 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadtime.base.checks import read_only
 from deadtime.feedback import Functional
-from deadtime.numerics.exponential import product
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.ideal.segment_kernel import (
     add_branch,
     add_product,
+    arrivals,
     convolve,
     end_branch,
     flows,
+    flows_of,
     hand_on,
     interpolate,
     locate,
+    renew,
     sample,
     solve_state,
 )
-from deadtime.simulation.ideal.segment_march import arrivals
 
 
 class Windows(NamedTuple):
@@ -136,25 +138,32 @@ def _solve_input(law, F, C, states, starts, shifts, forward, backward, length, n
 
 @kernel(eager=True)
 def march_windows(plant, line, law, x0, nodes):
-    """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`."""
+    """Solve the segments from `begin` on; u is sought before segment `stop`, x on all.
+
+    `plant` and `line` are those of `deadtime.simulation.ideal.ideal_run`, `nodes` those of
+    `collocation`. line.inputs (segments, p + 2, m) holds the history and receives u. Returns x
+    (segments, p + 2, n) and the number of segments done before |x| left the limit.
+    """
     edges, points, n, q = line.edges, nodes.points, x0.size, law.S.shape[1]
     segments, p, windows = edges.size - 1, points.size, law.near.size
     states, x = np.zeros((segments, p + 2, n)), x0.copy()
     whole, moved = np.zeros((segments, windows, q, q)), np.zeros((segments, windows, q))
-    forward, backward = np.empty((windows, p + 1, q, q)), np.empty((windows, p, q, q))
-    ahead, behind = np.empty((p + 1, n, n)), np.empty((p, n, n))
+    own, flow = flows_of(plant.A.shape[0], p, n), flows_of(windows, p, q)
+    forward, backward, end = flow.forward, flow.backward, edges[segments]
     starts, shifts = np.empty((windows, q)), np.empty((windows, p, q))
     for g in range(segments):
         length = edges[g + 1] - edges[g]
         if g < line.stop:
             for w in range(windows):
-                flows(law.S[w], length, points, forward[w], backward[w])
+                renew(flow, w, law.S[w], length, points, end)
                 whole[g, w] = forward[w, p]
         if g >= line.begin:
             times, i = edges[g] + length * points, line.mode[g]
             delayed = arrivals(line, plant.delays[i], times, nodes, g - 1)
-            flows(plant.A[i], length, points, ahead, behind)
-            solve_state(ahead, behind, plant.B[i], x, delayed, length, nodes, states[g])
+            renew(own, i, plant.A[i], length, points, end)
+            solve_state(
+                own.forward[i], own.backward[i], plant.B[i], x, delayed, length, nodes, states[g]
+            )
             if g < line.stop:
                 for w in range(windows):
                     _window_sum(line, law, w, g, whole, moved, nodes, starts[w])
@@ -174,11 +183,7 @@ def march_windows(plant, line, law, x0, nodes):
 
 def windows_of(law: Functional, middles: np.ndarray) -> Windows:
     """A `Functional` on the segments around these times, as the march takes it."""
-    from deadtime.numerics.exponential import discretise
-
-    leaving = np.empty_like(law.R)
-    for p in range(law.near.size):
-        product(discretise(law.S[p], law.R[p], law.far[p] - law.near[p])[0], law.R[p], leaving[p])
     sought = np.where(law.near[:, None, None] == 0.0, law.R, 0.0)
     row = law.row(np.maximum(middles, 0.0))
-    return Windows(law.F, law.C, law.S, law.R, law.near, law.far, leaving, sought, row)
+    own = law.F, law.C, law.S, law.R, law.near, law.far
+    return Windows(*map(read_only, (*own, law.leaving, sought, row)))

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import read_only, real_array, require_shape
+from deadtime.base.checks import read_only, real_array, require_probabilities, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.batch import SignalBatch
@@ -193,12 +193,7 @@ def check_probabilities(name: str, value: ArrayLike) -> Float[np.ndarray, "mode 
     table = real_array(name, value, "(modes, modes)", 2)
     require_shape(name, table, (len(table), len(table)), "(modes, modes)")
     for i, row in enumerate(table):
-        if row.min() < 0.0 or abs(row.sum() - 1.0) > 1e-9:
-            raise ArgumentError(
-                f"{name}[{i}] must be ≥ 0 and sum to 1, got {row.tolist()} with sum "
-                f"{row.sum():.10g}: give probabilities; if none is negative, divide them by "
-                "their sum."
-            )
+        require_probabilities(f"{name}[{i}]", row)
     return table
 
 

@@ -1,7 +1,7 @@
-"""The march under a law that is an `Outlook`: several delays, along signals that are believed in.
+"""The march under a law that is a `Forecast`: along signals that are believed in.
 
-On a segment x is solved first, as in `ideal.kernel`. At each of its Gauss nodes t the prediction of
-every branch is a functional of x(t) and of the inputs in flight, carried backwards from where an
+On a segment x is solved first, as in `segment_kernel`. At each of its Gauss nodes t the prediction
+of every branch is a functional of x(t) and of the inputs in flight, carried backwards from where an
 input is first read: over an interval in which the branch stays in a system, and every input is
 either in flight or under its own feedback,
 
@@ -18,12 +18,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.feedback.outlook import Outlook
+from deadtime.base.checks import read_only
+from deadtime.feedback import Forecast
 from deadtime.numerics.collocation import Nodes, gauss
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.ideal.rereading import feedback_through_rereading
-from deadtime.simulation.ideal.segment_kernel import flows, interpolate, locate, solve_alone
-from deadtime.simulation.ideal.segment_march import arrivals
+from deadtime.simulation.ideal.segment_kernel import (
+    arrivals,
+    flows,
+    interpolate,
+    locate,
+    solve_alone,
+)
 from deadtime.simulation.initial_input import refit
 from deadtime.simulation.loop_arrays import LIMIT
 
@@ -36,7 +42,7 @@ class ReadsAgain(Exception):
 
 
 class Branch(NamedTuple):
-    """What one branch believes on a segment: the `Outlook`'s systems, and when each begins."""
+    """What one branch believes on a segment: the `Forecast`'s systems, and when each begins."""
 
     A: np.ndarray
     B: np.ndarray
@@ -291,10 +297,10 @@ def _add_segment(
         )  # fmt: skip
 
 
-def march_outlook(
-    plant, line, law: Outlook, x0: np.ndarray, nodes: Nodes, rereads: bool
+def march_branches(
+    plant, line, law: Forecast, x0: np.ndarray, nodes: Nodes, rereads: bool
 ) -> tuple[np.ndarray, int]:
-    """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`.
+    """Solve the segments from `begin` on; arguments and answer as of `march_windows`.
 
     `rereads`: whether segments end where a prediction stops to read something again.
     """
@@ -304,6 +310,7 @@ def march_outlook(
     longest = float(np.diff(edges).max())
     few, short = gauss(_FEW), _SHORT * longest
     ends = refit(nodes.points, np.array([0.0, 1.0]))
+    A, B, delays, gains = map(read_only, (law.A, law.B, law.delays, law.gains))
     kept, use = _kept(law, segments), _use(nodes, n)
     places, able = kept.done.shape[0] // branches, np.empty(p, np.int8)
     for g in range(line.begin, segments):
@@ -316,8 +323,8 @@ def march_outlook(
             starts, systems = law.signals(edges[g] + length / 2.0)
             into = _room(starts.shape[1], m)
             for b in range(branches):
-                own = law.gains[b], float(law.weights[b]), starts[b], systems[b]
-                branch = Branch(law.A, law.B, law.delays, *own)
+                signal = read_only(starts[b]), read_only(systems[b])
+                branch = Branch(A, B, delays, gains[b], law.weights[b], *signal)
                 _add_segment(
                     line, g, times, branch, states[g], nodes, few, short, into, kept, b * places,
                     use, matrix, right, able,
@@ -345,7 +352,7 @@ def _room(parts: int, m: int) -> Intervals:
     return Intervals(np.empty(most + 1), *whole, np.empty(m, np.int64), np.empty(m, np.int64))
 
 
-def _kept(law: Outlook, segments: int) -> Kept:
+def _kept(law: Forecast, segments: int) -> Kept:
     """Room for what whole segments bring about."""
     branches, systems, m, n = law.gains.shape
     places = branches * systems * 2**m
