@@ -12,8 +12,8 @@ from deadtime.identification.hidden.choice import Fitted
 from deadtime.identification.hidden.hidden_sentences import TriedNumbers, of_numbers
 from deadtime.identification.hidden.identify_hidden import _chosen
 from deadtime.identification.hidden.mode_numbers import numbers_of
-from deadtime.identification.hidden.mode_periods import EvenPeriods
 from deadtime.identification.hidden.starts import drawn_start, stretches_of
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
 from synthetic_logs import Plant, oscillator

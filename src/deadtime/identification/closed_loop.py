@@ -26,9 +26,9 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.levels import without_level
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.noisy.noise import begun_with_noise, estimated_of
 from deadtime.identification.noisy.noise_intervals import exact_holds
 from deadtime.identification.peaks import plausible_fall
@@ -71,7 +71,8 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
         own = log.evaluate_in(*bounds)(cells)(best.theta).value
         curves[row][cell - first] = max(curves[row][cell - first], own)
         vectors[row][cell - first] = best.theta
-    start = Start(best.theta[: log.layout.size], cells, first, np.array(curves), np.array(vectors))
+    told = np.array(curves), log.acting.size, np.array(vectors)
+    start = Start(best.theta[: log.layout.size], cells, first, *told)
     return estimated_of(log, best, window, start)
 
 
@@ -98,7 +99,7 @@ def _anew(
     """The same of a whole log, where a part of it leaves a cell plausible."""
     evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
     fall = values.max() - values
-    near = np.flatnonzero(fall <= plausible_fall(log, every.size, 1.0))
+    near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
     found = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
     most = max(one.found.value for one in found.values())
     return [

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
 from deadtime.identification.intervals import Spread
-from deadtime.identification.maximum import Likelihood, maximise
+from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.maximum import maximise
 from deadtime.identification.peaks import over_other_peaks
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
@@ -33,7 +33,7 @@ def delay_intervals(
     for row, (a, own) in enumerate(zip(place.tolist(), error.tolist(), strict=True)):
         D, reach = float(best.theta[a]), float(spread.reach[a])
         near = log.recording.even and _to_kink(D, log.recording.step) < _NEAR * own
-        if near and not isinstance(log, HiddenNoisyLog):  # whose profile takes minutes
+        if near and log.profiled:
             result[row] = [_profile_end(log, best, window, spread, a, own * s) for s in (-1, 1)]
         else:
             result[row] = D - reach * own, D + reach * own

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.intervals import Spread
-from deadtime.identification.maximum import Likelihood
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
@@ -27,9 +27,11 @@ class Estimate(Frozen):
     several : (delays,), whether an interval holds other peaks; start : the first guess
     disturbance : (modes, n, n), W of each mode, x² per second
     noise : (p,), standard deviations of the sensors
+    noise_errors : standard errors of W's diagonal, mode by mode, then of the sensors' variances
     spare : (modes,), how many periods each W rests on beyond those that the matrices cost
     ends : (unknowns, 2), of intervals of A and B where delays are open; None elsewhere
     white : of every log, the whitened residuals, NaN where there are none
+    of_outputs : the likelihood, where states were found from outputs alone
     """
 
     log: Likelihood
@@ -42,13 +44,9 @@ class Estimate(Frozen):
     start: Start
     disturbance: Float[np.ndarray, "mode n n"]
     noise: Float[np.ndarray, " p"]
+    noise_errors: Float[np.ndarray, " variance"]
     spare: Int[np.ndarray, " mode"]
     tests: ResidualTests
     white: tuple[Float[np.ndarray, "sample p"], ...]
     ends: Float[np.ndarray, "unknown 2"] | None = None
-
-    @property
-    def of_outputs(self) -> NoisyLog | None:
-        """The likelihood, where states were found from outputs alone."""
-        log = self.log
-        return log if isinstance(log, NoisyLog) and log.embedding is not None else None
+    of_outputs: NoisyLog | None = None

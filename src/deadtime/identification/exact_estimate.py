@@ -9,9 +9,10 @@ from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import spread_of
 from deadtime.identification.levels import without_level
+from deadtime.identification.likelihoods.exact_log import ExactLog
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import ExactLog, maximise
-from deadtime.identification.noisy.noise import continuous
+from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy.noise import continuous, intensity_errors
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import concentrated
@@ -56,6 +57,7 @@ def estimate_exactly(
         within,
         np.linalg.cholesky(covariances),
     )
+    W = continuous(plant.A, covariances, recording.step)
     return Estimate(
         log=log,
         best=best,
@@ -65,8 +67,9 @@ def estimate_exactly(
         intervals=intervals,
         several=several,
         start=start,
-        disturbance=continuous(plant.A, covariances, recording.step),
+        disturbance=W,
         noise=np.zeros(layout.n),
+        noise_errors=intensity_errors(plant.A, W, recording.step, spare),
         spare=spare,
         tests=judge_residuals(white, recording, plant.longest_delay),
         white=tuple(white),

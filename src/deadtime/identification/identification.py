@@ -78,7 +78,7 @@ class Identification(Findings):
         """What there is to hand over of an estimate; `why` there is no switching model."""
         from deadtime.identification.results.filter_noise import filter_noise
 
-        Unknowns(found, recording.step).require_inside()
+        Unknowns(found).require_inside()
         rest = rest_of(found, np.linalg.pinv(C))
         odd = odd_readings(found, recording, C)
         fit = cls(

@@ -124,7 +124,7 @@ class Findings(Frozen):
 
     @cached_property
     def _unknowns(self) -> Unknowns:
-        return Unknowns(self._found, self.step)
+        return Unknowns(self._found)
 
     def estimate(self, name: str) -> float:
         """The likeliest value of one unknown, by its name; see `interval`."""

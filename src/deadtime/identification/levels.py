@@ -18,23 +18,20 @@ is left over is an offset of each.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import inverse
+from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.log.recording import Level, Recording
 from deadtime.identification.log.rest import rest_rows
 from deadtime.identification.parameters import Layout
 from deadtime.plant import OperatingPoint
 
-if TYPE_CHECKING:
-    from deadtime.identification.estimate import Estimate
-    from deadtime.identification.maximum import ExactLog
-    from deadtime.identification.noisy.likelihood import NoisyLog
-
-    _Log = TypeVar("_Log", ExactLog, NoisyLog)
+_Log = TypeVar("_Log", bound=Likelihood)
 
 CHANCE = 1e-3  # that constant terms are taken for such though there are none
 _SELDOM = 1e-6  # the same where noise has to be told, too

@@ -18,8 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.intervals import LEVEL, Spread, inverse
-from deadtime.identification.maximum import ExactLog, Likelihood, stride_of
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.peaks import fresh_rise, plausible_fall
 from deadtime.identification.scoring import Maximum, climb
 from deadtime.identification.start import Start
@@ -35,12 +34,11 @@ def ends_over_peaks(
     None where no delay has several peaks. Of several delays that have, the others stay in their
     cells, and intervals are joined.
     """
-    if not isinstance(log, ExactLog | NoisyLog):
-        return None
     place = np.arange(log.layout.size)[log.layout.at_delays]
     found = []
     for row, curve in enumerate(start.scanned):
-        level = curve.max() - plausible_fall(log, curve.size, float(spread.inflation[place[row]]))
+        given = log.layout, start.weights, curve.size, float(spread.inflation[place[row]])
+        level = curve.max() - plausible_fall(*given)
         top = int(curve.argmax())
         if any(fresh_rise(side, level) is not None for side in (curve[top::-1], curve[top:])):
             near = np.flatnonzero(curve >= level)
@@ -52,7 +50,7 @@ def ends_over_peaks(
 
 
 def _mixed(
-    log: ExactLog | NoisyLog,
+    log: Likelihood,
     best: Maximum,
     spread: Spread,
     row: int,
@@ -70,12 +68,12 @@ def _mixed(
         theta = theta if begins is None else begins[k]
         low[place] = np.maximum((own - 1) * h, log.bounds[0])
         high[place] = np.minimum(own * h, log.bounds[1])
-        found = climb(evaluate_in(own), theta, low, high, gain=_GAIN, stride=stride_of(log))
+        found = climb(evaluate_in(own), theta, low, high, gain=_GAIN, stride=log.stride)
         if not np.isfinite(found.found.value):
             continue
         F = found.found.information.copy()
         F[place[row], place[row]] += 12.0 / h**2
-        told = np.arange(size) if isinstance(log, ExactLog) else log.told(found.theta, F)
+        told = log.told(found.theta, F)
         try:
             covariance = inverse(F[np.ix_(told, told)])[:size, :size]
         except np.linalg.LinAlgError:

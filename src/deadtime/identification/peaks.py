@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.identification.intervals import LEVEL
-from deadtime.identification.maximum import Likelihood
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.parameters import Layout
 from deadtime.identification.start import Start
 
 _PROFILE = 3.841458820694124  # χ² of one degree of freedom at 95 %
@@ -17,7 +17,7 @@ def over_other_peaks(
 ) -> np.ndarray:
     """An interval and all beyond it up to the last cell that a fresh rise makes plausible."""
     h, curve = log.recording.step, start.scanned[row]
-    fall = plausible_fall(log, curve.size, inflation)
+    fall = plausible_fall(log.layout, start.weights, curve.size, inflation)
     ends = interval.copy()
     first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
     last = max(int(np.ceil(interval[1] / h - 1e-9)) - start.first, 0)
@@ -37,20 +37,14 @@ def over_other_peaks(
     return np.clip(ends, *log.bounds)
 
 
-def plausible_fall(log: Likelihood, cells: int, inflation: float) -> float:
+def plausible_fall(layout: Layout, weights: int, cells: int, inflation: float) -> float:
     """How far below the likeliest cell's log likelihood a plausible one's is at most.
 
-    A cell's two weights per state are free in each mode that has the delay; with noisy sensors one
-    per state that inputs act on. Of as many cells as there are each may be the likeliest by chance,
-    so that the level is Bonferroni's.
+    A cell's weights are free in each mode that has the delay. Of as many cells as there are each
+    may be the likeliest by chance, so that the level is Bonferroni's.
     """
     from scipy.stats import chi2
 
-    layout = log.layout
-    weights = 2 * layout.n
-    if isinstance(log, NoisyLog):
-        shape = log.embedding
-        weights = layout.n if shape is None or shape.zeros else len(log.C)
     free = weights * (1 if layout.per_mode else layout.modes)
     return 0.5 * inflation * float(chi2.isf((1.0 - LEVEL) / cells, free))
 

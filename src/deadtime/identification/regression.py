@@ -93,6 +93,11 @@ def log_density(
     return -0.5 * ((white**2).sum(axis=0) + constant)
 
 
+def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"]) -> np.ndarray:
+    """R with RᵀR = Σ w z zᵀ, R triangular."""
+    return np.asarray(np.linalg.qr(np.sqrt(weight)[:, None] * z, mode="r"))
+
+
 class LagRoots(NamedTuple):
     """An evenly sampled log, as roots over x_{k+1}, x_k and u_{k−low}, …, u_{k−high} per mode.
 

@@ -32,6 +32,7 @@ class Start(NamedTuple):
 
     theta : of the `Layout`; cells : of each of its delays
     scanned : (delays, cells), log likelihood, the others in their cells, from cell `first` on
+    weights : of each input, how many are free in each of its cells, mode by mode
     vectors : (delays, cells, size), where it is so large, if a maximum was sought in each cell
     """
 
@@ -39,6 +40,7 @@ class Start(NamedTuple):
     cells: Int[np.ndarray, " delay"]
     first: int
     scanned: Float[np.ndarray, "delay cell"]
+    weights: int
     vectors: Float[np.ndarray, "delay cell unknown"] | None = None
 
 
@@ -55,7 +57,7 @@ def start_of(
     require_enough(recording, layout, count, last * h)
     P = [scan.weights(i, one) for i, one in enumerate(own)]
     theta = plant_of(P, layout.spread(cells), count, layout, h, bounds)
-    return Start(theta, cells, first, scanned)
+    return Start(theta, cells, first, scanned, 2 * layout.n)
 
 
 def _sums_of(

@@ -13,10 +13,10 @@ from deadtime.identification.noisy.noise_intervals import noise_interval
 
 
 class Unknowns:
-    """Those of an estimate, from a log of a sampling period `step`, seconds."""
+    """Those of an estimate."""
 
-    def __init__(self, found: Estimate, step: float) -> None:
-        self._found, self._step = found, step
+    def __init__(self, found: Estimate) -> None:
+        self._found = found
 
     @cached_property
     def places(self) -> dict[str, int]:
@@ -47,7 +47,7 @@ class Unknowns:
             low, high = found.intervals[place - layout.size + layout.delays]
             return float(low), float(high)
         if place >= layout.size:
-            return noise_interval(found, self._step, place - layout.size)
+            return noise_interval(found, place - layout.size)
         if found.ends is not None:
             low, high = found.ends[place]
             return float(low), float(high)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.noisy.filter_periods import noise_tables
+from deadtime.identification.likelihoods.filter_periods import noise_tables
 from deadtime.identification.parameters import Layout
 
 

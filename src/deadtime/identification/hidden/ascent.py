@@ -13,10 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
-from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior, UnevenPeriods
-from deadtime.identification.hidden.regressions import rooted
-from deadtime.identification.regression import LagRoots, Term, concentrated, even_terms, stacked
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.regression import (
+    LagRoots,
+    Term,
+    concentrated,
+    even_terms,
+    rooted,
+    stacked,
+)
 from deadtime.identification.scoring import Evaluate, Evaluation, climb, climb_cells
 
 _GAIN = 1e-6  # of log likelihood that is still worth a step

@@ -16,25 +16,24 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.identification.hidden.ascent import Ascent, ascended
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
-from deadtime.identification.hidden.jumps import Counts, Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior, UnevenPeriods
-from deadtime.identification.hidden.pooled import PooledPlant, PooledRegression
 from deadtime.identification.hidden.regressions import (
     Regressions,
     climbed,
     maximised,
     regressed,
-    rooted,
-    rows_of_modes,
     scanned,
 )
 from deadtime.identification.hidden.starts import drawn_start, first_cells, stretches_of
 from deadtime.identification.levels import near_zero
+from deadtime.identification.likelihoods.exact_log import ExactLog
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.jumps import Counts, Jumps
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.likelihoods.pooled import PooledPlant, PooledRegression
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import ExactLog, maximise, window_of
+from deadtime.identification.maximum import maximise, window_of
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import concentrated
+from deadtime.identification.regression import concentrated, rooted
 from deadtime.identification.start import cell_range, plant_of, start_of
 from deadtime.identification.uneven import gridded, nodes_for
 
@@ -172,8 +171,9 @@ def begun(search: HiddenSearch, layout: Layout, common: bool = False, seed: int 
             list(model.P), model.cells, model.weight, layout, search.grid.step, search.bounds
         )
         nodes = nodes_for(search.recording.parts, layout.split(theta)[0])
-        given = search.grid, layout, search.bounds, nodes, search.even, model.S, model.jumps
-        each.append(Begun(layout, HiddenLog(*given), theta, begin, agreed, starts))
+        given = search.grid, layout, search.even.within, search.bounds, nodes, search.even
+        log = HiddenLog(*given, model.S, model.jumps)
+        each.append(Begun(layout, log, theta, begin, agreed, starts))
     if not each:
         raise _too_many(layout, starts)
     return each
@@ -241,7 +241,8 @@ def _off_the_grid(search: HiddenSearch, ascent: Ascent) -> Ascent | None:
     step, counts = search.recording.step, ascent.found.counts
     counts = Counts(counts.jumps, counts.spent * step)
     jumps = Jumps.of(grid.jumps.matrix, step, rates=True)
-    log = HiddenLog(search.recording, grid.layout, search.bounds, nodes, periods, grid.S, jumps)
+    given = search.recording, grid.layout, periods.within, search.bounds, nodes, periods
+    log = HiddenLog(*given, grid.S, jumps)
     begin = Posterior(ascent.found.value, np.vstack(weight), counts, ascent.found.node)
     return ascended(log, theta, grid.layout.least_periods, begin)
 
@@ -288,5 +289,5 @@ def _in_best_cells(
         cells, _ = scanned(periods, posterior.weight, model.cells, layout)
         if cells.tobytes() in tried:
             return model, posterior
-        rows = rows_of_modes(periods, cells)
+        rows = periods.rows_of_modes(cells)
         model = maximised(rows, posterior, model.jumps, cells, common)

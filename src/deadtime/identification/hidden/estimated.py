@@ -14,14 +14,14 @@ from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.choice import Begun, Fitted
 from deadtime.identification.hidden.hidden_information import Information, information_of
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
 from deadtime.identification.hidden.hidden_modes import HiddenModes
-from deadtime.identification.hidden.mode_periods import EvenPeriods
 from deadtime.identification.hidden.noisy_choice import NoisyFit
 from deadtime.identification.hidden.regressions import scanned
 from deadtime.identification.intervals import spread_of
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import continuous
+from deadtime.identification.noisy.noise import continuous, intensity_errors
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.scoring import Maximum
@@ -114,6 +114,8 @@ def estimated(found: Decoded) -> tuple[Estimate, Said]:
     white = residuals_of(record, plant, layout.constant_of(theta), log.nodes, log.within, roots)
     for one, k in zip(white, log.periods.usable, strict=True):
         one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan  # nothing told their modes
+    W = continuous(plant.A, covariances, record.step)
+    free = np.maximum(spare * told.of_noise, 1.0).astype(np.int64)
     estimate = Estimate(
         log=log,
         best=best,
@@ -123,9 +125,10 @@ def estimated(found: Decoded) -> tuple[Estimate, Said]:
         intervals=intervals,
         several=several,
         start=start,
-        disturbance=continuous(plant.A, covariances, record.step),
+        disturbance=W,
         noise=np.zeros(layout.n),
-        spare=np.maximum(spare * told.of_noise, 1.0).astype(np.int64),
+        noise_errors=intensity_errors(plant.A, W, record.step, free),
+        spare=free,
         tests=judge_residuals(white, record, plant.longest_delay),
         white=tuple(white),
     )
@@ -140,7 +143,7 @@ def start_of_grid(grid: HiddenLog, theta: Float[np.ndarray, " size"]) -> Start:
     if not isinstance(periods, EvenPeriods):
         raise ArgumentError("grid must be even.")
     _, curves = scanned(periods, weight, layout.spread(cells), layout)
-    return Start(theta, cells, periods.first, curves)
+    return Start(theta, cells, periods.first, curves, 2 * layout.n)
 
 
 def widening_of(told: Information) -> float:

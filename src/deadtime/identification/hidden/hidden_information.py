@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
 
 _FAINT = 1e-8  # of information: beside one that is so much larger, differences lose it
 _SMALL = 1e-3  # of a standard error, a step of differences

@@ -17,12 +17,11 @@ from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.hidden.choice import Begun, HiddenSearch, begun, fitted
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
-from deadtime.identification.levels import from_zero
+from deadtime.identification.levels import at_zero, from_zero
+from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
+from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise, window_of
-from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.noisy.noise import continuous, first_noises
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
@@ -85,16 +84,12 @@ def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
 
 def _at_zero(search: HiddenSearch, fit: NoisyFit) -> NoisyFit | None:
     """The maximum near a fit without its constant terms; None where these are far from chance."""
-    theta, information, C = fit.best.theta, fit.best.found.information, fit.log.noisy.C
-    recording = fit.log.recording
-    far, terms = from_zero(fit.layout, theta, information, recording, np.linalg.pinv(C))
+    theta, information, back = fit.best.theta, fit.best.found.information, np.linalg.pinv(fit.log.C)
+    far, terms = from_zero(fit.layout, theta, information, fit.log.recording, back)
     if far > _FAR * terms * np.log(search.periods.count):
         return None
-    layout, kept = fit.layout.without_constant()
-    kept = np.append(kept, np.arange(fit.layout.size, theta.size))
-    one = replace(fit.log.noisy.layout, constant=False)
-    noisy = replace(fit.log.noisy, recording=recording.absolute(), layout=one)
-    log = replace(fit.log, noisy=noisy, layout=layout, unit=fit.log.unit[kept], _kept={})
+    log, kept = at_zero(fit.log, theta.size)
+    log = replace(log, errors=log.errors[kept], _kept={})
     with suppress(ArgumentError):
         return _led(search, fit.begun, log, theta[kept], fit.window)
 
@@ -122,7 +117,7 @@ def _led(
             f"left with {rows:.0f} rows: ask for fewer, or log for longer."
         )
     n, modes = layout.n, layout.modes
-    unknowns = layout.size + n * (n + 1) // 2 + len(log.noisy.C) + modes * (modes - 1)
+    unknowns = layout.size + n * (n + 1) // 2 + len(log.C) + modes * (modes - 1)
     # Of the same samples for all numbers, and all levels: nothing but P0 is known of the first.
     starts = log.starts(*search.bounds)
     value = float(log.filtered(best.theta, starts)[1][~np.concatenate(starts)].sum())
@@ -141,9 +136,9 @@ def _best_start(
     for start in _starts(search, layout):
         log, W = _of_start(start, search, recording, C)
         window = window_of(start.log, start.theta[layout.at_delays])
-        rough = replace(log, noisy=replace(log.noisy, recording=few), within=False, _kept={})
+        rough = replace(log, recording=few, within=False, _kept={})
         for noise in first_noises(W, C, recording.step):
-            vector = rough.whole.join(start.theta, noise)
+            vector = rough.join(start.theta, noise)
             led, best, _ = _climbed(rough, vector, window, _SOON)
             whole = _least_rows(led, best.theta, window) >= layout.least_periods
             value = led.value(best.theta, led.starts(*search.bounds))
@@ -177,11 +172,10 @@ def _of_start(
     share = start.found.weight.sum(axis=0)
     W = np.tensordot(share / share.sum(), continuous(A, exact.S, recording.step), axes=1)
     known = np.diagonal(exact.evaluate(theta, exact.cells(theta)).information)
-    unit = np.concatenate((1.0 / np.sqrt(np.maximum(known, 1e-300)), _units(W), np.ones(len(C))))
-    one = replace(layout, modes=1, per_mode=False)
-    noisy = NoisyLog(recording, one, C, False, search.bounds, exact.nodes)
+    errors = np.concatenate((1.0 / np.sqrt(np.maximum(known, 1e-300)), _units(W), np.ones(len(C))))
     jumps = Jumps.lasting(layout.modes, recording.step, not recording.even)
-    return HiddenNoisyLog(noisy, layout, unit, jumps, exact.within), W
+    given = recording, layout, exact.within, search.bounds, exact.nodes, C
+    return HiddenNoisyLog(*given, errors=errors, jumps=jumps), W
 
 
 def _least_rows(

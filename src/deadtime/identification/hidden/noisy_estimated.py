@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.cells import cells_of
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.estimated import (
@@ -24,10 +23,11 @@ from deadtime.identification.hidden.estimated import (
 )
 from deadtime.identification.hidden.hidden_information import Information, left_of, lifted
 from deadtime.identification.hidden.noisy_choice import NoisyFit
-from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
 from deadtime.identification.intervals import spread_of
+from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import noisy_residuals
+from deadtime.identification.noisy.noise_intervals import variance_errors
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
@@ -64,10 +64,10 @@ def decoded_with_noise(fit: NoisyFit) -> NoisyDecoded:
     order, record = ordered_by_path(paths, log.recording, layout)
     A, B, D = layout.split(vector[: layout.size])
     theta = np.concatenate((layout.join(A[order], B[order], D[order]), vector[layout.size :]))
-    unit = log.unit.copy()
-    A, B, D = layout.split(unit[: layout.size])
-    unit[: layout.size] = layout.join(A[order], B[order], D[order])
-    log = replace(log, unit=unit, jumps=log.jumps.ordered(order), _kept={})
+    errors = log.errors.copy()
+    A, B, D = layout.split(errors[: layout.size])
+    errors[: layout.size] = layout.join(A[order], B[order], D[order])
+    log = replace(log, errors=errors, jumps=log.jumps.ordered(order), _kept={})
     return NoisyDecoded(fit, log, theta, order, record)
 
 
@@ -75,8 +75,8 @@ def estimated_with_noise(found: NoisyDecoded) -> tuple[Estimate, Said]:
     """The estimate, and what there is to say of the modes."""
     fit, log, theta, _, record = found
     layout, window, starts = log.layout, fit.window, log.starts(*fit.window)
-    cells = cells_of(theta[layout.at_delays], record.step)
-    path = replace(log.whole, recording=record)
+    cells = log.cells(theta)
+    path = log.along(record)
     of_path = path.evaluate_in(*window)(cells)(theta)
     path = replace(path, within=log.within)
     told = _information(log, theta, starts, cells, of_path.information + _vague(log))
@@ -104,6 +104,7 @@ def estimated_with_noise(found: NoisyDecoded) -> tuple[Estimate, Said]:
         start=start,
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
+        noise_errors=variance_errors(log, theta, spread.covariance),
         spare=np.maximum(rows, 1.0).astype(np.int64),
         tests=judge_residuals(white, record, plant.longest_delay),
         white=tuple(white),
@@ -116,11 +117,11 @@ def _start(found: NoisyDecoded) -> Start:
     begun, order, layout = found.fit.begun, found.order, found.log.layout
     old = start_of_grid(begun.log, begun.theta)
     theta = found.theta[: layout.size]
-    cells = cells_of(theta[layout.at_delays], found.recording.step)
+    cells = found.log.cells(theta)
     curves = old.scanned
     if layout.per_mode:
         curves = curves.reshape(layout.modes, layout.m, -1)[order].reshape(curves.shape)
-    return Start(theta, cells, old.first, curves)
+    return Start(theta, cells, old.first, curves, old.weights)
 
 
 def _information(

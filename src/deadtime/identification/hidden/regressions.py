@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import floored, log_density
+from deadtime.identification.regression import floored, log_density, rooted
 
 _SWEEPS = 3  # over the delays, in a scan
 
@@ -32,11 +32,6 @@ class Regressions(NamedTuple):
     weight: Float[np.ndarray, " mode"]
 
 
-def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"]) -> np.ndarray:
-    """R with RᵀR = Σ w z zᵀ, R triangular."""
-    return np.asarray(np.linalg.qr(np.sqrt(weight)[:, None] * z, mode="r"))
-
-
 def regressed(
     root: Float[np.ndarray, "z z"], n: int, total: float
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "n n"]]:
@@ -46,15 +41,6 @@ def regressed(
     P = np.linalg.lstsq(r / unit, y, rcond=1e-13)[0].T / unit
     e = y - r @ P.T
     return P, floored(e.T @ e / total, P[:, : y.shape[1]], y, total)
-
-
-def rows_of_modes(periods: EvenPeriods, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:
-    """The rows of each mode, shared where cells are the same."""
-    kept = {}
-    for own in cells:
-        if own.tobytes() not in kept:
-            kept[own.tobytes()] = periods.rows(own)
-    return [kept[own.tobytes()] for own in cells]
 
 
 def expected(periods: EvenPeriods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
@@ -90,7 +76,7 @@ def climbed(
     periods: EvenPeriods, model: Regressions, steps: int, least: float, common: bool, gain: float
 ) -> tuple[Regressions, Posterior] | None:
     """The regressions after some steps; None where a mode has less periods than `least`."""
-    rows, before = rows_of_modes(periods, model.cells), -np.inf
+    rows, before = periods.rows_of_modes(model.cells), -np.inf
     found = expected(periods, model, rows)
     for _ in range(steps):
         if found.weight.sum(axis=0).min() < least:

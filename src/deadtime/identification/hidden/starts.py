@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods
-from deadtime.identification.hidden.regressions import Regressions, regressed, rooted
+from deadtime.identification.hidden.regressions import Regressions, regressed
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.parameters import Layout
+from deadtime.identification.regression import rooted
 
 _MOST = 150  # stretches
 _PURE = (0.4, 0.8)  # of all stretches, those that fit best, are drawn from

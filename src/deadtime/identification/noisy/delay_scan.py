@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.smoother import FilterModel, filtered, responses
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
+from deadtime.identification.likelihoods.smoother import FilterModel, filtered, responses
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import inputs_at
 from deadtime.identification.start import cell_range
@@ -38,8 +38,7 @@ class Scanned(NamedTuple):
 
 def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
     """All delays of an even log, A and noise as they are in `vector`."""
-    layout, h, shape = log.layout, log.recording.step, log.embedding
-    rows = np.arange(layout.n) if shape is None or shape.zeros else shape.last
+    layout, h, rows = log.layout, log.recording.step, log.acting
     first, last = cell_range(h, log.bounds, layout.m)
     lags = np.arange(first - 1, last + 1)
     gram, share = _gram(log, vector, rows, lags), _shares(log, vector, rows.size)

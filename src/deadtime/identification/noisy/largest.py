@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.maximum import maximise, window_of
 from deadtime.identification.noisy.delay_scan import Scanned, scanned
-from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.uneven import gridded
 

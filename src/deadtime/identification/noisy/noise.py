@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from deadtime.identification.cells import cells_of
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
@@ -18,10 +17,11 @@ from deadtime.identification.levels import (
     with_constant,
     without_level,
 )
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.largest import largest_maximum
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
+from deadtime.identification.noisy.noise_intervals import variance_errors
 from deadtime.identification.noisy.restricted import restricted
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.residuals import judge_residuals
@@ -69,8 +69,8 @@ def intensity_errors(
     W: Float[np.ndarray, "mode n n"],
     step: float,
     spare: Int[np.ndarray, " mode"],
-) -> Float[np.ndarray, "mode n"]:
-    """The standard errors of the diagonals of W, from `spare` periods of every mode.
+) -> Float[np.ndarray, " variance"]:
+    """The standard errors of the diagonals of W, mode by mode, from `spare` periods of each.
 
     W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. A
     position has noise in S that its speed has brought there, and with it an error.
@@ -79,7 +79,7 @@ def intensity_errors(
     --------
     >>> A, W = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([np.diag([0.0, 3.0])])
     >>> (intensity_errors(A, W, 0.1, np.array([200])) * [1000.0, 1.0]).round(3)
-    array([[0.354, 0.3  ]])
+    array([0.354, 0.3  ])
     """
     modes, n, _ = A.shape
     errors, S = np.empty((modes, n)), noise_covariances(A, W, np.full(modes, step))
@@ -87,7 +87,7 @@ def intensity_errors(
         G = np.linalg.pinv(_images(one, step))[:: n + 1].reshape(n, n, n)
         GS = 0.5 * (G + G.transpose(0, 2, 1)) @ S[i]
         errors[i] = np.sqrt(2.0 * np.einsum("abc,acb->a", GS, GS) / spare[i])
-    return errors
+    return errors.ravel()
 
 
 def estimate_with_noise(
@@ -124,8 +124,8 @@ def start_beside(
     log: NoisyLog, best: Maximum, first: int, curves: Float[np.ndarray, "delay cell"]
 ) -> Start:
     """A maximum, and how likely a scan says that each cell of a delay is beside it."""
-    cells = cells_of(best.theta[log.layout.at_delays], log.recording.step)
-    return Start(best.theta[: log.layout.size], cells, first, curves)
+    theta = best.theta[: log.layout.size]
+    return Start(theta, log.cells(theta), first, curves, log.acting.size)
 
 
 def begun_with_noise(
@@ -140,7 +140,7 @@ def begun_with_noise(
     layout, theta = exact.log.layout, exact.best.theta
     if recording.level is not None:
         theta, layout = with_constant(theta, layout, recording.level, np.linalg.pinv(C))
-    log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
+    log = NoisyLog(recording, layout, within, bounds, exact.log.nodes, C)
     noises = first_noises(exact.disturbance.mean(axis=0), C, recording.step)
     return log, [log.join(theta, noise) for noise in noises]
 
@@ -175,10 +175,12 @@ def estimated_of(
         start=start,
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
+        noise_errors=variance_errors(log, theta, spread.covariance),
         spare=np.full(layout.modes, beyond) if spare is None else spare,
         tests=judge_residuals(white, recording, plant.longest_delay, spent),
         white=tuple(white),
         ends=None if chained else ends_over_peaks(log, best, spread, start),
+        of_outputs=log if chained else None,
     )
 
 

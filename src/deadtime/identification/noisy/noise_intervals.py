@@ -12,34 +12,24 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
-from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.noise import intensity_errors
+from deadtime.identification.likelihoods.noisy_log import SensorLikelihood
 
 _REACH = 1.959963984540054  # of a normal distribution's 95 %
 _OWN = 0.5  # of a variance: an error beyond which it may be none
 
 
-def noise_interval(found: Estimate, step: float, place: int) -> tuple[float, float]:
+def noise_interval(found: Estimate, place: int) -> tuple[float, float]:
     """Of W's diagonal, mode by mode, then of the sensors' deviations."""
-    modes, n = found.disturbance.shape[:2]
-    if found.noise.any():
-        log = found.log.whole if isinstance(found.log, HiddenNoisyLog) else found.log
-        assert isinstance(log, NoisyLog)
-        own = place % n if place < modes * n else n + place - modes * n
-        W, sensors = _variances(log, found.best.theta)
-        errors = _errors(log, found.best.theta, found.spread.covariance)
-        low, high = ends(float(np.append(W, sensors)[own]), float(errors[own]))
-        return (low, high) if own < n else (float(np.sqrt(low)), float(np.sqrt(high)))
-    i, a = divmod(place, n)
-    every = intensity_errors(found.plant.A, found.disturbance, step, found.spare)
-    return ends(float(found.disturbance[i, a, a]), float(every[i, a]))
+    W = np.diagonal(found.disturbance, axis1=1, axis2=2).ravel()
+    variance = float(np.append(W, found.noise**2)[place])
+    low, high = ends(variance, float(found.noise_errors[place]))
+    return (low, high) if place < W.size else (float(np.sqrt(low)), float(np.sqrt(high)))
 
 
 def sensor_intervals(found: Estimate) -> list[tuple[float, float]]:
     """Of every sensor's deviation, where measurements are noisy."""
     first = found.disturbance.shape[0] * found.disturbance.shape[1]
-    return [noise_interval(found, 0.0, first + j) for j in range(found.noise.size)]
+    return [noise_interval(found, first + j) for j in range(found.noise.size)]
 
 
 def ends(value: float, error: float) -> tuple[float, float]:
@@ -56,30 +46,29 @@ def ends(value: float, error: float) -> tuple[float, float]:
     return value / wide, value * wide
 
 
-def _variances(
-    log: NoisyLog, vector: Float[np.ndarray, " size"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " p"]]:
-    noise = log.noise(vector)
-    return np.diagonal(noise.W), noise.deviation**2
-
-
-def _errors(
-    log: NoisyLog, vector: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"]
+def variance_errors(
+    log: SensorLikelihood,
+    vector: Float[np.ndarray, " size"],
+    covariance: Float[np.ndarray, "size size"],
 ) -> Float[np.ndarray, " variance"]:
-    """Standard errors of variances, W_aa = Σ_b L_ab², to second order in L_ab."""
+    """Standard errors of W_aa = Σ_b L_ab², mode by mode, and of sensors' variances.
+
+    To second order in L_ab.
+    """
     size, (i, j), n = log.layout.size, log.places, log.layout.n
     C, L = covariance[size:, size:], log.root(vector)
     off = i != j
     slope = np.zeros((n + len(log.C), len(C)))
     slope[i, np.arange(i.size)] = 2.0 * np.where(off, L[i, j], L[i, j] ** 2)
     sensors = np.arange(len(log.C))
-    slope[n + sensors, i.size + sensors] = 2.0 * _variances(log, vector)[1]
+    slope[n + sensors, i.size + sensors] = 2.0 * log.noise(vector).deviation ** 2
     variance = np.einsum("va,ab,vb->v", slope, C, slope)
     for a in range(n):
         own = np.flatnonzero(off & (i == a))
         with np.errstate(over="ignore"):  # what the log does not tell at all may be any
             variance[a] += 2.0 * float((C[np.ix_(own, own)] ** 2).sum())
-    return np.sqrt(variance)
+    W, R = np.split(np.sqrt(variance), [n])
+    return np.concatenate((np.tile(W, log.layout.modes), R))
 
 
 def exact_holds(exact: Estimate, noisy: Estimate) -> bool:

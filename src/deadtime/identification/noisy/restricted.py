@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.intervals import inverse
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 
 _STEP = 1e-3  # of a logarithm, for differences

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.delay_scan import scanned
 from deadtime.identification.noisy.largest import of_sensors
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.outputs.past import chains_by_past
 from deadtime.identification.outputs.smoothed_start import Guess
 from deadtime.identification.uneven import gridded

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.base.wording import number_of
+from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.delay_scan import Scanned
-from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.noisy.largest import largest_maximum
-from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.outputs.begin import begins_of, by_past
 from deadtime.identification.outputs.other_delays import others_of
 from deadtime.identification.outputs.smoothed_start import Guess, guess_of
@@ -98,7 +98,7 @@ def chosen_of(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> C
     shape = Embedding(order, zeros is True, guess.size, lead)
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
     some = recording.stretches(_FEW, recording.lag(bounds[1]))
-    log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
+    log = NoisyLog(some, layout, within, bounds, nodes, shape.C, shape)
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
     simple = Chosen(log, *_begun(log, guess))

@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.log.recording import Part
-from deadtime.identification.noisy.filter_periods import FilterPeriods
-from deadtime.identification.noisy.filtering import (
+from deadtime.identification.likelihoods.filter_periods import FilterPeriods
+from deadtime.identification.likelihoods.filtering import (
     Filtered,
     Places,
     Sensors,
     filtered as innovations,
 )
-from deadtime.identification.noisy.smoother import FilterModel, filtered, smoothed
+from deadtime.identification.likelihoods.smoother import FilterModel, filtered, smoothed
+from deadtime.identification.log.recording import Part
 
 _VAGUE = 1e8  # variances of a sensor that a state is not known by
 _DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.noisy.embedding import Embedding
+from deadtime.identification.likelihoods.embedding import Embedding
 from deadtime.identification.outputs.chosen import CHANCE, Chosen, OutputsRequest, chosen_of
 
 _DOUBT = 0.05  # of a rise by chance: from there on zeros are plausible

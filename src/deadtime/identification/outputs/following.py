@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
+from deadtime.identification.likelihoods.smoother import FilterModel, filtered, smoothed
 from deadtime.identification.log.recording import Part
-from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.smoother import FilterModel, filtered, smoothed
 
 _MOST = 10_000  # samples of a long log whose states are looked at
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.likelihoods.embedding import Embedding
 from deadtime.identification.log.recording import Part
-from deadtime.identification.noisy.embedding import Embedding
 from deadtime.identification.start import matrix_logarithm
 
 _ENOUGH = 2.0  # rows for each unknown

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.embedding import Embedding
-from deadtime.identification.noisy.likelihood import NoiseLevels
 from deadtime.identification.outputs.derivatives import Derivatives, derivatives_of
 from deadtime.identification.parameters import Layout
 from deadtime.identification.start import start_of

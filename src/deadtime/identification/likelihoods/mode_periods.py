@@ -18,9 +18,14 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
-from deadtime.identification.hidden.chain import likeliest, smooth
-from deadtime.identification.hidden.jumps import Counts, Jumps
-from deadtime.identification.hidden.pooled import Pooled, PooledPlant, PooledRegression, cell_rows
+from deadtime.identification.likelihoods.chain import likeliest, smooth
+from deadtime.identification.likelihoods.jumps import Counts, Jumps
+from deadtime.identification.likelihoods.pooled import (
+    Pooled,
+    PooledPlant,
+    PooledRegression,
+    cell_rows,
+)
 from deadtime.identification.log.recording import Part
 from deadtime.identification.regression import rows_of
 from deadtime.identification.uneven import node_rows, usable
@@ -126,6 +131,12 @@ class EvenPeriods(Periods):
         """The rows of `cell_rows`."""
         each = zip(self.parts, self.usable, strict=True)
         return np.vstack([cell_rows(part, k, cells, self.constant) for part, k in each])
+
+    def rows_of_modes(self, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:
+        """The rows of each mode, shared where cells are the same."""
+        kept = {own.tobytes(): own for own in cells}
+        rows = {key: self.rows(own) for key, own in kept.items()}
+        return [rows[own.tobytes()] for own in cells]
 
 
 @dataclass(frozen=True, eq=False)

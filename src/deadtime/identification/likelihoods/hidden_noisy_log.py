@@ -14,81 +14,64 @@ Derivatives are forward differences; the information is that of every sample's o
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from deadtime.base.frozen import Frozen
-from deadtime.identification.hidden.filters_kernel import filter_modes
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.mode_periods import Posterior, path_of, posterior_of
-from deadtime.identification.hidden.stretch import PartPeriods, stretch_of
+from deadtime.identification.likelihoods.filter_periods import even_periods, uneven_periods
+from deadtime.identification.likelihoods.filters_kernel import filter_modes
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.mode_periods import Posterior, path_of, posterior_of
+from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.parameters import Layout
-from deadtime.identification.scoring import Evaluate, Evaluation
+from deadtime.identification.scoring import Evaluation
 
 _SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more
+_BLOCK = 4096  # samples whose derivatives, which nothing here needs, are there at a time
 
-Starts = list[Bool[np.ndarray, " sample"]]
 
+class PartPeriods(NamedTuple):
+    """The periods that lead to the samples of a part, all of one mode.
 
-@dataclass(frozen=True, eq=False)
-class HiddenNoisyLog(Frozen):
-    """The likelihood in the vector of a `NoisyLog`, the chain held.
-
-    noisy : the same log with one mode; unit : standard errors of the vector, about
-    within : whether the mode may change within periods
+    kind : (T,), the row of Phi and Q, how a state moves, and the noise; added : (T, n), by inputs
     """
 
-    noisy: NoisyLog
-    layout: Layout
-    unit: Float[np.ndarray, " size"]
+    kind: Int[np.ndarray, " T"]
+    Phi: Float[np.ndarray, "kind n n"]
+    added: Float[np.ndarray, "T n"]
+    Q: Float[np.ndarray, "kind n n"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HiddenNoisyLog(SensorLikelihood):
+    """The likelihood of a recording with measurement noise and hidden modes, the chain held.
+
+    errors : standard errors of the vector, about
+    """
+
+    errors: Float[np.ndarray, " size"]
     jumps: Jumps
-    within: bool
     _kept: dict[tuple[int, bytes], PartPeriods] = field(default_factory=dict, repr=False)
 
-    @property
-    def recording(self) -> Recording:
-        """The log."""
-        return self.noisy.recording
+    gain: ClassVar[float] = 1e-3  # each step takes a filter for every unknown
+    profiled: ClassVar[bool] = False
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Of the delays, seconds."""
-        return self.noisy.bounds
-
-    @property
-    def nodes(self) -> Float[np.ndarray, " node"]:
-        """For predictions."""
-        return self.noisy.nodes
-
-    @property
-    def whole(self) -> NoisyLog:
-        """The layout of the vector; modes in it are those of the recording."""
-        return replace(self.noisy, layout=self.layout)
+    def along(self, recording: Recording) -> NoisyLog:
+        """The likelihood if modes were those of a recording, and changed at its samples."""
+        return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
 
     @property
     def most(self) -> Float[np.ndarray, " size"]:
         """Steps of noise beyond which differences tell little; of plants there are none."""
-        most = self.unit.copy()
+        most = self.errors.copy()
         most[: self.layout.size] = np.inf
         return most
 
-    @property
-    def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """What bounds unknowns, delays aside."""
-        return self.whole.limits
-
-    def noise(self, vector: Float[np.ndarray, " size"]) -> NoiseLevels:
-        """W and the sensors' deviations of a vector."""
-        return self.whole.noise(vector)
-
-    def starts(self, low: float, high: float) -> Starts:
-        """The samples before which nothing is known, for delays between two; of every part."""
-        return self.noisy.starts(low, high)
+    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        return np.full(vector.size, np.inf)
 
     def filtered(
         self,
@@ -97,37 +80,71 @@ class HiddenNoisyLog(Frozen):
         cells: Int[np.ndarray, " delay"] | None = None,
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
         """Of every part the densities of all periods, stay and change; and what samples add."""
-        A, B, delays = self.layout.split(vector[: self.layout.size])
-        L, R, laid, gained = self.whole.root(vector), self.noise(vector).deviation ** 2, [], []
-        own = None if cells is None or not cells.size else self.layout.spread(cells)
+        layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
+        A, B, delays = layout.split(vector[: layout.size])
+        L, R, laid, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []
+        own = cells if cells is not None and cells.size else self.cells(vector)
+        own = layout.spread(own)
         for number, start in enumerate(starts):
             each = []
-            for i in range(self.layout.modes):
-                one = slice(i, i + 1)
-                theta, in_cells = self.noisy.layout.join(A[one], B[one], delays[one]), None
-                if own is not None:
-                    in_cells = own[one]
-                each.append(self._once(number, start, theta, L, in_cells))
+            for i in range(layout.modes):
+                at = slice(i, i + 1)
+                theta = one.join(A[at], B[at], delays[at])
+                each.append(self._once(number, start, one, theta, L, own[at]))
             Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
             part = self.recording.parts[number]
-            stay = np.empty((part.time.size - 1, self.layout.modes))
-            move = np.empty((*stay.shape, self.layout.modes))
+            stay = np.empty((part.time.size - 1, layout.modes))
+            move = np.empty((*stay.shape, layout.modes))
             adds = np.empty(part.time.size)
-            given = (part.output, start, each[0].kind, Phi, added, Q, self.noisy.C)
-            given = (*given, R, self.noisy.P0, *self.jumps.over(part.time))
+            given = (part.output, start, each[0].kind, Phi, added, Q, self.C)
+            given = (*given, R, self.P0, *self.jumps.over(part.time))
             filter_modes(*map(np.ascontiguousarray, given), self.within, stay, move, adds)
             laid.append((stay, move))
             gained.append(adds)
         return laid, np.concatenate(gained)
 
-    def _once(self, number: int, start: np.ndarray, *given: np.ndarray | None) -> PartPeriods:
-        """`stretch_of` one mode; the last are kept: differences ask for few anew."""
-        key = number, b"".join(one.tobytes() for one in (start, *given) if one is not None)
+    def _once(
+        self,
+        number: int,
+        start: np.ndarray,
+        layout: Layout,
+        theta: np.ndarray,
+        L: np.ndarray,
+        cells: Int[np.ndarray, "one m"],
+    ) -> PartPeriods:
+        """`_periods` of one mode; the last are kept: differences ask for few anew."""
+        key = number, b"".join(one.tobytes() for one in (start, theta, L, cells))
         if key not in self._kept:
             if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
                 self._kept.clear()
-            self._kept[key] = stretch_of(self.noisy, number, start, *given)  # pyright: ignore[reportArgumentType]
+            self._kept[key] = self._periods(number, start, layout, theta, L, cells)
         return self._kept[key]
+
+    def _periods(
+        self,
+        number: int,
+        start: np.ndarray,
+        layout: Layout,
+        theta: np.ndarray,
+        L: np.ndarray,
+        cells: Int[np.ndarray, "one m"],
+    ) -> PartPeriods:
+        """Those of a part, if it were of one mode throughout; W = L Lᵀ."""
+        part, even = self.recording.parts[number], self.recording.even
+        part = part._replace(mode=np.zeros(part.time.size, np.int64))
+        if even:
+            periods_of = even_periods(layout, theta, L, cells, self.recording.step)
+        else:
+            periods_of = uneven_periods(layout, theta, L, self.nodes)
+        rows, each = np.arange(start.size), []
+        for first in range(0, start.size, _BLOCK):
+            own = rows[first : first + _BLOCK]
+            periods = periods_of(part, own, start[own])
+            each.append((periods.Phi, periods.added, periods.Q))
+        Phi, added, Q = zip(*each, strict=True)
+        if even:  # one table for all
+            return PartPeriods(0 * rows, Phi[0], np.vstack(added), Q[0])
+        return PartPeriods(rows, np.vstack(Phi), np.vstack(added), np.vstack(Q))
 
     def posterior(
         self,
@@ -163,7 +180,6 @@ class HiddenNoisyLog(Frozen):
         starts: Starts,
         cells: Int[np.ndarray, " delay"] | None = None,
     ) -> Evaluation:
-        """The log likelihood, its score, and the information of samples' own scores."""
         size = vector.size
         with np.errstate(all="ignore"):
             now = self.filtered(vector, starts, cells)[1]
@@ -172,13 +188,8 @@ class HiddenNoisyLog(Frozen):
             slope = np.empty((size, now.size))
             for a in range(size):
                 step = np.zeros(size)
-                step[a] = _SMALL * self.unit[a]
+                step[a] = _SMALL * self.errors[a]
                 slope[a] = (self.filtered(vector + step, starts, cells)[1] - now) / step[a]
         if not np.isfinite(slope).all():
             return Evaluation(-np.inf, np.zeros(size), np.eye(size))
         return Evaluation(float(now.sum()), slope.sum(axis=1), slope @ slope.T)
-
-    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
-        """The likelihood for delays between two, seconds; of even rows in cells of theirs."""
-        starts = self.starts(low, high)
-        return lambda cells: lambda vector: self.evaluate(vector, starts, cells)

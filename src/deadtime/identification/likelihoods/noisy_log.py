@@ -14,6 +14,7 @@ The filter carries ∂e and ∂s along with e and s (`filtering`).
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,24 +24,31 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.base.frozen import Frozen
-from deadtime.identification.cells import cells_of
-from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.embedding import Embedding
-from deadtime.identification.noisy.filter_periods import (
+from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.filter_periods import (
     FilterPeriods,
     PeriodsOf,
     even_periods,
     uneven_periods,
 )
-from deadtime.identification.noisy.filtering import Filtered, Places, Sensors, evaluated, filtered
-from deadtime.identification.parameters import Layout
+from deadtime.identification.likelihoods.filtering import (
+    Filtered,
+    Places,
+    Sensors,
+    evaluated,
+    filtered,
+)
+from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.log.recording import Part
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
 _UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _STRIDE = 1.5  # of a noise's logarithm
+
+
+Starts = list[np.ndarray]  # of every part, which of its samples nothing leads to
 
 
 class NoiseLevels(NamedTuple):
@@ -51,25 +59,20 @@ class NoiseLevels(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class NoisyLog(Frozen):
-    """The likelihood of a recording with measurement noise.
+class SensorLikelihood(Likelihood):
+    """A likelihood in the unknowns of a plant, of its noise, and of the noise of sensors.
 
     Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, the logarithms of its
     diagonal, and those of the sensors' standard deviations. With an `embedding` the states are
     those that outputs alone have, and some of the vector is known.
     """
 
-    recording: Recording
-    layout: Layout
     C: Float[np.ndarray, "p n"]
-    within: bool
-    bounds: tuple[float, float]
-    nodes: Float[np.ndarray, " node"]
     embedding: Embedding | None = None
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """What bounds unknowns, delays aside: noise is within 1e-12 … 1e6 of what is measured."""
+        # Noise is within 1e-6 … 1e6 of what is measured.
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         at = self.logarithms
         size = 0.5 * np.log(np.diagonal(self.P0) / _VAGUE)
@@ -79,19 +82,6 @@ class NoisyLog(Frozen):
             places, values = self.embedding.known(self.layout)
             low[places], high[places] = values, values
         return low, high
-
-    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
-        """The longest step of each unknown: the information on noise of next to nothing is none.
-
-        Where W of 0 is likeliest, log L falls as W = L Lᵀ grows: linearly in W, so by a square of
-        L's rows, of which the information, of second order in W, says nothing. A stride of a
-        row's own size is that curvature.
-        """
-        stride = np.full(self.size, np.inf)
-        of_L = slice(self.layout.size, self.size - len(self.C))
-        stride[of_L] = self.unit(vector)[of_L]
-        stride[self.logarithms] = _STRIDE
-        return stride
 
     @property
     def logarithms(self) -> Int[np.ndarray, " log"]:
@@ -111,28 +101,11 @@ class NoisyLog(Frozen):
     def told(
         self, vector: Float[np.ndarray, " size"], F: Float[np.ndarray, "size size"]
     ) -> Int[np.ndarray, " told"]:
-        """Those of them that an information is of: noise that is next to nothing is not told."""
+        # Noise that is next to nothing is not told.
         free, told = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNTOLD
         return free[(free < self.layout.size) | told[free]]
 
-    def initial(self, starts: list[np.ndarray]) -> list[Bool[np.ndarray, "sample p"]]:
-        """The measurements of every part that are left out: see `Embedding.initial`."""
-        parts = self.recording.parts
-        if self.embedding is None:
-            return [np.zeros(part.output.shape, bool) for part in parts]
-        given = zip(parts, starts, strict=True)
-        return [self.embedding.initial(part.output, start) for part, start in given]
-
-    def measured(self, starts: list[np.ndarray]) -> int:
-        """How many measurements the likelihood is of."""
-        every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
-        return every - sum(int(one.sum()) for one in self.initial(starts))
-
-    def cells(self, theta: np.ndarray) -> np.ndarray:
-        """The cells that delays lie in."""
-        return cells_of(theta[self.layout.at_delays], self.recording.step)
-
-    def starts(self, low: float, high: float) -> list[Bool[np.ndarray, " sample"]]:
+    def starts(self, low: float, high: float) -> Starts:
         """The samples before which nothing is known, for delays between two; of every part."""
         starts = []
         for part in self.recording.parts:
@@ -151,6 +124,12 @@ class NoisyLog(Frozen):
         known = np.vstack([part.output for part in self.recording.parts])
         size = float(np.nanmean(known**2) / np.mean((self.C**2).sum(axis=1)))
         return read_only(_VAGUE * size * np.eye(self.layout.n))
+
+    @property
+    def acting(self) -> Int[np.ndarray, " row"]:
+        """The states that inputs act on."""
+        shape = self.embedding
+        return np.arange(self.layout.n) if shape is None or shape.zeros else shape.last
 
     @property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -189,15 +168,59 @@ class NoisyLog(Frozen):
         L[i, j] = np.where(i == j, np.exp(np.where(i == j, lower, 0.0)), lower)
         return L
 
+    @abstractmethod
+    def evaluate(
+        self,
+        vector: Float[np.ndarray, " size"],
+        starts: Starts,
+        cells: Int[np.ndarray, " delay"] | None = None,
+    ) -> Evaluation:
+        """The log likelihood, its score and information; of an even log in cells of delays."""
+
+    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
+        starts = self.starts(low, high)
+        return lambda cells: lambda vector: self.evaluate(vector, starts, cells)
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyLog(SensorLikelihood):
+    """The likelihood of a recording with measurement noise, its modes known."""
+
+    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """The longest steps: the information on noise of next to nothing is none.
+
+        Where W of 0 is likeliest, log L falls as W = L Lᵀ grows: linearly in W, so by a square of
+        L's rows, of which the information, of second order in W, says nothing. A stride of a
+        row's own size is that curvature.
+        """
+        stride = np.full(self.size, np.inf)
+        of_L = slice(self.layout.size, self.size - len(self.C))
+        stride[of_L] = self.unit(vector)[of_L]
+        stride[self.logarithms] = _STRIDE
+        return stride
+
+    def initial(self, starts: Starts) -> list[Bool[np.ndarray, "sample p"]]:
+        """The measurements of every part that are left out: see `Embedding.initial`."""
+        parts = self.recording.parts
+        if self.embedding is None:
+            return [np.zeros(part.output.shape, bool) for part in parts]
+        given = zip(parts, starts, strict=True)
+        return [self.embedding.initial(part.output, start) for part, start in given]
+
+    def measured(self, starts: Starts) -> int:
+        """How many measurements the likelihood is of."""
+        every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
+        return every - sum(int(one.sum()) for one in self.initial(starts))
+
     def innovations(
-        self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]
+        self, vector: Float[np.ndarray, " size"], starts: Starts
     ) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
         blocks = self._filtered(vector, starts, None, Places.none(self.layout.modes))
         found = [(block.e, block.s) for block in blocks]
         return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
 
-    def value(self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]) -> float:
+    def value(self, vector: Float[np.ndarray, " size"], starts: Starts) -> float:
         """The log likelihood."""
         places = Places.none(self.layout.modes)
         return evaluated(self._filtered(vector, starts, None, places), places).value
@@ -205,10 +228,9 @@ class NoisyLog(Frozen):
     def evaluate(
         self,
         vector: Float[np.ndarray, " size"],
-        starts: list[np.ndarray],
-        cells: np.ndarray | None = None,
+        starts: Starts,
+        cells: Int[np.ndarray, " delay"] | None = None,
     ) -> Evaluation:
-        """The log likelihood, its score and information; of an even log in cells of delays."""
         free = self.free
         places = Places.of(self.layout, len(self.C), free)
         with np.errstate(all="ignore"):
@@ -218,15 +240,10 @@ class NoisyLog(Frozen):
         known = np.isfinite(score).all() and np.isfinite(information).all()
         return Evaluation(found.value if known else -np.inf, score, information)
 
-    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
-        """The likelihood for delays between two, seconds; of an even log in cells of theirs."""
-        starts = self.starts(low, high)
-        return lambda cells: lambda vector: self.evaluate(vector, starts, cells)
-
     def _filtered(
         self,
         vector: Float[np.ndarray, " size"],
-        starts: list[np.ndarray],
+        starts: Starts,
         cells: np.ndarray | None,
         places: Places,
     ) -> Iterator[Filtered]:

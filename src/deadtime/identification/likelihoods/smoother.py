@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from deadtime.identification.noisy.filter_periods import FilterPeriods
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.likelihoods.filter_periods import FilterPeriods
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 
 
 class FilterModel(NamedTuple):

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
+from deadtime.identification.likelihoods.filter_periods import PeriodsOf
+from deadtime.identification.likelihoods.tangent_kernel import tangents
 from deadtime.identification.log.recording import Part
-from deadtime.identification.noisy.filter_periods import PeriodsOf
-from deadtime.identification.noisy.tangent_kernel import tangents
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluation
 
@@ -86,8 +86,8 @@ class Filtered(NamedTuple):
 
 def filtered(
     parts: tuple[Part, ...],
-    starts: list[Bool[np.ndarray, " sample"]],
-    left_out: list[Bool[np.ndarray, "sample p"]],
+    starts: list[np.ndarray],
+    left_out: list[np.ndarray],
     periods_of: PeriodsOf,
     sensors: Sensors,
     places: Places,
