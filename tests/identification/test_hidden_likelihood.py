@@ -8,13 +8,12 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
-from deadtime.identification.cells import cells_of
 from deadtime.identification.hidden.hidden_information import information_of, lifted
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.mode_periods import EvenPeriods, UnevenPeriods
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, cells_of
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant, oscillator
 

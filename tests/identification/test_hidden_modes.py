@@ -9,10 +9,13 @@ import pytest
 
 import deadtime as dt
 from deadtime.identification.hidden.choice import Fitted
-from deadtime.identification.hidden.hidden_sentences import TriedNumbers, of_numbers
-from deadtime.identification.hidden.identify_hidden import _chosen
-from deadtime.identification.hidden.mode_numbers import numbers_of
-from deadtime.identification.hidden.starts import drawn_start, stretches_of
+from deadtime.identification.hidden.identify_hidden import (
+    TriedNumbers,
+    _chosen,
+    numbers_of,
+    of_numbers,
+)
+from deadtime.identification.hidden.regressions import drawn_start, stretches_of
 from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout

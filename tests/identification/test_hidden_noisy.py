@@ -17,7 +17,7 @@ from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.noise_intervals import sensor_intervals, variance_errors
+from deadtime.identification.noisy.noise import variance_errors
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant
@@ -165,7 +165,7 @@ def test_intervals_of_noise_are_of_the_vector_of_all_modes():
     given["disturbance"] = np.tile(1e-3 * np.eye(2), (2, 1, 1))
     for name, value in given.items():
         object.__setattr__(found, name, value)
-    for ends in sensor_intervals(found):
+    for ends in found.sensor_intervals:
         assert ends == pytest.approx(0.02 * np.exp([-0.196, 0.196]), rel=1e-3)
 
 

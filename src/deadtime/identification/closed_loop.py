@@ -24,14 +24,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.delay_intervals import plausible_fall
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.levels import without_level
+from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.noise import begun_with_noise, estimated_of
-from deadtime.identification.noisy.noise_intervals import exact_holds
-from deadtime.identification.peaks import plausible_fall
+from deadtime.identification.noisy.noise import begun_with_noise, estimated_of, exact_holds
 from deadtime.identification.scoring import Evaluate, Maximum, climb
 from deadtime.identification.start import Start, cell_range
 

@@ -5,21 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.delay_intervals import delay_intervals
+from deadtime.identification.delay_intervals import delay_intervals, ends_over_peaks
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.identifiability import reasons
 from deadtime.identification.intervals import spread_of
 from deadtime.identification.levels import without_level
 from deadtime.identification.likelihoods.exact_log import ExactLog
+from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.noise import continuous, intensity_errors
-from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.start import start_of
 from deadtime.identification.uneven import gridded, nodes_for
-from deadtime.identification.untold import reasons
 
 
 def estimate_exactly(

@@ -17,7 +17,6 @@ from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.results.sentences import doubts_of, odd_readings, sentences_of
-from deadtime.identification.unknowns import Unknowns
 from deadtime.switching import SemiMarkov
 
 if TYPE_CHECKING:
@@ -76,9 +75,9 @@ class Identification(Findings):
         states: tuple[str, ...],
     ) -> Identification:
         """What there is to hand over of an estimate; `why` there is no switching model."""
-        from deadtime.identification.results.filter_noise import filter_noise
+        from deadtime.identification.results.problem_text import filter_noise
 
-        Unknowns(found).require_inside()
+        found.require_inside()
         rest = rest_of(found, np.linalg.pinv(C))
         odd = odd_readings(found, recording, C)
         fit = cls(

@@ -7,19 +7,20 @@ from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import reporter
+from deadtime.base.checks import number, reporter
+from deadtime.base.errors import ArgumentError
 from deadtime.identification.closed_loop import estimate_in_loop
 from deadtime.identification.exact_estimate import estimate_exactly
-from deadtime.identification.fed_back import fed_back
-from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden
-from deadtime.identification.hidden.mode_numbers import numbers_of
+from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden, numbers_of
+from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
 from deadtime.identification.levels import level_of
-from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.logged_states import (
     as_states,
+    fit_switching,
     require_sizes,
     require_states,
     sensors_of,
@@ -27,16 +28,12 @@ from deadtime.identification.log.logged_states import (
 from deadtime.identification.log.recording import Recording, read_recording
 from deadtime.identification.log.rest import disproved, resting
 from deadtime.identification.log.unit_changes import require_same_units, require_seconds
-from deadtime.identification.noisy.noise import estimate_with_noise
-from deadtime.identification.noisy.noise_intervals import exact_holds
-from deadtime.identification.options import (
-    choice,
-    range_of_delays,
-    require_order_for,
-    require_switches,
+from deadtime.identification.noisy.noise import estimate_with_noise, exact_holds
+from deadtime.identification.outputs.identify_outputs import (
+    identify_outputs,
+    is_states,
+    require_logged,
 )
-from deadtime.identification.outputs.identify_outputs import identify_outputs
-from deadtime.identification.outputs.output_orders import is_states, require_logged
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
 
@@ -230,3 +227,47 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
     model, why = fit_switching(recording)
     fit = Identification.of(found, found.log.recording, model, why, sensors, named)
     return replace(fit, sentences=(*said, *fit.sentences))
+
+
+def require_switches(switches: object) -> None:
+    """Refuse what is none of the values that there are."""
+    if switches not in ("anywhere", "samples"):
+        raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
+
+
+def choice(name: str, value: object) -> bool | None:
+    """True, False, or None, which leaves it to the log."""
+    if value is None:
+        return None
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise ArgumentError(
+        f"{name} must be True, False, or None to find out from the log, got {value!r}."
+    )
+
+
+def range_of_delays(delay: object) -> tuple[float, float]:
+    """The range of delays."""
+    try:
+        low, high = delay  # pyright: ignore[reportGeneralTypeIssues]
+    except (TypeError, ValueError):
+        raise ArgumentError(
+            f"delay must be the range (low, high) to look in, in seconds, got {delay!r}."
+        ) from None
+    low, high = number("delay[0]", low), number("delay[1]", high)
+    if not 0.0 <= low < high:
+        raise ArgumentError(
+            f"delay must be a range 0 ≤ low < high, in seconds, got ({low:g}, {high:g})."
+        )
+    return low, high
+
+
+def require_order_for(zeros: object, outputs: object, C: object) -> None:
+    """Refuse what only outputs alone have."""
+    if zeros is not None:
+        raise ArgumentError("zeros is of outputs alone: give order, too, or leave zeros out.")
+    if outputs is not None and C is None:
+        raise ArgumentError(
+            "outputs needs order, how many states each has, or C, what they are of the states; "
+            "columns that are the states are states=[…]."
+        )

@@ -3,6 +3,8 @@
 With an operating point that is not 0, dx/dt = A (x − x₀) + B (u(t − D) − u₀), each mode has the
 constant term c = −A x₀ − B u₀. It acts as an input does that is always 1, so it is one more column
 of B, which no delay belongs to.
+
+Between two whole numbers of periods, in a cell of a delay, the same samples of an input act.
 """
 
 from __future__ import annotations
@@ -140,3 +142,23 @@ class Layout:
         if self.per_mode:
             return names + [f"delay[{i}][{j}]" for i, j in np.ndindex(self.modes, self.m)]
         return names + [f"delay[{j}]" for j in range(self.m)]
+
+
+def cell_of(delay: float, step: float, up: bool = False) -> int:
+    """The N with D in [(N − 1) h, N h]; the larger one at a whole period where `up`.
+
+    Examples
+    --------
+    >>> cell_of(0.312, 0.05), cell_of(0.3, 0.05), cell_of(0.3, 0.05, up=True)
+    (7, 6, 7)
+    """
+    ratio = delay / step
+    nearest = round(ratio)
+    if abs(ratio - nearest) < 1e-9:
+        return max(1, nearest + up)
+    return max(1, int(np.ceil(ratio)))
+
+
+def cells_of(delays: Float[np.ndarray, " delay"], step: float) -> Int[np.ndarray, " delay"]:
+    """The cell of each delay."""
+    return np.array([cell_of(float(delay), step) for delay in delays])

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.identifiability import require_enough
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import known_ends, lags_of, stacked
 from deadtime.identification.transition import transitions_of
-from deadtime.identification.untold import require_enough
 
 MOST_COLUMNS = 1000  # of past inputs, in a scan
 _MOST_OF = 0.75  # of the periods of each mode: so many that all cells are compared by

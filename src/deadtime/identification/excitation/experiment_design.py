@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.cells import cells_of
-from deadtime.identification.excitation.exact_states import ExactStates
 from deadtime.identification.excitation.excited_loop import chain_of, require_bounded
 from deadtime.identification.excitation.experiment import Experiment
 from deadtime.identification.excitation.given import (
@@ -33,9 +31,12 @@ from deadtime.identification.excitation.input_search import (
     steps,
     within_limits,
 )
-from deadtime.identification.excitation.noise_tables import NoiseTables
-from deadtime.identification.excitation.noisy_states import NoisyStates
-from deadtime.identification.parameters import Layout
+from deadtime.identification.excitation.state_information import (
+    ExactStates,
+    NoiseTables,
+    NoisyStates,
+)
+from deadtime.identification.parameters import Layout, cells_of
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, bound, instance
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.cells import cells_of
-from deadtime.identification.maximum import REACH
-from deadtime.identification.parameters import Layout
+from deadtime.identification.likelihoods.likelihood import REACH
+from deadtime.identification.parameters import Layout, cells_of
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal

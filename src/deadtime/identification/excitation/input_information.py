@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
-from deadtime.identification.excitation.exact_states import ExactStates
 from deadtime.identification.excitation.excited_loop import Chain
-from deadtime.identification.excitation.noisy_states import NoisyStates
+from deadtime.identification.excitation.state_information import ExactStates, NoisyStates
 from deadtime.identification.parameters import Layout
 
 SIGMAS = 3.0  # standard deviations of the noise that limits leave room for

@@ -19,19 +19,26 @@ from deadtime.identification.hidden.ascent import Ascent, ascended
 from deadtime.identification.hidden.regressions import (
     Regressions,
     climbed,
+    drawn_start,
+    first_cells,
     maximised,
     regressed,
     scanned,
+    stretches_of,
 )
-from deadtime.identification.hidden.starts import drawn_start, first_cells, stretches_of
 from deadtime.identification.levels import near_zero
 from deadtime.identification.likelihoods.exact_log import ExactLog
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.likelihoods.jumps import Counts, Jumps
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior, UnevenPeriods
-from deadtime.identification.likelihoods.pooled import PooledPlant, PooledRegression
+from deadtime.identification.likelihoods.likelihood import maximise, window_of
+from deadtime.identification.likelihoods.mode_periods import (
+    EvenPeriods,
+    PooledPlant,
+    PooledRegression,
+    Posterior,
+    UnevenPeriods,
+)
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise, window_of
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import concentrated, rooted
 from deadtime.identification.start import cell_range, plant_of, start_of

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.identification.estimate import Estimate
@@ -17,7 +18,6 @@ from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.hidden.choice import Fitted, fitted, refined, search_of
 from deadtime.identification.hidden.estimated import decoded, estimated, hidden_modes
 from deadtime.identification.hidden.hidden_modes import HiddenModes
-from deadtime.identification.hidden.hidden_sentences import TriedNumbers, of_numbers, of_sureness
 from deadtime.identification.hidden.noisy_choice import (
     NoisyFit,
     fitted_with_noise,
@@ -26,10 +26,9 @@ from deadtime.identification.hidden.noisy_estimated import (
     decoded_with_noise,
     estimated_with_noise,
 )
-from deadtime.identification.log.logged_modes import fit_switching
+from deadtime.identification.log.logged_states import fit_switching
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import estimate_with_noise
-from deadtime.identification.noisy.noise_intervals import exact_holds
+from deadtime.identification.noisy.noise import estimate_with_noise, exact_holds
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls
@@ -38,6 +37,7 @@ from deadtime.switching import SemiMarkov
 _CERTAIN = 1e-12  # a stay of so nearly all probability is never left
 _Fit = TypeVar("_Fit", Fitted, NoisyFit)
 _Found = TypeVar("_Found")
+_MOST = 20  # numbers, and modes
 
 
 class Hidden(NamedTuple):
@@ -214,3 +214,80 @@ def _switching(recording: Recording, chain: np.ndarray) -> tuple[SemiMarkov | No
     jumps = chain * ~np.eye(len(chain), dtype=bool)
     sojourns = [expon(scale=recording.step / one) for one in leave]
     return SemiMarkov(sojourns, jumps / jumps.sum(axis=1, keepdims=True)), ""
+
+
+@dataclass(frozen=True)
+class TriedNumbers(Generic[_Fit]):
+    """Fits of several numbers of modes, those that were asked for, and why others were refused."""
+
+    fits: Sequence[_Fit]
+    numbers: tuple[int, ...]
+    refused: ArgumentError | None
+
+
+def of_numbers(
+    number: int, tried: TriedNumbers[Fitted] | TriedNumbers[NoisyFit], left_out: Sequence[int]
+) -> tuple[str, ...]:
+    """What there is to say of the number of modes; of those left out the path leaves out a mode."""
+    numbers, refused = tried.numbers, tried.refused
+    bic = {one.layout.modes: one.bic for one in tried.fits}
+    table = ", ".join(f"{bic[one]:.1f} with {one}" for one in sorted(bic) if one in numbers)
+    said = []
+    if len(numbers) > 1:
+        most = number_of(number, "mode")
+        row = len(numbers) == numbers[-1] - numbers[0] + 1
+        asked = f"{numbers[0]} to {numbers[-1]}" if row else ", ".join(map(str, numbers))
+        said.append(f"{most} of {asked}: BIC is least, {table}.")
+        if left_out:
+            others = " and ".join(map(str, left_out))
+            said[-1] = (
+                f"{most} of {asked}: BIC is least of those whose likeliest path visits every mode, "
+                f"{table}; that of {others} leaves one out."
+            )
+        if number == max(bic) and number > 1 and refused is None:
+            said.append("More might do better still: let the numbers go on.")
+    elif number > 1 and bic.get(number - 1, np.inf) < bic[number]:
+        fewer = number_of(number - 1, "mode")
+        said.append(
+            f"{fewer} explain{'s' if number == 2 else ''} the log better (BIC "
+            f"{bic[number - 1]:.1f}, against {bic[number]:.1f} with {number}): two of the modes "
+            "are alike, or the log does not tell them apart, and their matrices are fitted to "
+            f"chance. Say modes={number - 1}."
+        )
+    if len(numbers) > 1 and refused is not None:
+        said.append(f"Others were not tried: {refused}")
+    return tuple(said)
+
+
+def of_sureness(modes: HiddenModes, within: bool) -> tuple[str, ...]:
+    """How sure the modes are, and what is taken for granted."""
+    longer = 100.0 * (modes.widening - 1.0)
+    said = [
+        "Modes were not logged; they are numbered as the likeliest path visits them. "
+        f"{100.0 * modes.sure:.0f} % of rows have one that is at least 95 % sure; not knowing them "
+        f"makes intervals up to {longer:.0f} % longer.",
+    ]
+    if not within:
+        said.append("Modes are taken to change at samples only.")
+    return tuple(said)
+
+
+def numbers_of(modes: Any) -> tuple[int, ...] | None:
+    """The numbers of hidden modes that `modes` asks for, rising; None where it names a column.
+
+    Examples
+    --------
+    >>> numbers_of("gear"), numbers_of(2), numbers_of(range(1, 4))
+    (None, (2,), (1, 2, 3))
+    """
+    if modes is None or isinstance(modes, str):
+        return None
+    given = list(modes) if isinstance(modes, Iterable) else [modes]
+    whole = [isinstance(one, int | np.integer) and not isinstance(one, bool) for one in given]
+    if not given or not all(whole) or min(given) < 1 or max(given) > _MOST:
+        raise ArgumentError(
+            "modes must be the column of the mode, None for one mode, or, of modes that were not "
+            f"logged, their number, 1 to {_MOST}, or numbers to choose from such as range(1, 4), "
+            f"got {brief(modes)}."
+        )
+    return tuple(sorted({int(one) for one in given}))

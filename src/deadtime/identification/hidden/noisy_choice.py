@@ -20,8 +20,8 @@ from deadtime.identification.hidden.choice import Begun, HiddenSearch, begun, fi
 from deadtime.identification.levels import at_zero, from_zero
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
 from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.likelihood import maximise, window_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise, window_of
 from deadtime.identification.noisy.noise import continuous, first_noises
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum

@@ -26,8 +26,7 @@ from deadtime.identification.hidden.noisy_choice import NoisyFit
 from deadtime.identification.intervals import spread_of
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import noisy_residuals
-from deadtime.identification.noisy.noise_intervals import variance_errors
+from deadtime.identification.noisy.noise import noisy_residuals, variance_errors
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start

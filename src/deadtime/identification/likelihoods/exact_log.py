@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.identification.cells import cell_of
 from deadtime.identification.likelihoods.likelihood import PlantLikelihood
+from deadtime.identification.parameters import cell_of
 from deadtime.identification.regression import Term, concentrated, even_terms, lags_of
 from deadtime.identification.scoring import Evaluate
 from deadtime.identification.uneven import uneven_terms, usable

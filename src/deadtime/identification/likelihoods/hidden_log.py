@@ -15,11 +15,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.cells import cell_of
 from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.likelihood import PlantLikelihood
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior, UnevenPeriods
-from deadtime.identification.likelihoods.pooled import PooledRegression
+from deadtime.identification.likelihoods.mode_periods import (
+    EvenPeriods,
+    PooledRegression,
+    Posterior,
+    UnevenPeriods,
+)
+from deadtime.identification.parameters import cell_of
 from deadtime.identification.regression import LagRoots, Term, even_terms, log_density, rooted
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import node_columns, node_term

@@ -25,8 +25,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
-from deadtime.identification.maximum import maximise
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.transition import plain_transitions
 
