@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,13 +12,16 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.identification.hidden_modes import HiddenModes
 from deadtime.identification.intervals import Spread
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 from deadtime.plant import SwitchedSystem
+from deadtime.switching import SemiMarkov
 
 _REACH = 1.959963984540054  # of a normal distribution's 95 %
 _OWN = 0.5  # of a variance: an error beyond which it may be none
@@ -129,6 +133,25 @@ class Estimate(Frozen):
         if name not in self.places:
             raise ArgumentError(f"name must be one of {', '.join(self.places)}, got {brief(name)}.")
         return self.places[name]
+
+
+class Answer(NamedTuple):
+    """An estimate, and all else that there is to hand over.
+
+    recording : with the modes that plants are of; states : their names
+    model : how modes switch, and `why` there is none
+    sentences, doubts : what there is to say beside what every estimate says
+    """
+
+    estimate: Estimate
+    recording: Recording
+    model: SemiMarkov | None
+    why: str
+    C: Float[np.ndarray, "p n"]
+    states: tuple[str, ...]
+    sentences: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    modes: HiddenModes | None = None
 
 
 def variance_ends(value: float, error: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.hidden_modes import HiddenModes
+from deadtime.identification.hidden_modes import HiddenModes
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import number, reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.closed_loop import estimate_in_loop
+from deadtime.identification.estimate import Answer
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden, numbers_of
 from deadtime.identification.identifiability import fed_back
@@ -192,13 +193,8 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
     bounds = max(low, _SHORTEST * recording.step), high
     about = recording.about(level_of(recording))
     if order is not None:
-        of = identify_outputs(about, order, zeros, per_mode, bounds, within, progress)
-        fit = Identification.of(
-            of.estimate, of.estimate.log.recording, of.model, of.why, of.C, of.states
-        )
-        return replace(
-            fit, sentences=(*fit.sentences, *of.sentences), doubts=(*fit.doubts, *of.doubts)
-        )
+        of = about, order, zeros, per_mode, bounds, within, progress
+        return Identification.of(identify_outputs(*of))
     sensors = sensors_of(C, recording)
     count = sensors.shape[1]
     named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
@@ -209,11 +205,10 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
     said: tuple[str, ...] = ()
     if numbers is not None:
         noisy = True if C is not None else noise
-        sensed = Sensed(direct, about, sensors, noisy)
-        hidden = identify_hidden(sensed, numbers, layout, bounds, within, progress)
-        if hidden.estimate is not None:
-            return Identification.of_hidden(hidden, sensors, named)
-        said = hidden.sentences
+        sensed = Sensed(direct, about, sensors, named, noisy)
+        hidden, said = identify_hidden(sensed, numbers, layout, bounds, within, progress)
+        if hidden is not None:
+            return Identification.of(hidden)
     progress(f"looking for the delay between {low:g} and {high:g} s")
     found = estimate_exactly(direct, layout, bounds, within)
     sure = C is not None or bool(noise)
@@ -225,7 +220,7 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
         noisy = estimate_with_noise(about, sensors, found, within, bounds)
         found = found if not sure and exact_holds(found, noisy) else noisy
     model, why = fit_switching(recording)
-    fit = Identification.of(found, found.log.recording, model, why, sensors, named)
+    fit = Identification.of(Answer(found, found.log.recording, model, why, sensors, named))
     return replace(fit, sentences=(*said, *fit.sentences))
 
 

@@ -90,6 +90,14 @@ class Layout:
         own = delays if self.per_mode else delays[0]
         return np.concatenate((A.ravel(), B.ravel(), own.ravel()))
 
+    def ordered(
+        self, vector: Float[np.ndarray, " some"], order: Int[np.ndarray, " mode"]
+    ) -> Float[np.ndarray, " some"]:
+        """A vector that begins with this layout's, with modes in another order."""
+        A, B, delays = self.split(vector[: self.size])
+        theta = self.join(A[order], B[order], delays[order])
+        return np.concatenate((theta, vector[self.size :]))
+
     def plant(self, theta: Float[np.ndarray, " size"]) -> SwitchedSystem:
         """The plant of a vector, about its operating point."""
         A, B, delays = self.split(theta)

@@ -38,6 +38,12 @@ class Information(NamedTuple):
     told: float
     of_noise: Float[np.ndarray, " mode"]
 
+    @property
+    def widening(self) -> float:
+        """How many times longer than with known modes the longest interval is."""
+        errors = [np.diagonal(np.linalg.inv(F)) for F in (self.left, self.known)]
+        return float(np.sqrt((errors[0] / errors[1]).max()))
+
 
 class _Noise:
     """M and the odds as a vector about where a likelihood has S and P."""

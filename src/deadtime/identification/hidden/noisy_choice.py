@@ -10,13 +10,19 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.hidden.choice import Begun, HiddenSearch, begun, fitted
+from deadtime.identification.hidden.choice import (
+    Begun,
+    HiddenFit,
+    HiddenSearch,
+    begun,
+    bic_of,
+    fitted,
+)
 from deadtime.identification.levels import at_zero, from_zero
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
 from deadtime.identification.likelihoods.jumps import Jumps
@@ -33,31 +39,12 @@ _FAR = 10.0  # times what BIC asks of constant terms: they are no chance
 _SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at first, at the end
 
 
-class NoisyFit(NamedTuple):
-    """The likeliest plant and noise of a number of modes, and BIC.
-
-    begun : where it began; window : of delays; values : log likelihood of every round
-    """
-
-    begun: Begun
-    log: HiddenNoisyLog
-    best: Maximum
-    window: tuple[float, float]
-    values: Float[np.ndarray, " round"]
-    bic: float
-
-    @property
-    def layout(self) -> Layout:
-        """Where unknowns of the plant lie."""
-        return self.log.layout
-
-
 def fitted_with_noise(
     search: HiddenSearch,
     layout: Layout,
     recording: Recording,
     C: Float[np.ndarray, "p n"],
-) -> NoisyFit:
+) -> HiddenFit[HiddenNoisyLog]:
     """The likeliest plant and noise of a recording of y = C x, of a number of modes.
 
     Raises
@@ -68,10 +55,10 @@ def fitted_with_noise(
     if search.plain is not None and not _seems_to_need_level(search, layout):
         plain = replace(layout, constant=False)
         return fitted_with_noise(search.plain, plain, recording.absolute(), C)
-    found = _led(search, *_best_start(search, layout, recording, C))
+    found, best = _led(search, *_best_start(search, layout, recording, C))
     if search.plain is None:
         return found
-    return min(found, _at_zero(search.plain, found) or found, key=lambda fit: fit.bic)
+    return min(found, _at_zero(search.plain, found, best) or found, key=lambda fit: fit.bic)
 
 
 def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
@@ -82,16 +69,18 @@ def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
         return True
 
 
-def _at_zero(search: HiddenSearch, fit: NoisyFit) -> NoisyFit | None:
+def _at_zero(
+    search: HiddenSearch, fit: HiddenFit[HiddenNoisyLog], best: Maximum
+) -> HiddenFit[HiddenNoisyLog] | None:
     """The maximum near a fit without its constant terms; None where these are far from chance."""
-    theta, information, back = fit.best.theta, fit.best.found.information, np.linalg.pinv(fit.log.C)
-    far, terms = from_zero(fit.layout, theta, information, fit.log.recording, back)
+    given = best.theta, best.found.information, fit.log.recording, np.linalg.pinv(fit.log.C)
+    far, terms = from_zero(fit.layout, *given)
     if far > _FAR * terms * np.log(search.periods.count):
         return None
-    log, kept = at_zero(fit.log, theta.size)
+    log, kept = at_zero(fit.log, best.theta.size)
     log = replace(log, errors=log.errors[kept], _kept={})
     with suppress(ArgumentError):
-        return _led(search, fit.begun, log, theta[kept], fit.window)
+        return _led(search, fit.begun, log, best.theta[kept], fit.window)[0]
 
 
 def _led(
@@ -100,7 +89,7 @@ def _led(
     log: HiddenNoisyLog,
     theta: Float[np.ndarray, " size"],
     window: tuple[float, float],
-) -> NoisyFit:
+) -> tuple[HiddenFit[HiddenNoisyLog], Maximum]:
     """The maximum that a vector leads to.
 
     Raises
@@ -116,13 +105,12 @@ def _led(
             f"modes = {layout.modes} is too many for this log: with noise of the sensors a mode is "
             f"left with {rows:.0f} rows: ask for fewer, or log for longer."
         )
-    n, modes = layout.n, layout.modes
-    unknowns = layout.size + n * (n + 1) // 2 + len(log.C) + modes * (modes - 1)
     # Of the same samples for all numbers, and all levels: nothing but P0 is known of the first.
     starts = log.starts(*search.bounds)
     value = float(log.filtered(best.theta, starts)[1][~np.concatenate(starts)].sum())
-    bic = unknowns * float(np.log(search.periods.count)) - 2.0 * value
-    return NoisyFit(begin, log, best, window, values, bic)
+    bic = bic_of(search, layout, best.theta.size - layout.size, value)
+    given = log, best.theta, log.starts(*window), window, values, bic
+    return HiddenFit(*given, begin, begin.log, begin.theta), best
 
 
 def _best_start(
@@ -167,7 +155,7 @@ def _of_start(
     start: Begun, search: HiddenSearch, recording: Recording, C: Float[np.ndarray, "p n"]
 ) -> tuple[HiddenNoisyLog, Float[np.ndarray, "n n"]]:
     """The likelihood, with modes that last; and what a period adds, as noise of the plant."""
-    exact, theta, layout = start.log, start.theta, start.layout
+    exact, theta, layout = start.log, start.theta, start.log.layout
     A, _, _ = layout.split(theta)
     share = start.found.weight.sum(axis=0)
     W = np.tensordot(share / share.sum(), continuous(A, exact.S, recording.step), axes=1)

@@ -40,6 +40,10 @@ class HiddenLog(PlantLikelihood):
     S: Float[np.ndarray, "mode n n"]
     jumps: Jumps
 
+    def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenLog:
+        """With modes in another order."""
+        return replace(self, S=self.S[order], jumps=self.jumps.ordered(order))
+
     def over(self, low: float, high: float) -> HiddenLog:
         """The likelihood of the periods that are usable for delays between two, seconds."""
         h, old = self.recording.step, self.periods

@@ -63,6 +63,11 @@ class HiddenNoisyLog(SensorLikelihood):
         """The likelihood if modes were those of a recording, and changed at its samples."""
         return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
 
+    def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenNoisyLog:
+        """With modes in another order."""
+        errors, jumps = self.layout.ordered(self.errors, order), self.jumps.ordered(order)
+        return replace(self, errors=errors, jumps=jumps, _kept={})
+
     @property
     def most(self) -> Float[np.ndarray, " size"]:
         """Steps of noise beyond which differences tell little; of plants there are none."""

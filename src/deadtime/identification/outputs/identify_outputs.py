@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.estimate import Estimate
+from deadtime.identification.estimate import Answer, Estimate
 from deadtime.identification.levels import near_zero
 from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.log.logged_states import fit_switching
@@ -29,21 +28,8 @@ from deadtime.identification.outputs.chosen import (
 from deadtime.identification.outputs.other_delays import with_others
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
-from deadtime.switching import SemiMarkov
 
 _MOST = 12  # states in all
-
-
-class FromOutputs(NamedTuple):
-    """What `Identification.of` takes, and what else there is to say."""
-
-    estimate: Estimate
-    model: SemiMarkov | None
-    why: str
-    C: Float[np.ndarray, "p n"]
-    states: tuple[str, ...]
-    sentences: tuple[str, ...]
-    doubts: tuple[str, ...]
 
 
 def identify_outputs(
@@ -54,7 +40,7 @@ def identify_outputs(
     bounds: tuple[float, float],
     within: bool,
     progress: Callable[[str], None],
-) -> FromOutputs:
+) -> Answer:
     """The likeliest plant with so many states of each output."""
     given = order_of(order, recording.outputs)
     _require_moving(recording)
@@ -70,7 +56,8 @@ def identify_outputs(
     said = high or others or unsure
     doubts = ("a smaller order explains the log better",) if high else ()
     doubts += ("the log hardly tells on which states inputs act",) if unsure else ()
-    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said), doubts)
+    given = found, found.log.recording, *fit_switching(recording), shape.C, names
+    return Answer(*given, tuple(said), doubts)
 
 
 def _require_moving(recording: Recording) -> None:
