@@ -80,7 +80,7 @@ def test_value_score_and_information_are_those_of_the_dense_gaussian(given, bloc
 
     What is not known of the first state is small enough that differences have digits left.
     """
-    monkeypatch.setattr("deadtime.identification.likelihoods.filtering._BLOCK", block)
+    monkeypatch.setattr("deadtime.identification.likelihoods.switched_filter._BLOCK", block)
     monkeypatch.setattr("deadtime.identification.likelihoods.noisy_log._VAGUE", 10.0)
     log = log_of(made(*given))
     theta = LAYOUT.join(1.05 * A, 0.9 * B, D + 0.003)

@@ -135,7 +135,7 @@ class Estimate(Frozen):
         return self.places[name]
 
 
-class Answer(NamedTuple):
+class IdentifiedLog(NamedTuple):
     """An estimate, and all else that there is to hand over.
 
     recording : with the modes that plants are of; states : their names

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.checks import positive
-from deadtime.identification.estimate import Answer
+from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
 from deadtime.identification.results.sentences import doubts_of, odd_readings, sentences_of
@@ -60,7 +60,7 @@ class Identification(Findings):
     """
 
     @classmethod
-    def of(cls, answer: Answer) -> Identification:
+    def of(cls, answer: IdentifiedLog) -> Identification:
         """What there is to hand over of an answer."""
         from deadtime.identification.results.problem_text import filter_noise
 

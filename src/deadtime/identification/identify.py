@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import number, reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.closed_loop import estimate_in_loop
-from deadtime.identification.estimate import Answer
+from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden, numbers_of
 from deadtime.identification.identifiability import fed_back
@@ -220,7 +220,7 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
         noisy = estimate_with_noise(about, sensors, found, within, bounds)
         found = found if not sure and exact_holds(found, noisy) else noisy
     model, why = fit_switching(recording)
-    fit = Identification.of(Answer(found, found.log.recording, model, why, sensors, named))
+    fit = Identification.of(IdentifiedLog(found, found.log.recording, model, why, sensors, named))
     return replace(fit, sentences=(*said, *fit.sentences))
 
 

@@ -34,7 +34,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.excitation.excited_loop import Chain
-from deadtime.identification.likelihoods.filter_periods import noise_tables
+from deadtime.identification.likelihoods.switched_filter import noise_tables
 from deadtime.identification.parameters import Layout
 
 Pullback = Callable[[np.ndarray], np.ndarray]

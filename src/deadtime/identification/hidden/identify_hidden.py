@@ -13,7 +13,7 @@ from jaxtyping import Float
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
-from deadtime.identification.estimate import Answer
+from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.hidden.choice import HiddenFit, Log, fitted, refined, search_of
 from deadtime.identification.hidden.estimated import (
@@ -60,7 +60,7 @@ def identify_hidden(
     bounds: tuple[float, float],
     within: bool,
     progress: Callable[[str], None],
-) -> tuple[Answer | None, tuple[str, ...]]:
+) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
     """The likeliest plant whose modes are hidden, of one of several numbers of them, by BIC.
 
     None where one mode is the likeliest, and what there is to say of their number.
@@ -90,7 +90,7 @@ def identify_hidden(
     return _chosen(noisy, sensed, within, decoded, estimated_with_noise)
 
 
-def _holds(found: Answer, within: bool, bounds: tuple[float, float]) -> bool:
+def _holds(found: IdentifiedLog, within: bool, bounds: tuple[float, float]) -> bool:
     """Whether states may be taken as exact, told as of logged modes, those of the likeliest path.
 
     That takes seconds where noise behind hidden modes takes minutes.
@@ -134,7 +134,7 @@ def _chosen(
     within: bool,
     decode: Callable[[HiddenFit[Log]], Decoded[Log]],
     estimate: Callable[[Decoded[Log]], Told],
-) -> tuple[Answer | None, tuple[str, ...]]:
+) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
     """What there is to hand over of the best fit."""
     best, found, left_out = best_of(tried, decode)
     said = of_numbers(best.layout.modes, tried, left_out)
@@ -156,7 +156,7 @@ def _chosen(
     said = (*said, *of_sureness(modes, within))
     model, why = _switching(record, chain)
     given = told.estimate, record, model, why, sensed.C, sensed.named, said
-    return Answer(*given, modes=modes), said
+    return IdentifiedLog(*given, modes=modes), said
 
 
 def best_of(

@@ -20,11 +20,11 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.likelihoods.filter_periods import even_periods, uneven_periods
 from deadtime.identification.likelihoods.filters_kernel import filter_modes
 from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.mode_periods import Posterior, path_of, posterior_of
 from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
+from deadtime.identification.likelihoods.switched_filter import periods_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluation
@@ -95,7 +95,7 @@ class HiddenNoisyLog(SensorLikelihood):
             for i in range(layout.modes):
                 at = slice(i, i + 1)
                 theta = one.join(A[at], B[at], delays[at])
-                each.append(self._once(number, start, one, theta, L, own[at]))
+                each.append(self._once(number, start, one, theta, L, own[i]))
             Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
             part = self.recording.parts[number]
             stay = np.empty((part.time.size - 1, layout.modes))
@@ -115,7 +115,7 @@ class HiddenNoisyLog(SensorLikelihood):
         layout: Layout,
         theta: np.ndarray,
         L: np.ndarray,
-        cells: Int[np.ndarray, "one m"],
+        cells: Int[np.ndarray, " m"],
     ) -> PartPeriods:
         """`_periods` of one mode; the last are kept: differences ask for few anew."""
         key = number, b"".join(one.tobytes() for one in (start, theta, L, cells))
@@ -132,22 +132,19 @@ class HiddenNoisyLog(SensorLikelihood):
         layout: Layout,
         theta: np.ndarray,
         L: np.ndarray,
-        cells: Int[np.ndarray, "one m"],
+        cells: Int[np.ndarray, " m"],
     ) -> PartPeriods:
         """Those of a part, if it were of one mode throughout; W = L Lᵀ."""
-        part, even = self.recording.parts[number], self.recording.even
+        part = self.recording.parts[number]
         part = part._replace(mode=np.zeros(part.time.size, np.int64))
-        if even:
-            periods_of = even_periods(layout, theta, L, cells, self.recording.step)
-        else:
-            periods_of = uneven_periods(layout, theta, L, self.nodes)
+        leading = periods_of(self.recording, layout, theta, L, cells, self.nodes)
         rows, each = np.arange(start.size), []
         for first in range(0, start.size, _BLOCK):
             own = rows[first : first + _BLOCK]
-            periods = periods_of(part, own, start[own])
+            periods = leading(part, own, start[own])
             each.append((periods.Phi, periods.added, periods.Q))
         Phi, added, Q = zip(*each, strict=True)
-        if even:  # one table for all
+        if self.recording.even:  # one table for all
             return PartPeriods(0 * rows, Phi[0], np.vstack(added), Q[0])
         return PartPeriods(rows, np.vstack(Phi), np.vstack(added), np.vstack(Q))
 

@@ -9,13 +9,13 @@ foretell, and the variance s of that,
     log L = −½ Σ (log 2π s + e²/s),
     score = Σ (∂s (e²/s − 1)/2 − e ∂e)/s,    F = Σ (∂s²/2s² + ∂e²/s).
 
-The filter carries ∂e and ∂s along with e and s (`filtering`).
+The filter carries ∂e and ∂s along with e and s (`switched_filter`).
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -25,21 +25,13 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.identification.likelihoods.embedding import Embedding
-from deadtime.identification.likelihoods.filter_periods import (
-    FilterPeriods,
-    PeriodsOf,
-    even_periods,
-    uneven_periods,
-)
-from deadtime.identification.likelihoods.filtering import (
-    Filtered,
+from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.likelihoods.switched_filter import (
     Places,
     Sensors,
-    evaluated,
-    filtered,
+    SwitchedKalmanFilter,
+    periods_of,
 )
-from deadtime.identification.likelihoods.likelihood import Likelihood
-from deadtime.identification.log.recording import Part
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed
 
@@ -212,18 +204,33 @@ class NoisyLog(SensorLikelihood):
         every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
         return every - sum(int(one.sum()) for one in self.initial(starts))
 
+    def filter(
+        self,
+        vector: Float[np.ndarray, " size"],
+        starts: Starts,
+        cells: Int[np.ndarray, " delay"] | None = None,
+    ) -> SwitchedKalmanFilter:
+        """The filter over all parts; of an even log in cells of delays, by default their own."""
+        theta = vector[: self.layout.size]
+        own = self.cells(theta) if cells is None else cells
+        given = self.recording, self.layout, theta, self.root(vector), own, self.nodes
+        sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
+        left_out = self.initial(starts)
+        return SwitchedKalmanFilter(
+            self.recording.parts, starts, left_out, periods_of(*given), sensors
+        )
+
     def innovations(
         self, vector: Float[np.ndarray, " size"], starts: Starts
     ) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
-        blocks = self._filtered(vector, starts, None, Places.none(self.layout.modes))
+        blocks = self.filter(vector, starts).innovations(Places.none(self.layout.modes))
         found = [(block.e, block.s) for block in blocks]
         return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
 
     def value(self, vector: Float[np.ndarray, " size"], starts: Starts) -> float:
         """The log likelihood."""
-        places = Places.none(self.layout.modes)
-        return evaluated(self._filtered(vector, starts, None, places), places).value
+        return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
 
     def evaluate(
         self,
@@ -234,34 +241,8 @@ class NoisyLog(SensorLikelihood):
         free = self.free
         places = Places.of(self.layout, len(self.C), free)
         with np.errstate(all="ignore"):
-            found = evaluated(self._filtered(vector, starts, cells, places), places)
+            found = self.filter(vector, starts, cells).evaluate(places)
         score, information = np.zeros(self.size), np.zeros((self.size, self.size))
         score[free], information[np.ix_(free, free)] = found.score, found.information
         known = np.isfinite(score).all() and np.isfinite(information).all()
         return Evaluation(found.value if known else -np.inf, score, information)
-
-    def _filtered(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: np.ndarray | None,
-        places: Places,
-    ) -> Iterator[Filtered]:
-        """The filter over all parts."""
-        sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
-        left_out, periods_of = self.initial(starts), self._periods_of(vector, cells)
-        return filtered(self.recording.parts, starts, left_out, periods_of, sensors, places)
-
-    def periods(
-        self, vector: Float[np.ndarray, " size"], part: Part, start: Bool[np.ndarray, " sample"]
-    ) -> FilterPeriods:
-        """What leads to each sample of a part but those that begin anew."""
-        return self._periods_of(vector, None)(part, np.arange(start.size), start)
-
-    def _periods_of(self, vector: np.ndarray, cells: np.ndarray | None) -> PeriodsOf:
-        """What leads to samples; of an even log in cells of delays, by default their own."""
-        layout, theta, L = self.layout, vector[: self.layout.size], self.root(vector)
-        if not self.recording.even:
-            return uneven_periods(layout, theta, L, self.nodes)
-        own = self.cells(theta) if cells is None else cells
-        return even_periods(layout, theta, L, layout.spread(own), self.recording.step)

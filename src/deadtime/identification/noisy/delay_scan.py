@@ -21,7 +21,8 @@ from jaxtyping import Float
 
 from deadtime.identification.likelihoods.likelihood import maximise, window_of
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
-from deadtime.identification.likelihoods.smoother import FilterModel, filtered, responses
+from deadtime.identification.likelihoods.switched_filter import FilterPeriods, Places
+from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import inputs_at
 from deadtime.identification.scoring import Maximum
@@ -74,23 +75,30 @@ def _gram(
 ) -> Float[np.ndarray, "z z"]:
     """Sums of the errors without inputs and of the responses to each: modes, rows, lags × m (+ 1).
 
-    Constant terms come last in each row, where there are any.
+    Constant terms come last in each row, where there are any. A response is what an error would be
+    less by, in standard deviations, for one more input: the filter's derivative.
     """
-    layout, h = log.layout, log.recording.step
+    layout, whole = log.layout, log.filter(vector, log.starts(*log.bounds))
+    modes, n, columns = layout.modes, layout.n, lags.size * layout.m + layout.constant
     A = layout.split(vector[: layout.size])[0]
-    starts, total = log.starts(*log.bounds), 0.0
-    left_out = log.initial(starts)
-    push = np.array([transitions_of(one, np.array([h])).W[0][:, rows] for one in A])
-    for part, start, known in zip(log.recording.parts, starts, left_out, strict=True):
-        periods = log.periods(vector, part, start)
-        model = FilterModel.of(log, vector, periods)
-        free = filtered(part.output, start, periods.kind, np.zeros(periods.added.shape), model)
-        row = np.arange(-1, start.size - 1)[:, None] - lags
-        u = np.nan_to_num(inputs_at(part, row)).reshape(start.size, -1)
-        u = np.hstack((u, np.ones((start.size, int(layout.constant)))))
-        added = responses(free, start, periods.kind, push, u, model)
-        e = (free.error / np.sqrt(free.variance))[..., None]
-        z = np.concatenate((e, added), axis=2)[~known & np.isfinite(part.output)]
+    step = np.array([log.recording.step])
+    push = np.array([transitions_of(one, step).W[0][:, rows] for one in A])
+    own = np.arange(modes * rows.size * columns).reshape(modes, -1)
+    own = np.hstack((np.full((modes, n * n), -1), own))  # A is known
+    places = Places.none(modes)._replace(size=int(own.max()) + 1, own=own)
+
+    def periods_of(part: Part, k: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
+        found = whole.periods_of(part, k, fresh)
+        u = np.nan_to_num(inputs_at(part, k[:, None] - 1 - lags)).reshape(k.size, -1)
+        u = np.hstack((u, np.ones((k.size, int(layout.constant)))))
+        acting = push[found.mode].swapaxes(1, 2)[:, :, None] * u[:, None, :, None]
+        by = np.hstack((np.zeros((k.size, n * n, n)), acting.reshape(k.size, -1, n)))
+        return found._replace(added=np.zeros(found.added.shape), by_added=by)
+
+    total = 0.0
+    for block in whole._replace(periods_of=periods_of).innovations(places):
+        z = np.concatenate((block.e[..., None], -block.by_e), axis=2)
+        z = (z / np.sqrt(block.s)[..., None])[np.isfinite(block.y)]
         total = total + z.T @ z
     return np.asarray(total)
 

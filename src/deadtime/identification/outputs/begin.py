@@ -19,7 +19,6 @@ the chains. Fast poles want a small q, slow ones a large one, by which noise mat
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from math import factorial
 from typing import NamedTuple
@@ -28,16 +27,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.identification.likelihoods.embedding import Embedding
-from deadtime.identification.likelihoods.filter_periods import FilterPeriods
-from deadtime.identification.likelihoods.filtering import (
-    Filtered,
-    Places,
-    Sensors,
-    filtered as innovations,
-)
 from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
-from deadtime.identification.likelihoods.smoother import FilterModel, filtered, smoothed
+from deadtime.identification.likelihoods.switched_filter import (
+    FilterPeriods,
+    Places,
+    Sensors,
+    SwitchedKalmanFilter,
+)
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.noisy.delay_scan import of_sensors, scanned
 from deadtime.identification.parameters import Layout
@@ -94,62 +91,52 @@ def _chain(series: list[np.ndarray], count: int) -> tuple[list[np.ndarray], floa
     known = np.concatenate([one[np.isfinite(one)] for one in series])
     size = float(np.sqrt(np.mean(known**2)))
     grid = 10.0 ** np.arange(-_DECADES * count, _DECADES + 2.0)
-    found = [(_likelihood(series, count, q, size), q) for q in grid.tolist()]
+    each = [one / size for one in series]
+    found = [(_likelihood(_integrators(each, count, q)), q) for q in grid.tolist()]
     (_, variance), q = max(found, key=lambda one: one[0][0])
-    model, states = _model(count, q), []
-    for y in series:
-        start, kind = _one_start(len(y))
-        first = filtered(y / size, start, kind, np.zeros((len(y), count)), model)
-        states.append(size * smoothed(first, start, kind, model))
+    best = _integrators(each, count, q)
+    states = [size * best.states(number).smoothed for number in range(len(series))]
     return states, size * float(np.sqrt(variance)), size**2 * variance * q
 
 
-def _model(count: int, q: float) -> FilterModel:
-    """A chain of integrators; variances in units of the sensor's."""
-    Phi, Q = np.zeros((count, count)), np.zeros((count, count))
+def _integrators(series: list[np.ndarray], count: int, q: float) -> SwitchedKalmanFilter:
+    """The filter of a chain of integrators; variances in units of the sensor's.
+
+    The first measurements, by which states begin, are left out.
+    """
+    Phi, Q = np.zeros((1, count, count)), np.zeros((1, count, count))
     for a in range(count):
         for b in range(count):
             if b >= a:
-                Phi[a, b] = 1.0 / factorial(b - a)
+                Phi[0, a, b] = 1.0 / factorial(b - a)
             i, j = count - 1 - a, count - 1 - b
-            Q[a, b] = q / (factorial(i) * factorial(j) * (i + j + 1))
-    C = np.eye(1, count)
-    return FilterModel(Phi[None], Q[None], C, np.ones(1), (_VAGUE * (1.0 + q)) * np.eye(count))
-
-
-def _one_start(count: int) -> tuple[np.ndarray, np.ndarray]:
-    start = np.zeros(count, bool)
-    start[0] = True
-    return start, np.zeros(count, np.int64)
-
-
-def _likelihood(series: list[np.ndarray], count: int, q: float, size: float) -> tuple[float, float]:
-    """Log likelihood with the sensor's variance at its likeliest, and that, in size²."""
-    model, total, squares, logs = _model(count, q), 0, 0.0, 0.0
-    for y in series:
-        for block in _innovations(y / size, model):
-            total += np.count_nonzero(np.isfinite(block.y))
-            squares += float((block.e * block.e / block.s).sum())
-            logs += float(np.log(block.s).sum())
-    variance = max(squares / max(total, 1), 1e-14)
-    return -0.5 * (total * np.log(variance) + logs), variance
-
-
-def _innovations(y: Float[np.ndarray, "sample 1"], model: FilterModel) -> Iterator[Filtered]:
-    """Errors and variances of an output; the first ones, by which states begin, left out."""
-    start, mode = _one_start(len(y))
-    part = Part(np.arange(len(y), dtype=float), y, np.zeros((len(y), 0)), mode)
-    initial = np.isfinite(y) & (np.cumsum(np.isfinite(y), axis=0) <= model.C.size)
-    n = model.C.size
-    nothing = np.zeros((1, 0, n, n))
+            Q[0, a, b] = q / (factorial(i) * factorial(j) * (i + j + 1))
+    nothing = np.zeros((1, 0, count, count))
 
     def periods(_: Part, rows: np.ndarray, __: np.ndarray) -> FilterPeriods:
-        tables = model.Phi, nothing, model.Q, nothing
-        unmoved = np.zeros((rows.size, n)), np.zeros((rows.size, 0, n))
-        return FilterPeriods(mode[rows], mode[rows], *tables, *unmoved)
+        kind, unmoved = np.zeros(rows.size, np.int64), np.zeros((rows.size, count))
+        by_nothing = np.zeros((rows.size, 0, count))
+        return FilterPeriods(kind, kind, Phi, nothing, Q, nothing, unmoved, by_nothing)
 
-    sensors = Sensors(model.C, model.R, model.P0)
-    return innovations((part,), [start], [initial], periods, sensors, Places.none(1))
+    times = [np.arange(len(y)) for y in series]
+    parts = [
+        Part(t.astype(float), y, np.zeros((t.size, 0)), 0 * t)
+        for t, y in zip(times, series, strict=True)
+    ]
+    initial = [np.isfinite(y) & (np.cumsum(np.isfinite(y), axis=0) <= count) for y in series]
+    sensors = Sensors(np.eye(1, count), np.ones(1), (_VAGUE * (1.0 + q)) * np.eye(count))
+    return SwitchedKalmanFilter(tuple(parts), [t == 0 for t in times], initial, periods, sensors)
+
+
+def _likelihood(chain: SwitchedKalmanFilter) -> tuple[float, float]:
+    """Log likelihood with the sensor's variance at its likeliest, and that."""
+    total, squares, logs = 0, 0.0, 0.0
+    for block in chain.innovations(Places.none(1)):
+        total += np.count_nonzero(np.isfinite(block.y))
+        squares += float((block.e * block.e / block.s).sum())
+        logs += float(np.log(block.s).sum())
+    variance = max(squares / max(total, 1), 1e-14)
+    return -0.5 * (total * np.log(variance) + logs), variance
 
 
 class Guess(NamedTuple):

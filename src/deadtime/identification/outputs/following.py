@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
-from deadtime.identification.likelihoods.smoother import FilterModel, filtered, smoothed
 from deadtime.identification.log.recording import Part
 
 _MOST = 10_000  # samples of a long log whose states are looked at
@@ -34,13 +33,10 @@ def following(
 ) -> Following:
     """States of a part by the likeliest plant."""
     own = replace(log, recording=log.recording._replace(parts=(part,)))
-    starts = own.starts(*window)
-    (start,), periods = starts, own.periods(vector, part, starts[0])
-    model = FilterModel.of(own, vector, periods)
-    found = filtered(part.output, start, periods.kind, periods.added, model)
-    states = smoothed(found, start, periods.kind, model)
+    (start,) = starts = own.starts(*window)
+    one_ahead, states, periods = own.filter(vector, starts).states(0)
     known = ~start & (np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n)
-    ahead = np.where(known[:, None], found.state, np.nan)
+    ahead = np.where(known[:, None], one_ahead, np.nan)
     free = np.full(states.shape, np.nan)
     for k in np.flatnonzero(~start).tolist():
         before = free[k - 1] if np.isfinite(free[k - 1]).all() else states[k - 1]

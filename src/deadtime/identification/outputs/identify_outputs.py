@@ -10,7 +10,7 @@ import numpy as np
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.estimate import Answer, Estimate
+from deadtime.identification.estimate import Estimate, IdentifiedLog
 from deadtime.identification.levels import near_zero
 from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.log.logged_states import fit_switching
@@ -40,7 +40,7 @@ def identify_outputs(
     bounds: tuple[float, float],
     within: bool,
     progress: Callable[[str], None],
-) -> Answer:
+) -> IdentifiedLog:
     """The likeliest plant with so many states of each output."""
     given = order_of(order, recording.outputs)
     _require_moving(recording)
@@ -57,7 +57,7 @@ def identify_outputs(
     doubts = ("a smaller order explains the log better",) if high else ()
     doubts += ("the log hardly tells on which states inputs act",) if unsure else ()
     given = found, found.log.recording, *fit_switching(recording), shape.C, names
-    return Answer(*given, tuple(said), doubts)
+    return IdentifiedLog(*given, tuple(said), doubts)
 
 
 def _require_moving(recording: Recording) -> None:
