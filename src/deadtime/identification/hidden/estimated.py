@@ -60,7 +60,7 @@ class Decoded(Generic[Log]):
     recording: Recording
 
 
-class Told(NamedTuple):
+class ModesTold(NamedTuple):
     """An estimate, how likely each mode was in every row, and how many times longer intervals are.
 
     These are the plant's longest, beside those with known modes.
@@ -107,7 +107,7 @@ def _ordered_by_path(
     return order, recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
 
 
-def estimated(found: Decoded[HiddenLog]) -> Told:
+def estimated(found: Decoded[HiddenLog]) -> ModesTold:
     """With exact states."""
     log, theta, record = found.log, found.theta, found.recording
     layout, cells = log.layout, log.cells(theta)
@@ -145,10 +145,10 @@ def estimated(found: Decoded[HiddenLog]) -> Told:
         tests=judge_residuals(white, record, plant.longest_delay),
         white=tuple(white),
     )
-    return Told(estimate, posterior.node, told.widening)
+    return ModesTold(estimate, posterior.node, told.widening)
 
 
-def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> Told:
+def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
     """With noisy sensors."""
     fit, log, theta, record = found.fit, found.log, found.theta, found.recording
     layout, window, starts = log.layout, fit.window, fit.given
@@ -186,7 +186,7 @@ def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> Told:
         tests=judge_residuals(white, record, plant.longest_delay),
         white=tuple(white),
     )
-    return Told(estimate, posterior.node, told.widening)
+    return ModesTold(estimate, posterior.node, told.widening)
 
 
 def _start(found: Decoded) -> Start:

@@ -18,7 +18,7 @@ from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.hidden.choice import HiddenFit, Log, fitted, refined, search_of
 from deadtime.identification.hidden.estimated import (
     Decoded,
-    Told,
+    ModesTold,
     decoded,
     estimated,
     estimated_with_noise,
@@ -133,7 +133,7 @@ def _chosen(
     sensed: Sensed,
     within: bool,
     decode: Callable[[HiddenFit[Log]], Decoded[Log]],
-    estimate: Callable[[Decoded[Log]], Told],
+    estimate: Callable[[Decoded[Log]], ModesTold],
 ) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
     """What there is to hand over of the best fit."""
     best, found, left_out = best_of(tried, decode)
