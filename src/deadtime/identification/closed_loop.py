@@ -133,10 +133,8 @@ def estimate_in_loop(
     recording: Recording,
     C: Float[np.ndarray, "p n"],
     exact: Estimate,
-    within: bool,
-    bounds: tuple[float, float],
     sure: bool,
 ) -> Estimate:
     """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
-    found = over_all_cells(*begun_with_noise(recording, C, exact, within, bounds))
+    found = over_all_cells(*begun_with_noise(recording, C, exact))
     return exact if not sure and exact_holds(exact, found) else found

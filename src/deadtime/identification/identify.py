@@ -214,10 +214,10 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
     sure = C is not None or bool(noise)
     if noise is not False and fed_back(recording).any():
         progress("taking sensors for noisy, as inputs follow them")
-        found = estimate_in_loop(about, sensors, found, within, bounds, sure)
+        found = estimate_in_loop(about, sensors, found, sure)
     elif sure or (noise is None and (not found.tests.white or alternates(list(found.white)))):
         progress("taking sensors for noisy")
-        noisy = estimate_with_noise(about, sensors, found, within, bounds)
+        noisy = estimate_with_noise(about, sensors, found)
         found = found if not sure and exact_holds(found, noisy) else noisy
     model, why = fit_switching(recording)
     fit = Identification.of(IdentifiedLog(found, found.log.recording, model, why, sensors, named))

@@ -18,7 +18,6 @@ from deadtime.identification.excitation.given import (
     intensity_of,
     modes_of_rows,
     one_for_all,
-    require_words,
     root_of,
     table_of,
     used_periods,
@@ -36,6 +35,7 @@ from deadtime.identification.excitation.state_information import (
     NoiseTables,
     NoisyStates,
 )
+from deadtime.identification.identify import require_switches
 from deadtime.identification.parameters import Layout, cells_of
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -130,7 +130,9 @@ def design_experiment(
     True
     """
     instance("plant", plant, SwitchedSystem)
-    require_words(criterion, switches)
+    if criterion not in ("delay", "all"):
+        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
+    require_switches(switches)
     step, horizon = positive("step", step), positive("horizon", horizon)
     if horizon / step > _MOST_SAMPLES + 0.5:
         raise ArgumentError(

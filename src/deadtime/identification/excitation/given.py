@@ -23,14 +23,6 @@ if TYPE_CHECKING:
 _FLOOR = 1e-9  # of all noise, that W has in every direction: its root has an inverse
 
 
-def require_words(criterion: str, switches: str) -> None:
-    """Refuse words that mean nothing."""
-    if criterion not in ("delay", "all"):
-        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
-    if switches not in ("anywhere", "samples"):
-        raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-
-
 def modes_of_rows(
     plant: SwitchedSystem, signal: SwitchingSignal | None, step: float, samples: int
 ) -> Int[np.ndarray, " sample"]:

@@ -34,11 +34,11 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.excitation.excited_loop import Chain
+from deadtime.identification.intervals import left_of
 from deadtime.identification.likelihoods.switched_filter import noise_tables
 from deadtime.identification.parameters import Layout
 
 Pullback = Callable[[np.ndarray], np.ndarray]
-_UNSEEN = 1e-12  # of an eigenvalue of the noise's information, scaled to a diagonal of ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ class NoisyStates(Frozen):
                 carried[k] = chain.P[chain.mode[k], :, :n] @ (np.eye(n) - one.K)
                 joint = joint.after(k, one, carried[k])
         rows = [np.flatnonzero(used & (chain.mode == i)) for i in range(len(chain.S))]
-        return cls(white, carried, chain.by_P, chain.place, rows, _without_noise(F, size))
+        return cls(white, carried, chain.by_P, chain.place, rows, left_of(F, np.arange(size)))
 
     def information(
         self, z: Float[np.ndarray, "sample z"]
@@ -287,12 +287,3 @@ class _Joint(NamedTuple):
         by_e = np.vstack((of_xi, of_eta.reshape(-1, n)))
         covariance = over(over(self.covariance).T) + by_e @ one.S @ by_e.T
         return self._replace(covariance=covariance)
-
-
-def _without_noise(F: Float[np.ndarray, "all all"], size: int) -> Float[np.ndarray, "size size"]:
-    """The information that is left where noise is unknown, too."""
-    unit = np.sqrt(np.diagonal(F)[size:])
-    unit = np.divide(1.0, unit, out=np.zeros(unit.size), where=unit > 0.0)
-    noise = F[size:, size:] * unit[:, None] * unit
-    across = F[:size, size:] * unit
-    return F[:size, :size] - across @ np.linalg.pinv(noise, _UNSEEN, hermitian=True) @ across.T

@@ -14,29 +14,22 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.exact_estimate import estimate_of_plant
 from deadtime.identification.hidden.choice import HiddenFit, Log
 from deadtime.identification.hidden.hidden_information import (
     Information,
     information_of,
-    left_of,
     lifted,
 )
 from deadtime.identification.hidden.regressions import scanned
-from deadtime.identification.intervals import spread_of
+from deadtime.identification.intervals import left_of, spread_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
 from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import (
-    continuous,
-    intensity_errors,
-    noisy_residuals,
-    variance_errors,
-)
+from deadtime.identification.noisy.noise import estimate_of_sensors
 from deadtime.identification.parameters import Layout
-from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
@@ -119,32 +112,10 @@ def estimated(found: Decoded[HiddenLog]) -> ModesTold:
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
-    start, window = _start(found), found.fit.window
-    intervals, several = delay_intervals(log, best, window, spread, start)
-    plant = layout.plant(theta)
-    covariances = log.S * (counts / spare)[:, None, None]
-    roots = np.linalg.cholesky(covariances)
-    white = residuals_of(record, plant, layout.constant_of(theta), log.nodes, log.within, roots)
-    for one, k in zip(white, log.periods.usable, strict=True):
-        one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan  # nothing told their modes
-    W = continuous(plant.A, covariances, record.step)
+    peak = log, best, found.fit.window, spread, _start(found)
+    S = log.S * (counts / spare)[:, None, None]
     free = np.maximum(spare * told.of_noise, 1.0).astype(np.int64)
-    estimate = Estimate(
-        log=log,
-        best=best,
-        window=window,
-        plant=plant,
-        spread=spread,
-        intervals=intervals,
-        several=several,
-        start=start,
-        disturbance=W,
-        noise=np.zeros(layout.n),
-        noise_errors=intensity_errors(plant.A, W, record.step, free),
-        spare=free,
-        tests=judge_residuals(white, record, plant.longest_delay),
-        white=tuple(white),
-    )
+    estimate = estimate_of_plant(*peak, S, free, record, told=log.periods.usable)
     return ModesTold(estimate, posterior.node, told.widening)
 
 
@@ -163,29 +134,10 @@ def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
     spread = spread_of(told.held, layout.names(), told.left * (spare / observations), every)
     now = log.evaluate(theta, starts, cells)
     best = Maximum(theta, now._replace(information=told.held), np.zeros(theta.size, bool))
-    start = _start(found)
-    intervals, several = delay_intervals(log, best, window, spread, start)
-    noise = log.noise(theta)
-    plant = layout.plant(theta[: layout.size])
-    white = noisy_residuals(path, theta, path.starts(*window))
     posterior = log.posterior(theta, starts)
-    rows = np.vstack(posterior.node).sum(axis=0)
-    estimate = Estimate(
-        log=log,
-        best=best,
-        window=window,
-        plant=plant,
-        spread=spread,
-        intervals=intervals,
-        several=several,
-        start=start,
-        disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
-        noise=noise.deviation,
-        noise_errors=variance_errors(log, theta, spread.covariance),
-        spare=np.maximum(rows, 1.0).astype(np.int64),
-        tests=judge_residuals(white, record, plant.longest_delay),
-        white=tuple(white),
-    )
+    rows = np.maximum(np.vstack(posterior.node).sum(axis=0), 1.0).astype(np.int64)
+    peak = log, best, window, spread, _start(found)
+    estimate = estimate_of_sensors(*peak, theta, path, rows)
     return ModesTold(estimate, posterior.node, told.widening)
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.intervals import left_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 
 _FAINT = 1e-8  # of information: beside one that is so much larger, differences lose it
@@ -135,19 +136,6 @@ def information_of(
     left, told = lifted(left_of(J, np.arange(size)), known)
     of_noise = left_of(J, np.arange(size, steps.size - len(noise.jumps)))
     return Information(held, left, known, told, noise.shares(of_noise, weight.sum(axis=0)))
-
-
-def left_of(J: np.ndarray, of: np.ndarray) -> np.ndarray:
-    """Schur's complement: what is left of the information on some unknowns, the others estimated.
-
-    Of scaled unknowns, so that units do not matter to what counts as no information.
-    """
-    rest = np.setdiff1d(np.arange(len(J)), of)
-    unit = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(J)), 1e-300))
-    scaled = J * unit[:, None] * unit
-    cross, own = scaled[np.ix_(of, rest)], scaled[np.ix_(rest, rest)]
-    left = scaled[np.ix_(of, of)] - cross @ np.linalg.pinv(own, 1e-12, hermitian=True) @ cross.T
-    return left / unit[of, None] / unit[of]
 
 
 def lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:

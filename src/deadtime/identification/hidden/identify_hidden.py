@@ -78,7 +78,7 @@ def identify_hidden(
         if sensed.noise is False or numbers == (1,):
             return found, said
         exact = found.estimate if found else estimate_exactly(sensed.states, layout, bounds, within)
-        if exact.tests.white and (found is None or _holds(found, within, bounds)):
+        if exact.tests.white and (found is None or _holds(found)):
             return found, said
     given = sensed.outputs, sensed.C
     noisy = _tried(
@@ -90,7 +90,7 @@ def identify_hidden(
     return _chosen(noisy, sensed, within, decoded, estimated_with_noise)
 
 
-def _holds(found: IdentifiedLog, within: bool, bounds: tuple[float, float]) -> bool:
+def _holds(found: IdentifiedLog) -> bool:
     """Whether states may be taken as exact, told as of logged modes, those of the likeliest path.
 
     That takes seconds where noise behind hidden modes takes minutes.
@@ -98,7 +98,7 @@ def _holds(found: IdentifiedLog, within: bool, bounds: tuple[float, float]) -> b
     exact = found.estimate
     if not alternates(list(exact.white)):
         return True
-    return exact_holds(exact, estimate_with_noise(found.recording, found.C, exact, within, bounds))
+    return exact_holds(exact, estimate_with_noise(found.recording, found.C, exact))
 
 
 def _tried(

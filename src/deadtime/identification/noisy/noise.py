@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from deadtime.identification.delay_intervals import delay_intervals, ends_over_peaks
 from deadtime.identification.estimate import Estimate
@@ -106,12 +106,10 @@ def estimate_with_noise(
     recording: Recording,
     C: Float[np.ndarray, "p n"],
     exact: Estimate,
-    within: bool,
-    bounds: tuple[float, float],
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
-    log, begins = begun_with_noise(recording, C, exact, within, bounds)
-    some = replace(log, recording=recording.stretches(_FEW, recording.lag(bounds[1])))
+    log, begins = begun_with_noise(recording, C, exact)
+    some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
     top, scan = largest_maximum(some, begins)
     best, window = maximise(log, top.theta)
     smaller, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
@@ -144,15 +142,14 @@ def begun_with_noise(
     recording: Recording,
     C: Float[np.ndarray, "p n"],
     exact: Estimate,
-    within: bool,
-    bounds: tuple[float, float],
 ) -> tuple[NoisyLog, list[Float[np.ndarray, " size"]]]:
     """The likelihood with noisy sensors, and vectors to climb from."""
     expect_many_calls()
     layout, theta = exact.log.layout, exact.best.theta
     if recording.level is not None:
         theta, layout = with_constant(theta, layout, recording.level, np.linalg.pinv(C))
-    log = NoisyLog(recording, layout, within, bounds, exact.log.nodes, C)
+    of = exact.log
+    log = NoisyLog(recording, layout, of.within, of.bounds, of.nodes, C)
     noises = first_noises(exact.disturbance.mean(axis=0), C, recording.step)
     return log, [log.join(theta, noise) for noise in noises]
 
@@ -165,17 +162,40 @@ def estimated_of(
     spare: Int[np.ndarray, " mode"] | None = None,
 ) -> Estimate:
     """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
-    recording, layout, starts = log.recording, log.layout, log.starts(*window)
-    beyond = max(log.measured(starts) - log.free.size, 1)
+    recording, layout = log.recording, log.layout
+    beyond = max(log.measured(log.starts(*window)) - log.free.size, 1)
     lag = recording.lag(window[1])
     some = replace(log, recording=recording.stretches(_ENOUGH, lag))
     spread, theta = _spread(log, some, best, window, float(beyond))
+    peak = log, best, window, spread, start
+    own = np.full(layout.modes, beyond) if spare is None else spare
+    if log.embedding is None:
+        ends = ends_over_peaks(log, best, spread, start)
+        return estimate_of_sensors(*peak, theta, log, own, ends=ends)
+    return estimate_of_sensors(*peak, theta, log, own, of_outputs=log)
+
+
+def estimate_of_sensors(
+    log: SensorLikelihood,
+    best: Maximum,
+    window: tuple[float, float],
+    spread: Spread,
+    start: Start,
+    theta: Float[np.ndarray, " size"],
+    along: NoisyLog,
+    spare: Int[np.ndarray, " mode"],
+    *,
+    ends: Float[np.ndarray, "unknown 2"] | None = None,
+    of_outputs: NoisyLog | None = None,
+) -> Estimate:
+    """What there is to say of a maximum with noisy sensors, its noise restricted in `theta`.
+
+    along : the likelihood with modes known, those of the likeliest path if they were hidden
+    """
     intervals, several = delay_intervals(log, best, window, spread, start)
+    layout, noise, white = log.layout, log.noise(theta), noisy_residuals(along, theta, window)
     plant = layout.plant(theta[: layout.size])
-    noise = log.noise(theta)
-    white = noisy_residuals(log, theta, starts)
-    chained = log.embedding is not None
-    spent = 2 * layout.n * len(log.C) if chained else None
+    spent = None if of_outputs is None else 2 * layout.n * len(log.C)
     return Estimate(
         log=log,
         best=best._replace(theta=theta),
@@ -188,11 +208,11 @@ def estimated_of(
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
         noise_errors=variance_errors(log, theta, spread.covariance),
-        spare=np.full(layout.modes, beyond) if spare is None else spare,
-        tests=judge_residuals(white, recording, plant.longest_delay, spent),
+        spare=spare,
+        tests=judge_residuals(white, along.recording, plant.longest_delay, spent),
         white=tuple(white),
-        ends=None if chained else ends_over_peaks(log, best, spread, start),
-        of_outputs=log if chained else None,
+        ends=ends,
+        of_outputs=of_outputs,
     )
 
 
@@ -222,9 +242,10 @@ def _spread(
 
 
 def noisy_residuals(
-    log: NoisyLog, theta: Float[np.ndarray, " size"], starts: list[Bool[np.ndarray, " sample"]]
+    log: NoisyLog, theta: Float[np.ndarray, " size"], window: tuple[float, float]
 ) -> list[Float[np.ndarray, "sample p"]]:
     """The innovations of every part, each over its deviation; NaN where there are none."""
+    starts = log.starts(*window)
     e, s = log.innovations(theta, starts)
     fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
     parts = log.recording.parts
