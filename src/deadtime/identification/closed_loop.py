@@ -27,11 +27,11 @@ from jaxtyping import Float, Int
 from deadtime.identification.delay_intervals import plausible_fall
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.levels import without_level
-from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.likelihood import climb_within, maximise
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import begun_with_noise, estimated_of, exact_holds
-from deadtime.identification.scoring import Evaluate, Maximum, climb
+from deadtime.identification.scoring import Evaluate, Maximum
 from deadtime.identification.start import Start, cell_range
 
 _MANY = 40  # cells: in so many all beginnings are tried, in others only the neighbour's maximum
@@ -115,14 +115,11 @@ def _top(
     cell: int,
 ) -> Maximum:
     """The maximum that a vector leads to with one delay in a cell, the others in theirs."""
-    low, high, cells = *log.limits, log.cells(theta)
-    place, h, begin = np.arange(log.layout.size)[log.layout.at_delays], log.recording.step, theta
+    cells, begin = log.cells(theta), theta
     if cells[row] != cell:
         begin, cells[row] = theta.copy(), cell
-        begin[place[row]] = (cell - 0.5) * h
-    low[place] = np.maximum((cells - 1) * h, log.bounds[0])
-    high[place] = np.minimum(cells * h, log.bounds[1])
-    return climb(evaluate_in(cells), begin, low, high, gain=_GAIN, stride=log.stride)
+        begin[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
+    return climb_within(log, evaluate_in(cells), begin, cells, _GAIN)
 
 
 def _highest(found: list[Maximum]) -> Maximum:
@@ -130,10 +127,7 @@ def _highest(found: list[Maximum]) -> Maximum:
 
 
 def estimate_in_loop(
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
-    exact: Estimate,
-    sure: bool,
+    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate, sure: bool
 ) -> Estimate:
     """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
     found = over_all_cells(*begun_with_noise(recording, C, exact))

@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.identification.intervals import LEVEL, Spread, inverse
-from deadtime.identification.likelihoods.likelihood import Likelihood, maximise
-from deadtime.identification.parameters import Layout
-from deadtime.identification.scoring import Maximum, climb
+from deadtime.identification.likelihoods.likelihood import Likelihood, climb_within, maximise
+from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
 _PROFILE = 3.841458820694124  # χ² of one degree of freedom at 95 %
@@ -110,13 +110,10 @@ def _mixed(
     size, place = log.layout.size, np.arange(log.layout.size)[log.layout.at_delays]
     inflation, centre, width, weight = spread.inflation[:size], [], [], []
     for k, cell in enumerate(cells):
-        low, high = log.limits
         own, theta = log.cells(best.theta), best.theta.copy()
         own[row], theta[place[row]] = cell, (cell - 0.5) * h
         theta = theta if begins is None else begins[k]
-        low[place] = np.maximum((own - 1) * h, log.bounds[0])
-        high[place] = np.minimum(own * h, log.bounds[1])
-        found = climb(evaluate_in(own), theta, low, high, gain=_CELL_GAIN, stride=log.stride)
+        found = climb_within(log, evaluate_in(own), theta, own, _CELL_GAIN)
         if not np.isfinite(found.found.value):
             continue
         F = found.found.information.copy()
@@ -142,7 +139,7 @@ def mixture_ends(
     centre: Float[np.ndarray, "cell size"],
     width: Float[np.ndarray, "cell size"],
     weight: Float[np.ndarray, " cell"],
-    spare: Float[np.ndarray, " size"],
+    spare: Vector,
 ) -> Float[np.ndarray, "size 2"]:
     """Between which 95 % of mixtures of Student's distributions lie, as much below as above.
 
@@ -167,11 +164,7 @@ def mixture_ends(
 
 
 def delay_intervals(
-    log: Likelihood,
-    best: Maximum,
-    window: tuple[float, float],
-    spread: Spread,
-    start: Start,
+    log: Likelihood, best: Maximum, window: Window, spread: Spread, start: Start
 ) -> tuple[Float[np.ndarray, "delay 2"], Bool[np.ndarray, " delay"]]:
     """The interval of each delay, seconds, within the range that is searched.
 
@@ -198,13 +191,7 @@ def _to_kink(delay: float, step: float) -> float:
     return abs(delay - step * round(delay / step))
 
 
-def profile(
-    log: Likelihood,
-    best: Maximum,
-    window: tuple[float, float],
-    place: int,
-    delay: float,
-) -> float:
+def profile(log: Likelihood, best: Maximum, window: Window, place: int, delay: float) -> float:
     """The log likelihood with one delay held, less the largest one."""
     theta, fixed = best.theta.copy(), np.zeros(best.theta.size, bool)
     theta[place], fixed[place] = delay, True
@@ -212,12 +199,7 @@ def profile(
 
 
 def _profile_end(
-    log: Likelihood,
-    best: Maximum,
-    window: tuple[float, float],
-    spread: Spread,
-    place: int,
-    step: float,
+    log: Likelihood, best: Maximum, window: Window, spread: Spread, place: int, step: float
 ) -> float:
     """Where the profile has fallen as far as at an interval's end; the range's end at most.
 
@@ -250,7 +232,7 @@ def _profile_end(
             top = maximise(log, best.theta, window=window)[0]
 
 
-def widened(window: tuple[float, float], bounds: tuple[float, float]) -> tuple[float, float]:
+def widened(window: Window, bounds: Window) -> Window:
     """A window twice as wide, within bounds."""
     half = 0.5 * (window[1] - window[0])
     return max(bounds[0], window[0] - half), min(bounds[1], window[1] + half)

@@ -17,6 +17,7 @@ from deadtime.identification.intervals import Spread
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
+from deadtime.identification.parameters import Window
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
@@ -46,7 +47,7 @@ class Estimate(Frozen):
 
     log: Likelihood
     best: Maximum
-    window: tuple[float, float]
+    window: Window
     plant: SwitchedSystem
     spread: Spread
     intervals: Float[np.ndarray, "delay 2"]

@@ -17,7 +17,7 @@ from deadtime.identification.likelihoods.exact_log import ExactLog
 from deadtime.identification.likelihoods.likelihood import PlantLikelihood, maximise
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import continuous, intensity_errors
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.scoring import Maximum
@@ -26,7 +26,7 @@ from deadtime.identification.uneven import gridded, nodes_for
 
 
 def estimate_exactly(
-    recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
+    recording: Recording, layout: Layout, bounds: Window, within: bool
 ) -> Estimate:
     """The estimate if states are measured without noise."""
     start = start_of(gridded(recording), layout, bounds, within)
@@ -59,7 +59,7 @@ def estimate_exactly(
 def estimate_of_plant(
     log: PlantLikelihood,
     best: Maximum,
-    window: tuple[float, float],
+    window: Window,
     spread: Spread,
     start: Start,
     S: Float[np.ndarray, "mode n n"],

@@ -35,7 +35,7 @@ from deadtime.identification.outputs.identify_outputs import (
     is_states,
     require_logged,
 )
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.residuals import alternates
 
 if TYPE_CHECKING:
@@ -156,15 +156,7 @@ def identify(
         if is_states(order, recording.outputs):  # the same model as of states that are logged
             order = None
     asked = _Options(
-        C,
-        numbers,
-        order,
-        zeros,
-        per_mode,
-        noise,
-        (low, high),
-        switches == "anywhere",
-        progress,
+        C, numbers, order, zeros, per_mode, noise, (low, high), switches == "anywhere", progress
     )
     fit = _identified(resting(recording, rest), asked)
     if rest is None and disproved(fit._recording, fit._found.white, fit.plant.longest_delay):
@@ -182,7 +174,7 @@ class _Options(NamedTuple):
     zeros: bool | None
     per_mode: bool
     noise: bool | None
-    bounds: tuple[float, float]
+    bounds: Window
     within: bool
     progress: Callable[[str], None]
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.parameters import Vector
 
 LEVEL = 0.95
 _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
@@ -21,16 +22,16 @@ class Spread(NamedTuple):
     """
 
     covariance: Float[np.ndarray, "size size"]
-    reach: Float[np.ndarray, " size"]
-    inflation: Float[np.ndarray, " size"]
-    spare: Float[np.ndarray, " size"]
+    reach: Vector
+    inflation: Vector
+    spare: Vector
 
 
 def spread_of(
     F: Float[np.ndarray, "size size"],
     names: list[str],
     known: Float[np.ndarray, "size size"],
-    spare: Float[np.ndarray, " size"],
+    spare: Vector,
 ) -> Spread:
     """The inverse of what is `known`, the information F less what the noise's own estimate costs.
 

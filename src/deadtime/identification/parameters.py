@@ -16,6 +16,9 @@ from jaxtyping import Float, Int
 
 from deadtime.plant import SwitchedSystem
 
+Vector = Float[np.ndarray, " size"]  # unknowns, those of a plant first
+Window = tuple[float, float]  # the least and the largest delay, seconds
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -85,7 +88,7 @@ class Layout:
         """Where the delays lie."""
         return slice(self.size - self.delays, self.size)
 
-    def join(self, A: np.ndarray, B: np.ndarray, delays: np.ndarray) -> Float[np.ndarray, " size"]:
+    def join(self, A: np.ndarray, B: np.ndarray, delays: np.ndarray) -> Vector:
         """The vector of A (modes, n, n), B (modes, n, acting) and delays (modes, m)."""
         own = delays if self.per_mode else delays[0]
         return np.concatenate((A.ravel(), B.ravel(), own.ravel()))
@@ -98,12 +101,12 @@ class Layout:
         theta = self.join(A[order], B[order], delays[order])
         return np.concatenate((theta, vector[self.size :]))
 
-    def plant(self, theta: Float[np.ndarray, " size"]) -> SwitchedSystem:
+    def plant(self, theta: Vector) -> SwitchedSystem:
         """The plant of a vector, about its operating point."""
         A, B, delays = self.split(theta)
         return SwitchedSystem(A, B[:, :, : self.m], delays)
 
-    def constant_of(self, theta: Float[np.ndarray, " size"]) -> Float[np.ndarray, "mode n"]:
+    def constant_of(self, theta: Vector) -> Float[np.ndarray, "mode n"]:
         """The constant terms of a vector, 0 where there are none."""
         return theta[self.of_constant].sum(axis=2)
 
@@ -113,7 +116,7 @@ class Layout:
         return replace(self, constant=False), kept
 
     def split(
-        self, theta: Float[np.ndarray, " size"]
+        self, theta: Vector
     ) -> tuple[
         Float[np.ndarray, "mode n n"],
         Float[np.ndarray, "mode n acting"],
@@ -122,9 +125,7 @@ class Layout:
         """A, B and delays of a vector."""
         return theta[self.of_A], theta[self.of_B], theta[self.of_delay]
 
-    def of_each(
-        self, count: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"]
-    ) -> Float[np.ndarray, " size"]:
+    def of_each(self, count: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"]) -> Vector:
         """Of every unknown a count of its mode's; of a delay that modes share that of all."""
         result = np.empty(self.size)
         result[self.at_delays] = count.sum()

@@ -17,13 +17,15 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.identifiability import require_enough
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.regression import known_ends, lags_of, stacked
+from deadtime.identification.scoring import best_in_turn
 from deadtime.identification.transition import transitions_of
 
 MOST_COLUMNS = 1000  # of past inputs, in a scan
 _MOST_OF = 0.75  # of the periods of each mode: so many that all cells are compared by
 _ENOUGH = 10_000  # samples that tell where to begin, where cells are compared by their own periods
+_SWEEPS = 3  # over the delays
 _ALL = 2000  # combinations of cells that are all tried
 
 
@@ -36,7 +38,7 @@ class Start(NamedTuple):
     vectors : (delays, cells, size), where it is so large, if a maximum was sought in each cell
     """
 
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     cells: Int[np.ndarray, " delay"]
     first: int
     scanned: Float[np.ndarray, "delay cell"]
@@ -44,9 +46,7 @@ class Start(NamedTuple):
     vectors: Float[np.ndarray, "delay cell unknown"] | None = None
 
 
-def start_of(
-    recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
-) -> Start:
+def start_of(recording: Recording, layout: Layout, bounds: Window, within: bool) -> Start:
     """A first guess from an evenly sampled recording; delays are within `bounds`, seconds."""
     h = recording.step
     first, last = cell_range(h, bounds, layout.m)
@@ -126,7 +126,7 @@ class _OwnPeriods:
         return (every - count) * each
 
 
-def cell_range(h: float, bounds: tuple[float, float], m: int) -> tuple[int, int]:
+def cell_range(h: float, bounds: Window, m: int) -> tuple[int, int]:
     """The first and the last cell of delays within `bounds`, seconds."""
     first = max(1, int(np.floor(bounds[0] / h * (1.0 + 1e-12) + 1e-9)) + (bounds[0] > 0.0))
     last = max(first, int(np.ceil(bounds[1] / h - 1e-9)))
@@ -146,8 +146,8 @@ def plant_of(
     count: Float[np.ndarray, " mode"] | Int[np.ndarray, " mode"],
     layout: Layout,
     h: float,
-    bounds: tuple[float, float],
-) -> Float[np.ndarray, " size"]:
+    bounds: Window,
+) -> Vector:
     """The plant of regressions on x_k, u_{k−N} and u_{k−N+1}, each over `count` periods."""
     A, B, D = np.zeros((layout.modes, layout.n, layout.n)), [], []
     for i in range(layout.modes):
@@ -192,11 +192,7 @@ class _CellScan:
             table = {c: likelihood(c) for c in itertools.product(self.cells.tolist(), repeat=m)}
             best = max(table, key=lambda c: table[c])
         else:
-            best = (None,) * m
-            for _ in range(3):
-                for j in range(m):
-                    options = [(*best[:j], c, *best[j + 1 :]) for c in self.cells.tolist()]
-                    best = max(options, key=likelihood)
+            best = best_in_turn((None,) * m, self.cells.tolist(), likelihood, _SWEEPS)
         scanned = [
             [likelihood((*best[:j], c, *best[j + 1 :]), True) for c in self.cells.tolist()]
             for j in range(m)

@@ -40,7 +40,7 @@ from deadtime.identification.likelihoods.mode_periods import (
     UnevenPeriods,
 )
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.regression import concentrated, rooted
 from deadtime.identification.start import cell_range, plant_of, start_of
 from deadtime.identification.uneven import gridded, nodes_for
@@ -64,7 +64,7 @@ class HiddenSearch(NamedTuple):
     periods: EvenPeriods | UnevenPeriods
     grid: Recording
     even: EvenPeriods
-    bounds: tuple[float, float]
+    bounds: Window
     plain: HiddenSearch | None
 
 
@@ -76,7 +76,7 @@ class Begun(NamedTuple):
     """
 
     log: HiddenLog
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     found: Posterior
     agreed: int
     starts: int
@@ -92,9 +92,9 @@ class HiddenFit(Generic[Log]):
     """
 
     log: Log
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     given: Any
-    window: tuple[float, float]
+    window: Window
     values: Float[np.ndarray, " step"]
     bic: float
     begun: Begun
@@ -107,9 +107,7 @@ class HiddenFit(Generic[Log]):
         return self.log.layout
 
 
-def search_of(
-    recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
-) -> HiddenSearch:
+def search_of(recording: Recording, layout: Layout, bounds: Window, within: bool) -> HiddenSearch:
     """The usable periods of a recording, with the density of one model for all modes."""
     one = replace(layout, modes=1, per_mode=False)
     plain, grid = None, gridded(recording)
@@ -124,9 +122,7 @@ def search_of(
     return HiddenSearch(recording, periods, grid, even, bounds, plain)
 
 
-def _even_periods(
-    recording: Recording, one: Layout, bounds: tuple[float, float], within: bool
-) -> EvenPeriods:
+def _even_periods(recording: Recording, one: Layout, bounds: Window, within: bool) -> EvenPeriods:
     """Those of even rows, with one regression for all modes."""
     first, last = cell_range(recording.step, bounds, one.m)
     periods = EvenPeriods.of(recording.parts, first, last, None, one.constant)
@@ -139,9 +135,7 @@ def _even_periods(
     return replace(periods, pooled=PooledRegression(*pooled, cells, one.constant))
 
 
-def _one_plant(
-    recording: Recording, grid: Recording, one: Layout, bounds: tuple[float, float]
-) -> PooledPlant:
+def _one_plant(recording: Recording, grid: Recording, one: Layout, bounds: Window) -> PooledPlant:
     """The plant of one mode that uneven rows are likeliest of."""
     start = start_of(grid, one, bounds, within=False)
     A, _, _ = one.split(start.theta)

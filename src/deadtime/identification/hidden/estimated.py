@@ -17,11 +17,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.exact_estimate import estimate_of_plant
 from deadtime.identification.hidden.choice import HiddenFit, Log
-from deadtime.identification.hidden.hidden_information import (
-    Information,
-    information_of,
-    lifted,
-)
+from deadtime.identification.hidden.hidden_information import Information, information_of, lifted
 from deadtime.identification.hidden.regressions import scanned
 from deadtime.identification.intervals import left_of, spread_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
@@ -29,7 +25,7 @@ from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog,
 from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import estimate_of_sensors
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
@@ -48,7 +44,7 @@ class Decoded(Generic[Log]):
 
     fit: HiddenFit[Log]
     log: Log
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     order: Int[np.ndarray, " mode"]
     recording: Recording
 
@@ -155,7 +151,7 @@ def _start(found: Decoded) -> Start:
 
 def _information(
     log: HiddenNoisyLog,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     starts: Starts,
     cells: Int[np.ndarray, " delay"],
     known: Float[np.ndarray, "size size"],

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.intervals import left_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.parameters import Vector
 
 _FAINT = 1e-8  # of information: beside one that is so much larger, differences lose it
 _SMALL = 1e-3  # of a standard error, a step of differences
@@ -109,9 +110,7 @@ class _Noise:
         return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
 
 
-def information_of(
-    log: HiddenLog, theta: Float[np.ndarray, " size"], cells: Int[np.ndarray, " delay"]
-) -> Information:
+def information_of(log: HiddenLog, theta: Vector, cells: Int[np.ndarray, " delay"]) -> Information:
     """The information on θ at the maximum, delays within their cells."""
     noise, known = _Noise(log), log.evaluate(theta, cells).information
     weight = log.posterior(theta, cells).weight

@@ -28,7 +28,7 @@ from deadtime.identification.hidden_modes import HiddenModes
 from deadtime.identification.log.logged_states import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import estimate_with_noise, exact_holds
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.switching import SemiMarkov
@@ -57,7 +57,7 @@ def identify_hidden(
     sensed: Sensed,
     numbers: tuple[int, ...],
     layout: Layout,
-    bounds: tuple[float, float],
+    bounds: Window,
     within: bool,
     progress: Callable[[str], None],
 ) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
@@ -243,7 +243,7 @@ def of_sureness(modes: HiddenModes, within: bool) -> tuple[str, ...]:
     said = [
         "Modes were not logged; they are numbered as the likeliest path visits them. "
         f"{100.0 * modes.sure:.0f} % of rows have one that is at least 95 % sure; not knowing them "
-        f"makes intervals up to {longer:.0f} % longer.",
+        f"makes intervals up to {longer:.0f} % longer."
     ]
     if not within:
         said.append("Modes are taken to change at samples only.")

@@ -29,7 +29,7 @@ from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.likelihood import maximise, window_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import continuous, first_noises
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.scoring import Maximum
 
 _ENOUGH = 2_000  # samples that tell which of two beginnings is the better one
@@ -40,10 +40,7 @@ _SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at f
 
 
 def fitted_with_noise(
-    search: HiddenSearch,
-    layout: Layout,
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
+    search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
 ) -> HiddenFit[HiddenNoisyLog]:
     """The likeliest plant and noise of a recording of y = C x, of a number of modes.
 
@@ -84,11 +81,7 @@ def _at_zero(
 
 
 def _led(
-    search: HiddenSearch,
-    begin: Begun,
-    log: HiddenNoisyLog,
-    theta: Float[np.ndarray, " size"],
-    window: tuple[float, float],
+    search: HiddenSearch, begin: Begun, log: HiddenNoisyLog, theta: Vector, window: Window
 ) -> tuple[HiddenFit[HiddenNoisyLog], Maximum]:
     """The maximum that a vector leads to.
 
@@ -115,7 +108,7 @@ def _led(
 
 def _best_start(
     search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
-) -> tuple[Begun, HiddenNoisyLog, Float[np.ndarray, " size"], tuple[float, float]]:
+) -> tuple[Begun, HiddenNoisyLog, Vector, tuple[float, float]]:
     """What leads highest in coarse steps, of those that leave all modes some rows, if any do.
 
     And its likelihood, its vector, and the window of its delays.
@@ -166,18 +159,13 @@ def _of_start(
     return HiddenNoisyLog(*given, errors=errors, jumps=jumps), W
 
 
-def _least_rows(
-    log: HiddenNoisyLog, theta: Float[np.ndarray, " size"], window: tuple[float, float]
-) -> float:
+def _least_rows(log: HiddenNoisyLog, theta: Vector, window: Window) -> float:
     """How many rows the rarest mode is expected to have."""
     return float(np.vstack(log.posterior(theta, log.starts(*window)).node).sum(axis=0).min())
 
 
 def _climbed(
-    log: HiddenNoisyLog,
-    theta: Float[np.ndarray, " size"],
-    window: tuple[float, float],
-    gain: float,
+    log: HiddenNoisyLog, theta: Vector, window: Window, gain: float
 ) -> tuple[HiddenNoisyLog, Maximum, Float[np.ndarray, " round"]]:
     """Rounds of the plant and of the chain, until they gain little; and the likelihood of each."""
     values, starts = [], log.starts(*window)

@@ -21,6 +21,7 @@ from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import floored, log_density, rooted
+from deadtime.identification.scoring import best_in_turn
 
 _MOST = 150  # stretches
 _PURE = (0.4, 0.8)  # of all stretches, those that fit best, are drawn from
@@ -60,20 +61,13 @@ def first_cells(
     periods: EvenPeriods, stretches: PeriodRuns, layout: Layout
 ) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
-    options = np.arange(periods.first, periods.last + 1)
-    cells: list[int | None] = [None] * layout.m
-    for _ in range(2):
-        for j in range(layout.m):
-            found = []
-            for option in options.tolist():
-                own = [*cells[:j], option, *cells[j + 1 :]]
-                found.append(_together(periods, stretches, own, layout))
-            cells[j] = int(options[int(np.argmax(found))])
-    return np.array(cells)
+    options, begin = range(periods.first, periods.last + 1), (None,) * layout.m
+    found = best_in_turn(begin, options, lambda own: _together(periods, stretches, own, layout), 2)
+    return np.array(found)
 
 
 def _together(
-    periods: EvenPeriods, stretches: PeriodRuns, cells: list[int | None], layout: Layout
+    periods: EvenPeriods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
     z = periods.rows(np.array([periods.first if c is None else c for c in cells]))

@@ -23,8 +23,15 @@ from deadtime.identification.likelihoods.mode_periods import (
     Posterior,
     UnevenPeriods,
 )
-from deadtime.identification.parameters import cell_of
-from deadtime.identification.regression import LagRoots, Term, even_terms, log_density, rooted
+from deadtime.identification.parameters import Window, cell_of
+from deadtime.identification.regression import (
+    LagRoots,
+    Term,
+    add_score,
+    even_terms,
+    log_density,
+    rooted,
+)
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import node_columns, node_term
 
@@ -57,7 +64,7 @@ class HiddenLog(PlantLikelihood):
         return replace(self, periods=EvenPeriods.of(old.parts, first, last, pooled, old.constant))
 
     @property
-    def window(self) -> tuple[float, float]:
+    def window(self) -> Window:
         """The range of delays that the periods are usable for."""
         h, periods = self.recording.step, self.periods
         if isinstance(periods, UnevenPeriods):
@@ -135,12 +142,8 @@ class HiddenLog(PlantLikelihood):
                 return Evaluation(-np.inf, score, np.eye(size))
             terms, found = self.weighted(theta, cells)
             for term, S in zip(terms, self.S, strict=True):
-                n, L = len(S), np.linalg.cholesky(S)
-                r = term.root[:, n:]
-                white = np.linalg.solve(L, (term.root[:, :n] - r @ term.P.T).T)
-                moved = np.linalg.solve(L, term.by_P @ r.T).reshape(len(term.place), -1)
-                score[term.place] += moved @ white.ravel()
-                information[np.ix_(term.place, term.place)] += moved @ moved.T
+                y, r = np.split(term.root, [len(S)], axis=1)
+                add_score(term, y - r @ term.P.T, np.linalg.cholesky(S), score, information)
         return Evaluation(found.value, score, information)
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:

@@ -26,7 +26,7 @@ from deadtime.identification.likelihoods.mode_periods import Posterior, path_of,
 from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
 from deadtime.identification.likelihoods.switched_filter import periods_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector
 from deadtime.identification.scoring import Evaluation
 
 _SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more
@@ -52,7 +52,7 @@ class HiddenNoisyLog(SensorLikelihood):
     errors : standard errors of the vector, about
     """
 
-    errors: Float[np.ndarray, " size"]
+    errors: Vector
     jumps: Jumps
     _kept: dict[tuple[int, bytes], PartPeriods] = field(default_factory=dict, repr=False)
 
@@ -69,20 +69,17 @@ class HiddenNoisyLog(SensorLikelihood):
         return replace(self, errors=errors, jumps=jumps, _kept={})
 
     @property
-    def most(self) -> Float[np.ndarray, " size"]:
+    def most(self) -> Vector:
         """Steps of noise beyond which differences tell little; of plants there are none."""
         most = self.errors.copy()
         most[: self.layout.size] = np.inf
         return most
 
-    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def stride(self, vector: Vector) -> Vector:
         return np.full(vector.size, np.inf)
 
     def filtered(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: Int[np.ndarray, " delay"] | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
         """Of every part the densities of all periods, stay and change; and what samples add."""
         layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
@@ -149,10 +146,7 @@ class HiddenNoisyLog(SensorLikelihood):
         return PartPeriods(rows, np.vstack(Phi), np.vstack(added), np.vstack(Q))
 
     def posterior(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: Int[np.ndarray, " delay"] | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> Posterior:
         """What the log says of the modes; its weights are of all periods."""
         laid, gained = self.filtered(vector, starts, cells)
@@ -161,26 +155,18 @@ class HiddenNoisyLog(SensorLikelihood):
         found = posterior_of(parts, laid, self.jumps, every, self.within)
         return found._replace(value=float(gained.sum()))
 
-    def path(
-        self, vector: Float[np.ndarray, " size"], starts: Starts
-    ) -> list[Int[np.ndarray, " sample"]]:
+    def path(self, vector: Vector, starts: Starts) -> list[Int[np.ndarray, " sample"]]:
         """The likeliest modes of the samples of every part."""
         return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
 
     def value(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: Int[np.ndarray, " delay"] | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> float:
         """The log likelihood."""
         return float(self.filtered(vector, starts, cells)[1].sum())
 
     def evaluate(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: Int[np.ndarray, " delay"] | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> Evaluation:
         size = vector.size
         with np.errstate(all="ignore"):

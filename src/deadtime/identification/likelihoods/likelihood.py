@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout, cells_of
+from deadtime.identification.parameters import Layout, Vector, Window, cells_of
 from deadtime.identification.scoring import GAIN, Evaluate, Maximum, climb, climb_cells
 
 REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
@@ -32,7 +32,7 @@ class Likelihood(Frozen, ABC):
     recording: Recording
     layout: Layout
     within: bool
-    bounds: tuple[float, float]
+    bounds: Window
     nodes: Float[np.ndarray, " node"] = field(repr=False)
 
     gain: ClassVar[float] = GAIN
@@ -44,13 +44,11 @@ class Likelihood(Frozen, ABC):
         """The least and the largest value of every unknown, delays aside."""
 
     @abstractmethod
-    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def stride(self, vector: Vector) -> Vector:
         """How far each unknown may go at a time that does next to nothing where it is."""
 
     @abstractmethod
-    def told(
-        self, vector: Float[np.ndarray, " size"], F: Float[np.ndarray, "size size"]
-    ) -> Int[np.ndarray, " told"]:
+    def told(self, vector: Vector, F: Float[np.ndarray, "size size"]) -> Int[np.ndarray, " told"]:
         """The places of unknowns that an information is of."""
 
     @abstractmethod
@@ -60,7 +58,7 @@ class Likelihood(Frozen, ABC):
         What is usable of a log depends on these, so likelihoods compare between the same ones only.
         """
 
-    def cells(self, theta: Float[np.ndarray, " size"]) -> Int[np.ndarray, " delay"]:
+    def cells(self, theta: Vector) -> Int[np.ndarray, " delay"]:
         """The cells that delays lie in."""
         return cells_of(theta[self.layout.at_delays], self.recording.step)
 
@@ -73,31 +71,37 @@ class PlantLikelihood(Likelihood):
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         return np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
 
-    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def stride(self, vector: Vector) -> Vector:
         return np.full(vector.size, np.inf)
 
-    def told(
-        self, vector: Float[np.ndarray, " size"], F: Float[np.ndarray, "size size"]
-    ) -> Int[np.ndarray, " told"]:
+    def told(self, vector: Vector, F: Float[np.ndarray, "size size"]) -> Int[np.ndarray, " told"]:
         return np.arange(self.layout.size)
 
 
-def window_of(
-    log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = REACH
-) -> tuple[float, float]:
+def window_of(log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = REACH) -> Window:
     """Where delays are looked for next: some periods about where they are, within the bounds."""
     h = log.recording.step
     low = max(log.bounds[0], float(delays.min()) - reach * h)
     return low, min(log.bounds[1], float(delays.max()) + reach * h)
 
 
+def climb_within(
+    log: Likelihood, evaluate: Evaluate, theta: Vector, cells: np.ndarray, gain: float
+) -> Maximum:
+    """The maximum that a start leads to with delays in cells, of the likelihood there."""
+    (low, high), place, h = log.limits, log.layout.at_delays, log.recording.step
+    low[place] = np.maximum((cells - 1) * h, log.bounds[0])
+    high[place] = np.minimum(cells * h, log.bounds[1])
+    return climb(evaluate, theta, low, high, gain=gain, stride=log.stride)
+
+
 def maximise(
     log: Likelihood,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     fixed: Bool[np.ndarray, " size"] | None = None,
-    window: tuple[float, float] | None = None,
+    window: Window | None = None,
     gain: float | None = None,
-) -> tuple[Maximum, tuple[float, float]]:
+) -> tuple[Maximum, Window]:
     """The maximum that a start leads to, and the window of delays that it was sought in.
 
     What is usable of a log depends on the window, so likelihoods compare in the same one only.

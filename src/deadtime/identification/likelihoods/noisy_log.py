@@ -32,6 +32,7 @@ from deadtime.identification.likelihoods.switched_filter import (
     SwitchedKalmanFilter,
     periods_of,
 )
+from deadtime.identification.parameters import Vector
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed
 
@@ -90,9 +91,7 @@ class SensorLikelihood(Likelihood):
             free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
         return read_only(free)
 
-    def told(
-        self, vector: Float[np.ndarray, " size"], F: Float[np.ndarray, "size size"]
-    ) -> Int[np.ndarray, " told"]:
+    def told(self, vector: Vector, F: Float[np.ndarray, "size size"]) -> Int[np.ndarray, " told"]:
         # Noise that is next to nothing is not told.
         free, told = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNTOLD
         return free[(free < self.layout.size) | told[free]]
@@ -133,26 +132,26 @@ class SensorLikelihood(Likelihood):
         """How many unknowns there are."""
         return self.layout.size + self.places[0].size + len(self.C)
 
-    def join(self, theta: np.ndarray, noise: NoiseLevels) -> Float[np.ndarray, " size"]:
+    def join(self, theta: np.ndarray, noise: NoiseLevels) -> Vector:
         """The vector of a plant's unknowns and its noise."""
         L = np.linalg.cholesky(noise.W)
         i, j = self.places
         lower = np.where(i == j, np.log(np.abs(np.where(i == j, L[i, j], 1.0))), L[i, j])
         return np.concatenate((theta, lower, np.log(noise.deviation)))
 
-    def noise(self, vector: Float[np.ndarray, " size"]) -> NoiseLevels:
+    def noise(self, vector: Vector) -> NoiseLevels:
         """W and the deviations of a vector."""
         L = self.root(vector)
         return NoiseLevels(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
 
-    def unit(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def unit(self, vector: Vector) -> Vector:
         """What unknowns of the noise are of: 1, but of L the deviation of their row."""
         unit, (i, j) = np.ones(self.size), self.places
         row = np.sqrt(np.diagonal(self.noise(vector).W))[i]
         unit[self.layout.size : self.layout.size + i.size] = np.where(i == j, 1.0, row)
         return unit
 
-    def root(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, "n n"]:
+    def root(self, vector: Vector) -> Float[np.ndarray, "n n"]:
         """L of a vector, W = L Lᵀ."""
         i, j = self.places
         lower = vector[self.layout.size : self.layout.size + i.size]
@@ -162,10 +161,7 @@ class SensorLikelihood(Likelihood):
 
     @abstractmethod
     def evaluate(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: Int[np.ndarray, " delay"] | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> Evaluation:
         """The log likelihood, its score and information; of an even log in cells of delays."""
 
@@ -178,7 +174,7 @@ class SensorLikelihood(Likelihood):
 class NoisyLog(SensorLikelihood):
     """The likelihood of a recording with measurement noise, its modes known."""
 
-    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def stride(self, vector: Vector) -> Vector:
         """The longest steps: the information on noise of next to nothing is none.
 
         Where W of 0 is likeliest, log L falls as W = L Lᵀ grows: linearly in W, so by a square of
@@ -205,10 +201,7 @@ class NoisyLog(SensorLikelihood):
         return every - sum(int(one.sum()) for one in self.initial(starts))
 
     def filter(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: Int[np.ndarray, " delay"] | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> SwitchedKalmanFilter:
         """The filter over all parts; of an even log in cells of delays, by default their own."""
         theta = vector[: self.layout.size]
@@ -220,23 +213,18 @@ class NoisyLog(SensorLikelihood):
             self.recording.parts, starts, left_out, periods_of(*given), sensors
         )
 
-    def innovations(
-        self, vector: Float[np.ndarray, " size"], starts: Starts
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def innovations(self, vector: Vector, starts: Starts) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
         blocks = self.filter(vector, starts).innovations(Places.none(self.layout.modes))
         found = [(block.e, block.s) for block in blocks]
         return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
 
-    def value(self, vector: Float[np.ndarray, " size"], starts: Starts) -> float:
+    def value(self, vector: Vector, starts: Starts) -> float:
         """The log likelihood."""
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
 
     def evaluate(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: Starts,
-        cells: Int[np.ndarray, " delay"] | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> Evaluation:
         free = self.free
         places = Places.of(self.layout, len(self.C), free)

@@ -28,7 +28,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.likelihoods.tangent_kernel import tangents
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector
 from deadtime.identification.regression import period_weights
 from deadtime.identification.scoring import Evaluation
 from deadtime.identification.transition import interpolation, transitions_of
@@ -65,7 +65,7 @@ PeriodsOf = Callable[[Part, Int[np.ndarray, " T"], Bool[np.ndarray, " T"]], Filt
 def periods_of(
     recording: Recording,
     layout: Layout,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     L: Float[np.ndarray, "n n"],
     cells: Int[np.ndarray, " delay"],
     nodes: Float[np.ndarray, " node"],
@@ -78,7 +78,7 @@ def periods_of(
 
 def _even_periods(
     layout: Layout,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     L: Float[np.ndarray, "n n"],
     cells: Int[np.ndarray, "mode m"],
     step: float,
@@ -119,10 +119,7 @@ def _acting_evenly(
 
 
 def _uneven_periods(
-    layout: Layout,
-    theta: Float[np.ndarray, " size"],
-    L: Float[np.ndarray, "n n"],
-    nodes: Float[np.ndarray, " node"],
+    layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], nodes: Float[np.ndarray, " node"]
 ) -> PeriodsOf:
     """Those of logs whose samples may be anywhere."""
     A, B, delays = layout.split(theta)
@@ -366,10 +363,7 @@ def _predicted(
 
 
 def _smoothed(
-    found: _Predicted,
-    start: Bool[np.ndarray, " sample"],
-    periods: FilterPeriods,
-    sensors: Sensors,
+    found: _Predicted, start: Bool[np.ndarray, " sample"], periods: FilterPeriods, sensors: Sensors
 ) -> Float[np.ndarray, "sample n"]:
     """The states given all of the log."""
     count, n = found.state.shape

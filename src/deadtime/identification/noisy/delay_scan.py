@@ -23,9 +23,9 @@ from deadtime.identification.likelihoods.likelihood import maximise, window_of
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.likelihoods.switched_filter import FilterPeriods, Places
 from deadtime.identification.log.recording import Part
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.regression import inputs_at
-from deadtime.identification.scoring import Maximum
+from deadtime.identification.scoring import Maximum, best_in_turn
 from deadtime.identification.start import cell_range
 from deadtime.identification.transition import transitions_of
 from deadtime.identification.uneven import gridded
@@ -43,16 +43,16 @@ _LOST = 0.5  # of the samples: a range of delays for which more are of no use is
 class Scanned(NamedTuple):
     """The likeliest plant, and how likely each cell of a delay is beside it, from `first` on."""
 
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     first: int
     curves: Float[np.ndarray, "delay cell"]
 
-    def moved(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def moved(self, vector: Vector) -> Vector:
         """The vector with its plant, and its own noise."""
         return np.concatenate((self.theta, vector[self.theta.size :]))
 
 
-def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
+def scanned(log: NoisyLog, vector: Vector) -> Scanned:
     """All delays of an even log, A and noise as they are in `vector`."""
     layout, h, rows = log.layout, log.recording.step, log.acting
     first, last = cell_range(h, log.bounds, layout.m)
@@ -177,23 +177,13 @@ class _DelayScan:
         """The likeliest delays, and each one's curve beside them."""
         delays, options = self.layout.delays, range(self.options)
         begins = (None,) * delays, tuple(own.tolist())
-        best = max((self._ascended(begin) for begin in begins), key=self.likelihood)
+        given = options, self.likelihood, _SWEEPS
+        best = max((best_in_turn(one, *given) for one in begins), key=self.likelihood)
         curves = [
             [self.likelihood((*best[:d], c, *best[d + 1 :])) for c in options]
             for d in range(delays)
         ]
         return np.array(best), np.array(curves)
-
-    def _ascended(self, places: tuple[int | None, ...]) -> tuple[int, ...]:
-        """Delays of which none alone is better elsewhere."""
-        for _ in range(_SWEEPS):
-            before = places
-            for d in range(len(places)):
-                tried = [(*places[:d], c, *places[d + 1 :]) for c in range(self.options)]
-                places = max(tried, key=self.likelihood)
-            if places == before:
-                break
-        return places  # pyright: ignore[reportReturnType]
 
 
 def largest_maximum(
@@ -227,7 +217,7 @@ def largest_maximum(
     return best, scan
 
 
-def _searched(log: NoisyLog, theta: np.ndarray) -> tuple[float, float]:
+def _searched(log: NoisyLog, theta: np.ndarray) -> Window:
     """The range of delays, or a part of it about a vector's where all of it would cost too much.
 
     What is usable of a log depends on how far back inputs must be known.

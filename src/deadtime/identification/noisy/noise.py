@@ -32,6 +32,7 @@ from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog, SensorLikelihood
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.delay_scan import largest_maximum
+from deadtime.identification.parameters import Vector, Window
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 from deadtime.identification.start import Start
@@ -103,9 +104,7 @@ def intensity_errors(
 
 
 def estimate_with_noise(
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
-    exact: Estimate,
+    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
     log, begins = begun_with_noise(recording, C, exact)
@@ -139,10 +138,8 @@ def start_beside(
 
 
 def begun_with_noise(
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
-    exact: Estimate,
-) -> tuple[NoisyLog, list[Float[np.ndarray, " size"]]]:
+    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
+) -> tuple[NoisyLog, list[Vector]]:
     """The likelihood with noisy sensors, and vectors to climb from."""
     expect_many_calls()
     layout, theta = exact.log.layout, exact.best.theta
@@ -157,7 +154,7 @@ def begun_with_noise(
 def estimated_of(
     log: NoisyLog,
     best: Maximum,
-    window: tuple[float, float],
+    window: Window,
     start: Start,
     spare: Int[np.ndarray, " mode"] | None = None,
 ) -> Estimate:
@@ -178,10 +175,10 @@ def estimated_of(
 def estimate_of_sensors(
     log: SensorLikelihood,
     best: Maximum,
-    window: tuple[float, float],
+    window: Window,
     spread: Spread,
     start: Start,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     along: NoisyLog,
     spare: Int[np.ndarray, " mode"],
     *,
@@ -217,8 +214,8 @@ def estimate_of_sensors(
 
 
 def _spread(
-    log: NoisyLog, some: NoisyLog, best: Maximum, window: tuple[float, float], most: float
-) -> tuple[Spread, Float[np.ndarray, " size"]]:
+    log: NoisyLog, some: NoisyLog, best: Maximum, window: Window, most: float
+) -> tuple[Spread, Vector]:
     """Of all unknowns, and these with the noise restricted.
 
     What is known has no variance, noise that the log does not tell any.
@@ -242,7 +239,7 @@ def _spread(
 
 
 def noisy_residuals(
-    log: NoisyLog, theta: Float[np.ndarray, " size"], window: tuple[float, float]
+    log: NoisyLog, theta: Vector, window: Window
 ) -> list[Float[np.ndarray, "sample p"]]:
     """The innovations of every part, each over its deviation; NaN where there are none."""
     starts = log.starts(*window)
@@ -267,13 +264,13 @@ def first_noises(
 class Restricted(NamedTuple):
     """The unknowns with restricted noise, their information, and the freedom each rests on."""
 
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     information: Float[np.ndarray, "size size"]
-    spare: Float[np.ndarray, " size"]
+    spare: Vector
 
 
 def restricted(
-    log: NoisyLog, some: NoisyLog, best: Maximum, window: tuple[float, float], most: float
+    log: NoisyLog, some: NoisyLog, best: Maximum, window: Window, most: float
 ) -> Restricted:
     """From the maximum of the likelihood; how information moves is seen on `some` of the log.
 
@@ -338,9 +335,7 @@ def _noise_shares(
 
 
 def variance_errors(
-    log: SensorLikelihood,
-    vector: Float[np.ndarray, " size"],
-    covariance: Float[np.ndarray, "size size"],
+    log: SensorLikelihood, vector: Vector, covariance: Float[np.ndarray, "size size"]
 ) -> Float[np.ndarray, " variance"]:
     """Standard errors of W_aa = Σ_b L_ab², mode by mode, and of sensors' variances.
 

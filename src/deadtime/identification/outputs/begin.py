@@ -37,7 +37,7 @@ from deadtime.identification.likelihoods.switched_filter import (
 )
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.noisy.delay_scan import of_sensors, scanned
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.start import matrix_logarithm, start_of
 from deadtime.identification.uneven import gridded
 
@@ -142,17 +142,13 @@ def _likelihood(chain: SwitchedKalmanFilter) -> tuple[float, float]:
 class Guess(NamedTuple):
     """A first plant, and its noise; `size` of the states."""
 
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     noise: tuple[NoiseLevels, ...]
     size: Float[np.ndarray, " n"]
 
 
 def guess_of(
-    grid: Recording,
-    layout: Layout,
-    order: tuple[int, ...],
-    bounds: tuple[float, float],
-    within: bool,
+    grid: Recording, layout: Layout, order: tuple[int, ...], bounds: Window, within: bool
 ) -> Guess:
     """A first plant from evenly sampled outputs, as if their smoothed derivatives were measured."""
     found = derivatives_of(grid.parts, order, grid.step)

@@ -20,7 +20,7 @@ from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.delay_scan import Scanned, largest_maximum
 from deadtime.identification.outputs.begin import Guess, begins_of, by_past, guess_of
 from deadtime.identification.outputs.other_delays import others_of
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.numerics.kernels import expect_many_calls
@@ -41,7 +41,7 @@ class OutputsRequest(NamedTuple):
     layout: Layout
     order: tuple[int, ...]
     zeros: bool | None
-    bounds: tuple[float, float]
+    bounds: Window
     within: bool
     progress: Callable[[str], None]
 

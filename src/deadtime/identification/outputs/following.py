@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Part
+from deadtime.identification.parameters import Vector, Window
 
 _MOST = 10_000  # samples of a long log whose states are looked at
 
@@ -25,12 +26,7 @@ class Following(NamedTuple):
     free: Float[np.ndarray, "sample n"]
 
 
-def following(
-    log: NoisyLog,
-    vector: Float[np.ndarray, " size"],
-    part: Part,
-    window: tuple[float, float],
-) -> Following:
+def following(log: NoisyLog, vector: Vector, part: Part, window: Window) -> Following:
     """States of a part by the likeliest plant."""
     own = replace(log, recording=log.recording._replace(parts=(part,)))
     (start,) = starts = own.starts(*window)
@@ -44,9 +40,7 @@ def following(
     return Following(np.where(known[:, None], states, np.nan), ahead, free)
 
 
-def largest_of(
-    log: NoisyLog, vector: Float[np.ndarray, " size"], window: tuple[float, float]
-) -> Float[np.ndarray, " n"]:
+def largest_of(log: NoisyLog, vector: Vector, window: Window) -> Float[np.ndarray, " n"]:
     """The largest |x| of every state; of a long log in stretches from all over it."""
     parts = log.recording.stretches(_MOST, log.recording.lag(window[1])).parts
     states = np.vstack([following(log, vector, part, window).states for part in parts])

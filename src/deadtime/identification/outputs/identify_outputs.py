@@ -26,7 +26,7 @@ from deadtime.identification.outputs.chosen import (
     zeros_in_doubt,
 )
 from deadtime.identification.outputs.other_delays import with_others
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.uneven import nodes_for
 
 _MOST = 12  # states in all
@@ -37,7 +37,7 @@ def identify_outputs(
     order: int | Sequence[int],
     zeros: bool | None,
     per_mode: bool,
-    bounds: tuple[float, float],
+    bounds: Window,
     within: bool,
     progress: Callable[[str], None],
 ) -> IdentifiedLog:
