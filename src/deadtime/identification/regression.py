@@ -46,7 +46,7 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
     value, score, information, covariances = 0.0, np.zeros(size), np.zeros((size, size)), []
     for term in terms:
         count, P, n = term.periods, term.P, len(term.P)
-        y, r = np.split(term.root, [n], axis=1)
+        y, r = term.root[:, :n], term.root[:, n:]
         e = y - r @ P.T
         S = e.T @ e / count
         if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows

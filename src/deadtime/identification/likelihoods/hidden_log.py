@@ -142,8 +142,8 @@ class HiddenLog(PlantLikelihood):
                 return Evaluation(-np.inf, score, np.eye(size))
             terms, found = self.weighted(theta, cells)
             for term, S in zip(terms, self.S, strict=True):
-                y, r = np.split(term.root, [len(S)], axis=1)
-                add_score(term, y - r @ term.P.T, np.linalg.cholesky(S), score, information)
+                e = term.root[:, : len(S)] - term.root[:, len(S) :] @ term.P.T
+                add_score(term, e, np.linalg.cholesky(S), score, information)
         return Evaluation(found.value, score, information)
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
