@@ -23,8 +23,8 @@ from uneven_logs import uneven_states
 
 import deadtime as dt
 import identification
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 
 H, COUNT, HELD, MARGIN = 0.05, 500, 2, 5.0
 # name: W of all states, deviation of the sensor, jitter of the rows' times in periods

@@ -5,12 +5,14 @@ from typing import Any
 import numpy as np
 
 import deadtime as dt
-from deadtime.identification.excitation.exact_states import ExactStates
 from deadtime.identification.excitation.excited_loop import chain_of
 from deadtime.identification.excitation.given import root_of
 from deadtime.identification.excitation.input_information import Prospect
-from deadtime.identification.excitation.noise_tables import NoiseTables
-from deadtime.identification.excitation.noisy_states import NoisyStates
+from deadtime.identification.excitation.state_information import (
+    ExactStates,
+    NoiseTables,
+    NoisyStates,
+)
 from deadtime.identification.parameters import Layout
 
 

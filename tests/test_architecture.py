@@ -69,6 +69,17 @@ def test_no_file_imports_itself_by_way_of_others():
     graphlib.TopologicalSorter(imports()).prepare()
 
 
+def test_no_folder_of_a_room_imports_itself_by_way_of_its_neighbours():
+    """Of identification, whose files and folders have an order as rooms have."""
+    uses: dict[str, set[str]] = defaultdict(set)
+    for name, imported in imports().items():
+        room, _, own = name.removeprefix("deadtime.").partition(".")
+        if room == "identification":
+            within = {other.split(".")[2] for other in imported if room_of(other) == room}
+            uses[own.split(".")[0]] |= within - {own.split(".")[0]}
+    graphlib.TopologicalSorter(uses).prepare()
+
+
 def test_only_the_explorer_which_writes_scripts_uses_the_face_of_the_package():
     outside = {name for name, imported in imports().items() if "deadtime" in imported}
     assert {room_of(name) for name in outside} <= {"app"}

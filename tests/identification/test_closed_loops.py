@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 import deadtime as dt
-from deadtime.identification.fed_back import fed_back
+from deadtime.identification.identifiability import fed_back
 from deadtime.identification.log.recording import read_recording
 from synthetic_logs import Plant
 

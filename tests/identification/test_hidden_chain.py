@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from deadtime.identification.hidden.chain import likeliest, smooth
+from deadtime.identification.likelihoods.chain import likeliest, smooth
 
 RNG = np.random.default_rng(5)
 PERIODS = 7

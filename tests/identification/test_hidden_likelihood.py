@@ -8,13 +8,12 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
-from deadtime.identification.cells import cells_of
 from deadtime.identification.hidden.hidden_information import information_of, lifted
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods, UnevenPeriods
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods, UnevenPeriods
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, cells_of
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant, oscillator
 
@@ -32,9 +31,8 @@ def likelihood(plant, count, last, per_mode=False, seed=0):
     layout, S = Layout(modes, n, m, per_mode), [plant.covariance(i, H) for i in range(modes)]
     periods = EvenPeriods.of((part,), 1, last, None, constant=False)
     nodes = nodes_for((part,), plant.A)
-    log = HiddenLog(
-        record, layout, (1e-8, last * H), nodes, periods, np.array(S), Jumps(CHAIN, H, rates=False)
-    )
+    given = record, layout, False, (1e-8, last * H), nodes, periods
+    log = HiddenLog(*given, np.array(S), Jumps(CHAIN, H, rates=False))
     theta = layout.join(plant.A, plant.B, plant.D)
     return log, theta, cells_of(theta[layout.at_delays], H)
 
@@ -115,7 +113,7 @@ def test_uneven_rows_have_the_sum_over_all_paths_and_rates_are_scored_by_its_slo
     nodes = nodes_for((part,), plant.A)
     periods = UnevenPeriods.between((part,), 0.1, 0.12, None, H, constant=False)
     jumps = Jumps(rates, H, rates=True)
-    log = HiddenLog(record, layout, (1e-8, 0.2), nodes, periods, S, jumps)
+    log = HiddenLog(record, layout, False, (1e-8, 0.2), nodes, periods, S, jumps)
     theta = layout.join(plant.A, plant.B, plant.D)
     (k,), length = periods.usable, np.diff(t)
     density = np.empty((k.size, 2))

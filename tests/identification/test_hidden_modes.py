@@ -1,6 +1,7 @@
 """Modes that were not logged: what they are found to be, how well, and what is refused."""
 
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,12 +9,16 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
-from deadtime.identification.hidden.choice import Fitted
-from deadtime.identification.hidden.hidden_sentences import TriedNumbers, of_numbers
-from deadtime.identification.hidden.identify_hidden import _chosen
-from deadtime.identification.hidden.mode_numbers import numbers_of
-from deadtime.identification.hidden.mode_periods import EvenPeriods
-from deadtime.identification.hidden.starts import drawn_start, stretches_of
+from deadtime.identification.hidden.choice import HiddenFit
+from deadtime.identification.hidden.estimated import Decoded
+from deadtime.identification.hidden.identify_hidden import (
+    TriedNumbers,
+    best_of,
+    numbers_of,
+    of_numbers,
+)
+from deadtime.identification.hidden.regressions import drawn_start, stretches_of
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
 from synthetic_logs import Plant, oscillator
@@ -192,20 +197,27 @@ def test_the_next_number_is_taken_where_the_likeliest_path_leaves_a_mode_out():
     """Fits that are numbers and BIC alone: no log is known that always ends so."""
 
     def fit(modes: int, bic: float) -> Any:
-        return tuple.__new__(Fitted, (Layout(modes, 1, 1, False), None, None, bic, 1, 1))
+        log = SimpleNamespace(layout=Layout(modes, 1, 1, False))
+        one = object.__new__(HiddenFit)
+        vars(one).update(log=log, bic=bic)
+        return one
 
-    def decode(one: Any) -> str:
+    path: Decoded[Any] = object.__new__(Decoded)
+
+    def decode(one: Any) -> Any:
         if one.layout.modes == 3:
             raise dt.ArgumentError("a mode is left out")
-        return "a path"
+        return path
 
     tried = TriedNumbers([fit(2, 20.0), fit(3, 10.0)], (2, 3), None)
-    best, path, left_out = _chosen(tried, decode)
-    assert (best.layout.modes, path, left_out) == (2, "a path", [3])
+    best, found, left_out = best_of(tried, decode)
+    assert best.layout.modes == 2
+    assert found is path
+    assert left_out == [3]
     said = of_numbers(2, tried, left_out)[0]
     assert said.endswith("20.0 with 2, 10.0 with 3; that of 3 leaves one out.")
     with pytest.raises(dt.ArgumentError, match="a mode is left out"):
-        _chosen(TriedNumbers([fit(3, 10.0)], (3,), None), decode)
+        best_of(TriedNumbers([fit(3, 10.0)], (3,), None), decode)
 
 
 def test_uneven_rows_tell_modes_as_even_ones_do():

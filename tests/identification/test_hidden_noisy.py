@@ -1,7 +1,6 @@
 """Hidden modes behind noisy sensors, against every path with a dense normal law of the log."""
 
 import itertools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,14 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.filters_kernel import carry_halves
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods
-from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
+from deadtime.identification.likelihoods.filters_kernel import carry_halves
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
-from deadtime.identification.noisy.noise_intervals import sensor_intervals
+from deadtime.identification.noisy.noise import variance_errors
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant
@@ -42,12 +41,11 @@ def hidden_log(plant, sensor, count=13, seed=0, even=True, within=False):
     part = Part(t, x @ C.T + sensor * rng.standard_normal((count, 3)), u, 0 * mode)
     record = Recording((part,), H, even, ("y",) * 3, ("u",) * m, ("0",), False)
     layout, nodes = Layout(modes, n, m, False), nodes_for((part,), plant.A)
-    unit = np.ones(layout.size + 6)
-    noisy = NoisyLog(record, Layout(1, n, m, False), C, False, (1e-8, 0.3), nodes)
-    chain = CHAIN if modes == 2 else np.eye(1)
-    log = HiddenNoisyLog(noisy, layout, unit, Jumps.of(chain, H, not even), within)
+    chain = Jumps.of(CHAIN if modes == 2 else np.eye(1), H, not even)
+    given = record, layout, within, (1e-8, 0.3), nodes, C
+    log = HiddenNoisyLog(*given, errors=np.ones(layout.size + 6), jumps=chain)
     theta = layout.join(plant.A, plant.B, plant.D)
-    return log, log.whole.join(theta, NoiseLevels(plant.W, np.full(3, sensor)))
+    return log, log.join(theta, NoiseLevels(plant.W, np.full(3, sensor)))
 
 
 def every_path(log, plant, sensor, first):
@@ -63,7 +61,7 @@ def every_path(log, plant, sensor, first):
         start = start @ np.exp(logs[which[k]])
     for path in itertools.product((0, 1), repeat=len(periods)):
         mean, whole = np.zeros((len(periods) + 1, 2)), np.zeros((2 * len(periods) + 2,) * 2)
-        whole[:2, :2] = log.noisy.P0
+        whole[:2, :2] = log.P0
         value = np.log(start[path[0]])
         for row, i in enumerate(path):
             Phi, moved = known[i][row]
@@ -78,7 +76,7 @@ def every_path(log, plant, sensor, first):
         spread = big @ whole @ big.T + sensor**2 * np.eye(p * len(mean))
         normal = multivariate_normal((mean @ C.T).ravel(), spread)
         paths.append((path, value + normal.logpdf(y[first:].ravel())))
-    before = multivariate_normal(np.zeros(p), C @ log.noisy.P0 @ C.T + sensor**2 * np.eye(p))
+    before = multivariate_normal(np.zeros(p), C @ log.P0 @ C.T + sensor**2 * np.eye(p))
     values = np.array([value for _, value in paths])
     weight = np.exp(values - values.max())
     ones = weight @ np.array([path for path, _ in paths]) / weight.sum()
@@ -110,7 +108,7 @@ def test_one_mode_and_modes_that_are_the_same_give_the_filter_of_logged_modes(wi
         for plant in (one, twice):
             log, vector = hidden_log(plant, 0.02, 60, even=even, within=within)
             starts = log.starts(0.1, 0.12)
-            expected = log.whole.value(vector, starts)
+            expected = log.along(log.recording).value(vector, starts)
             assert log.value(vector, starts) == pytest.approx(expected, abs=1e-7)
 
 
@@ -121,7 +119,7 @@ def test_as_noise_of_sensors_vanishes_densities_become_those_of_exact_states():
     exact = log.recording._replace(parts=(part._replace(output=part.output[:, :2]),))
     S = np.array([plant.covariance(i, H) for i in (0, 1)])
     periods = EvenPeriods.of(exact.parts, 1, 3, None, constant=False)
-    other = HiddenLog(exact, log.layout, log.bounds, log.nodes, periods, S, log.jumps)
+    other = HiddenLog(exact, log.layout, False, log.bounds, log.nodes, periods, S, log.jumps)
     theta = vector[: log.layout.size]
     node = log.posterior(vector, log.starts(0.1, 0.12)).node[0]
     expected = other.posterior(theta, other.cells(theta)).node[0]
@@ -162,13 +160,12 @@ def right(fit, mode):
 def test_intervals_of_noise_are_of_the_vector_of_all_modes():
     log, vector = hidden_log(two_modes(), 0.02, 60)
     found = object.__new__(Estimate)
-    given: dict[str, Any] = {"log": log, "noise": np.full(3, 0.02)}
-    given["best"] = SimpleNamespace(theta=vector)
-    given["spread"] = SimpleNamespace(covariance=0.01 * np.eye(vector.size))
+    errors = variance_errors(log, vector, 0.01 * np.eye(vector.size))
+    given: dict[str, Any] = {"noise": np.full(3, 0.02), "noise_errors": errors}
     given["disturbance"] = np.tile(1e-3 * np.eye(2), (2, 1, 1))
     for name, value in given.items():
         object.__setattr__(found, name, value)
-    for ends in sensor_intervals(found):
+    for ends in found.sensor_intervals:
         assert ends == pytest.approx(0.02 * np.exp([-0.196, 0.196]), rel=1e-3)
 
 

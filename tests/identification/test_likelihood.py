@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from deadtime.identification.likelihoods.exact_log import ExactLog
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.maximum import ExactLog
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import (
     concentrated,
@@ -161,13 +161,13 @@ def test_the_likelihood_of_noisy_states_is_the_dense_gaussian_of_the_whole_log(r
         output[30] = np.nan
     record = record._replace(parts=(part._replace(output=output),))
     nodes = nodes_for(record.parts, TRUE.A)
-    log = NoisyLog(record, LAYOUT, np.eye(2), False, (0.25, 0.4), nodes)
+    log = NoisyLog(record, LAYOUT, False, (0.25, 0.4), nodes, np.eye(2))
     W = np.array([[2e-3, 5e-4], [5e-4, 1e-3]])
     starts = log.starts(0.3, 0.35)
     first = int(np.flatnonzero(starts[0])[-1])
     assert starts[0][: first + 1].all()
     alone = record._replace(parts=(Part(*(column for column in record.parts[0])),))
-    log = NoisyLog(alone, LAYOUT, np.eye(2), False, (0.25, 0.4), nodes)
+    log = NoisyLog(alone, LAYOUT, False, (0.25, 0.4), nodes, np.eye(2))
     vector = log.join(THETA, NoiseLevels(W, SENSOR))
     found = log.value(vector, starts)
     before = 0.0  # samples of which nothing before is known: each on its own

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from deadtime.identification.log.logged_modes import fit_switching, signals_of
+from deadtime.identification.log.logged_states import fit_switching, signals_of
 from deadtime.identification.log.recording import read_recording
 
 

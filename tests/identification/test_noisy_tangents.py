@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.embedding import Embedding
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant
@@ -70,7 +70,7 @@ def dense(log, vector):
 
 
 def log_of(record):
-    return NoisyLog(record, LAYOUT, C, False, WINDOW, nodes_for(record.parts, A))
+    return NoisyLog(record, LAYOUT, False, WINDOW, nodes_for(record.parts, A), C)
 
 
 @pytest.mark.parametrize("block", [4096, 7])
@@ -80,8 +80,8 @@ def test_value_score_and_information_are_those_of_the_dense_gaussian(given, bloc
 
     What is not known of the first state is small enough that differences have digits left.
     """
-    monkeypatch.setattr("deadtime.identification.noisy.filtering._BLOCK", block)
-    monkeypatch.setattr("deadtime.identification.noisy.likelihood._VAGUE", 10.0)
+    monkeypatch.setattr("deadtime.identification.likelihoods.switched_filter._BLOCK", block)
+    monkeypatch.setattr("deadtime.identification.likelihoods.noisy_log._VAGUE", 10.0)
     log = log_of(made(*given))
     theta = LAYOUT.join(1.05 * A, 0.9 * B, D + 0.003)
     vector = log.join(theta, NOISE)
@@ -112,7 +112,7 @@ def test_derivatives_by_what_is_unknown_are_the_same_without_those_by_what_is_kn
     (part,) = record.parts
     record = record._replace(parts=(part._replace(output=part.output[:, :1]),), outputs=("y1",))
     shape = Embedding((2,), False, np.array([0.3, 0.5]))
-    log = NoisyLog(record, LAYOUT, shape.C, False, WINDOW, nodes_for(record.parts, A), shape)
+    log = NoisyLog(record, LAYOUT, False, WINDOW, nodes_for(record.parts, A), shape.C, shape)
     vector = log.join(LAYOUT.join(A, B, D), NoiseLevels(np.diag([2e-3, 1e-3]), np.array([0.02])))
     some, starts, free = log.evaluate(vector, log.starts(*WINDOW)), log.starts(*WINDOW), log.free
     assert free.size < log.size

@@ -10,10 +10,10 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.cli import main
+from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.embedding import Embedding
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Evaluation, climb
 from deadtime.identification.uneven import nodes_for
@@ -71,7 +71,7 @@ def test_the_likelihood_is_that_of_all_outputs_given_those_that_begin(order, jit
     shape = Embedding(order, True, np.array([0.3, 0.5, 0.4]))
     theta = layout.join(1.1 * np.array(A), 0.9 * np.array(B), np.array(D) + 0.004)
     sensor, W = np.array([0.02, 0.05]), np.diag([2e-3, 1e-3, 3e-3])
-    log = NoisyLog(record, layout, shape.C, False, (0.05, 0.2), nodes, shape)
+    log = NoisyLog(record, layout, False, (0.05, 0.2), nodes, shape.C, shape)
     starts, vector = log.starts(0.05, 0.2), log.join(theta, NoiseLevels(W, sensor))
     begins = int(np.flatnonzero(starts[0])[-1])
     assert begins <= first

@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import restricted as restricted_noise
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
-from deadtime.identification.noisy.restricted import restricted
+from deadtime.identification.noisy.noise import restricted
 from deadtime.identification.parameters import Layout
 from synthetic_logs import Plant
 
@@ -27,7 +27,7 @@ def log_of(count, sensor, seed):
     y, u = plant.log(t, rng.standard_normal((count, 1)), rng, sensor=sensor)
     part = Part(t, y, u, np.zeros(count, int))
     record = Recording((part,), H, True, ("x",), ("u",), ("0",), True)
-    return NoisyLog(record, LAYOUT, np.eye(1), False, WINDOW, np.zeros(0)), part
+    return NoisyLog(record, LAYOUT, False, WINDOW, np.zeros(0), np.eye(1)), part
 
 
 def test_of_exact_sensors_the_noise_is_the_residuals_over_the_rows_less_the_unknowns():

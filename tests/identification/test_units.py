@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification.identifiability import counts_milliseconds
 from deadtime.identification.log.recording import read_recording
-from deadtime.identification.untold import counts_milliseconds
 from synthetic_logs import Plant, oscillator
 
 H = 0.05

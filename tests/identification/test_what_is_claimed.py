@@ -9,11 +9,10 @@ import pytest
 from scipy.stats import t as t_of
 
 import deadtime as dt
-from deadtime.identification.noisy.noise_intervals import ends
-from deadtime.identification.peaks import fresh_rise
-from deadtime.identification.results.delay_verdict import delays_beside
+from deadtime.identification.delay_intervals import fresh_rise
+from deadtime.identification.estimate import variance_ends
+from deadtime.identification.results.delay_verdict import delays_beside, failure_of
 from deadtime.identification.results.problem_text import problem_text
-from deadtime.identification.results.separate_errors import failure_of
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -150,9 +149,9 @@ def test_an_interval_that_ends_where_the_search_did_says_that_nothing_longer_was
 
 
 def test_a_noise_that_the_log_does_not_tell_may_be_none_or_any():
-    assert ends(1e-12, 1e-3) == (0.0, pytest.approx(1.96e-3, rel=1e-4))
-    assert ends(1e-12, np.inf) == (0.0, np.inf)
-    low, high = ends(1.0, 0.1)
+    assert variance_ends(1e-12, 1e-3) == (0.0, pytest.approx(1.96e-3, rel=1e-4))
+    assert variance_ends(1e-12, np.inf) == (0.0, np.inf)
+    low, high = variance_ends(1.0, 0.1)
     assert low * high == pytest.approx(1.0)
 
 

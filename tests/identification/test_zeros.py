@@ -8,8 +8,8 @@ import pytest
 from scipy.linalg import expm
 
 import deadtime as dt
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from output_logs import MOTOR, OUTPUTS, H, logged, misses
 from synthetic_logs import Plant
 

@@ -20,7 +20,7 @@ from deadtime.identification.log.read_tables import (
     numeric_column,
     read_table,
 )
-from deadtime.identification.results.report_figures import likelihood_figure, quick_figures
+from deadtime.identification.results.identification_figure import likelihood_figure, quick_figures
 from deadtime.laws import ExactPredictor
 from deadtime.margins import delay_margin
 from deadtime.problems import load_problem

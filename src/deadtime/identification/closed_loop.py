@@ -24,15 +24,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.delay_intervals import plausible_fall
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.levels import without_level
+from deadtime.identification.likelihoods.likelihood import climb_within, maximise
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.noise import begun_with_noise, estimated_of
-from deadtime.identification.noisy.noise_intervals import exact_holds
-from deadtime.identification.peaks import plausible_fall
-from deadtime.identification.scoring import Evaluate, Maximum, climb
+from deadtime.identification.noisy.noise import begun_with_noise, estimated_of, exact_holds
+from deadtime.identification.scoring import Evaluate, Maximum
 from deadtime.identification.start import Start, cell_range
 
 _MANY = 40  # cells: in so many all beginnings are tried, in others only the neighbour's maximum
@@ -71,7 +70,8 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
         own = log.evaluate_in(*bounds)(cells)(best.theta).value
         curves[row][cell - first] = max(curves[row][cell - first], own)
         vectors[row][cell - first] = best.theta
-    start = Start(best.theta[: log.layout.size], cells, first, np.array(curves), np.array(vectors))
+    told = np.array(curves), log.acting.size, np.array(vectors)
+    start = Start(best.theta[: log.layout.size], cells, first, *told)
     return estimated_of(log, best, window, start)
 
 
@@ -98,7 +98,7 @@ def _anew(
     """The same of a whole log, where a part of it leaves a cell plausible."""
     evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
     fall = values.max() - values
-    near = np.flatnonzero(fall <= plausible_fall(log, every.size, 1.0))
+    near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
     found = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
     most = max(one.found.value for one in found.values())
     return [
@@ -115,14 +115,11 @@ def _top(
     cell: int,
 ) -> Maximum:
     """The maximum that a vector leads to with one delay in a cell, the others in theirs."""
-    low, high, cells = *log.limits, log.cells(theta)
-    place, h, begin = np.arange(log.layout.size)[log.layout.at_delays], log.recording.step, theta
+    cells, begin = log.cells(theta), theta
     if cells[row] != cell:
         begin, cells[row] = theta.copy(), cell
-        begin[place[row]] = (cell - 0.5) * h
-    low[place] = np.maximum((cells - 1) * h, log.bounds[0])
-    high[place] = np.minimum(cells * h, log.bounds[1])
-    return climb(evaluate_in(cells), begin, low, high, gain=_GAIN, stride=log.stride)
+        begin[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
+    return climb_within(log, evaluate_in(cells), begin, cells, _GAIN)
 
 
 def _highest(found: list[Maximum]) -> Maximum:
@@ -130,13 +127,8 @@ def _highest(found: list[Maximum]) -> Maximum:
 
 
 def estimate_in_loop(
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
-    exact: Estimate,
-    within: bool,
-    bounds: tuple[float, float],
-    sure: bool,
+    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate, sure: bool
 ) -> Estimate:
     """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
-    found = over_all_cells(*begun_with_noise(recording, C, exact, within, bounds))
+    found = over_all_cells(*begun_with_noise(recording, C, exact))
     return exact if not sure and exact_holds(exact, found) else found

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from deadtime.base.checks import brief
+from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.identification.hidden_modes import HiddenModes
 from deadtime.identification.intervals import Spread
-from deadtime.identification.maximum import Likelihood
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.parameters import Window
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 from deadtime.plant import SwitchedSystem
+from deadtime.switching.models.semi_markov import SemiMarkov
+
+_REACH = 1.959963984540054  # of a normal distribution's 95 %
+_OWN = 0.5  # of a variance: an error beyond which it may be none
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,14 +38,16 @@ class Estimate(Frozen):
     several : (delays,), whether an interval holds other peaks; start : the first guess
     disturbance : (modes, n, n), W of each mode, x² per second
     noise : (p,), standard deviations of the sensors
+    noise_errors : standard errors of W's diagonal, mode by mode, then of the sensors' variances
     spare : (modes,), how many periods each W rests on beyond those that the matrices cost
     ends : (unknowns, 2), of intervals of A and B where delays are open; None elsewhere
     white : of every log, the whitened residuals, NaN where there are none
+    of_outputs : the likelihood, where states were found from outputs alone
     """
 
     log: Likelihood
     best: Maximum
-    window: tuple[float, float]
+    window: Window
     plant: SwitchedSystem
     spread: Spread
     intervals: Float[np.ndarray, "delay 2"]
@@ -42,13 +55,119 @@ class Estimate(Frozen):
     start: Start
     disturbance: Float[np.ndarray, "mode n n"]
     noise: Float[np.ndarray, " p"]
+    noise_errors: Float[np.ndarray, " variance"]
     spare: Int[np.ndarray, " mode"]
     tests: ResidualTests
     white: tuple[Float[np.ndarray, "sample p"], ...]
     ends: Float[np.ndarray, "unknown 2"] | None = None
+    of_outputs: NoisyLog | None = None
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Where each unknown lies, by name: in the layout, then W's diagonals, then the sensors.
+
+        Of states from outputs alone those that the choice of states fixes are left out.
+        """
+        layout, (modes, n) = self.log.layout, self.disturbance.shape[:2]
+        more = [f"disturbance[{i}][{a},{a}]" for i in range(modes) for a in range(n)]
+        more += [f"noise[{j}]" for j in range(self.noise.size)] if self.noise.any() else []
+        places = {name: a for a, name in enumerate([*layout.names(), *more])}
+        if self.of_outputs is not None:
+            free = {*self.of_outputs.free.tolist(), *range(layout.size, len(places))}
+            places = {name: a for name, a in places.items() if a in free}
+        return places
+
+    def value(self, name: str) -> float:
+        """The likeliest value of an unknown, by its name."""
+        place, size = self._place(name), self.log.layout.size
+        if place < size:
+            return float(self.best.theta[place])
+        diagonal = np.diagonal(self.disturbance, axis1=1, axis2=2)
+        return float(np.concatenate((diagonal.ravel(), self.noise))[place - size])
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """The ends of its 95 % interval."""
+        layout, place = self.log.layout, self._place(name)
+        if place >= layout.size:
+            return self.noise_interval(place - layout.size)
+        if place >= layout.size - layout.delays:
+            low, high = self.intervals[place - layout.size + layout.delays]
+        elif self.ends is not None:
+            low, high = self.ends[place]
+        else:
+            half = self.spread.reach[place] * np.sqrt(self.spread.covariance[place, place])
+            low, high = self.best.theta[place] - half, self.best.theta[place] + half
+        return float(low), float(high)
+
+    def noise_interval(self, place: int) -> tuple[float, float]:
+        """Of W's diagonal, mode by mode, then of the sensors' deviations."""
+        W = np.diagonal(self.disturbance, axis1=1, axis2=2).ravel()
+        variance = float(np.append(W, self.noise**2)[place])
+        low, high = variance_ends(variance, float(self.noise_errors[place]))
+        return (low, high) if place < W.size else (float(np.sqrt(low)), float(np.sqrt(high)))
 
     @property
-    def of_outputs(self) -> NoisyLog | None:
-        """The likelihood, where states were found from outputs alone."""
-        log = self.log
-        return log if isinstance(log, NoisyLog) and log.embedding is not None else None
+    def sensor_intervals(self) -> list[tuple[float, float]]:
+        """Of every sensor's deviation, where measurements are noisy."""
+        first = self.disturbance.shape[0] * self.disturbance.shape[1]
+        return [self.noise_interval(first + j) for j in range(self.noise.size)]
+
+    def require_inside(self) -> None:
+        """Refuse an estimate that lies outside an interval of its own.
+
+        An interval over several plausible delays may leave the likeliest plant out: then this one
+        maximum is not what the log says.
+        """
+        outside = []
+        for name, place in self.places.items():
+            low, high = self.interval(name)
+            if place < self.log.layout.size and not low <= self.value(name) <= high:
+                outside.append(f"{name} ({self.value(name):.4g}, not {low:.4g} … {high:.4g})")
+        if outside:
+            raise ArgumentError(
+                "log leaves several delays open, and their 95 % intervals do not hold the "
+                f"likeliest plant: {', '.join(outside)}. Move the input more, log for longer, or "
+                "narrow delay=(low, high), --delay LOW HIGH."
+            )
+
+    def _place(self, name: str) -> int:
+        if name not in self.places:
+            raise ArgumentError(f"name must be one of {', '.join(self.places)}, got {brief(name)}.")
+        return self.places[name]
+
+
+class IdentifiedLog(NamedTuple):
+    """An estimate, and all else that there is to hand over.
+
+    recording : with the modes that plants are of; states : their names
+    model : how modes switch, and `why` there is none
+    sentences, doubts : what there is to say beside what every estimate says
+    """
+
+    estimate: Estimate
+    recording: Recording
+    model: SemiMarkov | None
+    why: str
+    C: Float[np.ndarray, "p n"]
+    states: tuple[str, ...]
+    sentences: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    modes: HiddenModes | None = None
+
+
+def variance_ends(value: float, error: float) -> tuple[float, float]:
+    """The interval of a variance.
+
+    Of a variance w with an error E the logarithm is nearly normal where E is well below w. Else w
+    is: where the log does not tell it from none its interval begins at 0, w + 1.96 E is the other
+    end, and all there is to say is that it is less.
+
+    Examples
+    --------
+    >>> [round(end, 3) for given in ((1.0, 0.1), (0.001, 1.0)) for end in variance_ends(*given)]
+    [0.822, 1.217, 0.0, 1.961]
+    """
+    if error > _OWN * value:
+        return max(0.0, value - _REACH * error), value + _REACH * error
+    wide = float(np.exp(_REACH * error / value)) if value else 1.0
+    return value / wide, value * wide

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.delay_intervals import delay_intervals
+from deadtime.identification.delay_intervals import delay_intervals, ends_over_peaks
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import spread_of
+from deadtime.identification.identifiability import reasons
+from deadtime.identification.intervals import Spread, spread_of
 from deadtime.identification.levels import without_level
+from deadtime.identification.likelihoods.exact_log import ExactLog
+from deadtime.identification.likelihoods.likelihood import PlantLikelihood, maximise
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import ExactLog, maximise
-from deadtime.identification.noisy.noise import continuous
-from deadtime.identification.over_peaks import ends_over_peaks
-from deadtime.identification.parameters import Layout
+from deadtime.identification.noisy.noise import continuous, intensity_errors
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
-from deadtime.identification.start import start_of
+from deadtime.identification.scoring import Maximum
+from deadtime.identification.start import Start, start_of
 from deadtime.identification.uneven import gridded, nodes_for
-from deadtime.identification.untold import reasons
 
 
 def estimate_exactly(
-    recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
+    recording: Recording, layout: Layout, bounds: Window, within: bool
 ) -> Estimate:
     """The estimate if states are measured without noise."""
     start = start_of(gridded(recording), layout, bounds, within)
@@ -45,17 +49,38 @@ def estimate_exactly(
         why = [reasons(recording, j, bounds[1] - bounds[0]) for j in range(layout.m)]
         said = dict.fromkeys(sentence for sentences in why for sentence in sentences)
         raise ArgumentError(" ".join((str(error), *said))) from None
-    intervals, several = delay_intervals(log, best, window, spread, start)
-    plant = layout.plant(best.theta)
-    covariances = covariances * (counts / spare)[:, None, None]
-    white = residuals_of(
-        recording,
-        plant,
-        layout.constant_of(best.theta),
-        nodes,
-        within,
-        np.linalg.cholesky(covariances),
+    peak = log, best, window, spread, start
+    S = covariances * (counts / spare)[:, None, None]
+    return estimate_of_plant(
+        *peak, S, spare, recording, ends=ends_over_peaks(log, best, spread, start)
     )
+
+
+def estimate_of_plant(
+    log: PlantLikelihood,
+    best: Maximum,
+    window: Window,
+    spread: Spread,
+    start: Start,
+    S: Float[np.ndarray, "mode n n"],
+    spare: Int[np.ndarray, " mode"],
+    recording: Recording,
+    *,
+    told: Sequence[np.ndarray] | None = None,
+    ends: Float[np.ndarray, "unknown 2"] | None = None,
+) -> Estimate:
+    """What there is to say of a maximum, states being exact, with S what a period adds.
+
+    spare : periods of every mode that S rests on; told : of every part the periods whose mode is
+    told, by default all
+    """
+    intervals, several = delay_intervals(log, best, window, spread, start)
+    plant, constant = log.layout.plant(best.theta), log.layout.constant_of(best.theta)
+    roots = np.linalg.cholesky(S)
+    white = residuals_of(recording, plant, constant, log.nodes, log.within, roots)
+    for one, k in zip(white, told or (), strict=told is not None):
+        one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan
+    W = continuous(plant.A, S, recording.step)
     return Estimate(
         log=log,
         best=best,
@@ -65,10 +90,11 @@ def estimate_exactly(
         intervals=intervals,
         several=several,
         start=start,
-        disturbance=continuous(plant.A, covariances, recording.step),
-        noise=np.zeros(layout.n),
+        disturbance=W,
+        noise=np.zeros(log.layout.n),
+        noise_errors=intensity_errors(plant.A, W, recording.step, spare),
         spare=spare,
         tests=judge_residuals(white, recording, plant.longest_delay),
         white=tuple(white),
-        ends=ends_over_peaks(log, best, spread, start),
+        ends=ends,
     )

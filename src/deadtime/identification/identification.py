@@ -7,18 +7,12 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from deadtime.base.checks import positive
-from deadtime.base.errors import ArgumentError
-from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.identify_hidden import Hidden
+from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
-from deadtime.identification.log.recording import Recording
 from deadtime.identification.results.sentences import doubts_of, odd_readings, sentences_of
-from deadtime.identification.unknowns import Unknowns
-from deadtime.switching import SwitchingModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,21 +60,13 @@ class Identification(Findings):
     """
 
     @classmethod
-    def of(
-        cls,
-        found: Estimate,
-        recording: Recording,
-        model: SwitchingModel | None,
-        why: str,
-        C: Float[np.ndarray, "p n"],
-        states: tuple[str, ...],
-    ) -> Identification:
-        """What there is to hand over of an estimate; `why` there is no switching model."""
-        from deadtime.identification.results.filter_noise import filter_noise
+    def of(cls, answer: IdentifiedLog) -> Identification:
+        """What there is to hand over of an answer."""
+        from deadtime.identification.results.problem_text import filter_noise
 
-        Unknowns(found, recording.step).require_inside()
-        rest = rest_of(found, np.linalg.pinv(C))
-        odd = odd_readings(found, recording, C)
+        found, recording, model, why, C, states, said, doubts, modes = answer
+        found.require_inside()
+        rest, odd = rest_of(found, np.linalg.pinv(C)), odd_readings(found, recording, C)
         fit = cls(
             found.plant,
             found.log.layout.spread(found.intervals),
@@ -98,22 +84,13 @@ class Identification(Findings):
             found,
             recording,
             C,
+            hidden=modes,
+            doubts=(*doubts_of(found, recording, odd), *doubts),
             _rest=rest,
-            doubts=doubts_of(found, recording, odd),
         )
         _, raised = filter_noise(fit)
-        return replace(fit, sentences=(*fit.sentences, raised)) if raised else fit
-
-    @classmethod
-    def of_hidden(
-        cls, hidden: Hidden, C: Float[np.ndarray, "p n"], states: tuple[str, ...]
-    ) -> Identification:
-        """The same of modes that were not logged."""
-        if hidden.estimate is None:
-            raise ArgumentError("hidden must have an estimate.")
-        given = hidden.estimate, hidden.recording, hidden.model, hidden.why
-        fit = cls.of(*given, C, states)
-        return replace(fit, sentences=(*hidden.sentences, *fit.sentences), hidden=hidden.modes)
+        own = (*fit.sentences, raised) if raised else fit.sentences
+        return replace(fit, sentences=(*own, *said) if modes is None else (*said, *own))
 
     def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
         """Whether a law stands every delay that the log allows.

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.hidden_modes import HiddenModes
+from deadtime.identification.hidden_modes import HiddenModes
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.unknowns import Unknowns
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
 
@@ -120,15 +118,11 @@ class Findings(Frozen):
 
         From outputs alone those entries that the choice of states fixes are left out.
         """
-        return tuple(self._unknowns.places)
-
-    @cached_property
-    def _unknowns(self) -> Unknowns:
-        return Unknowns(self._found, self.step)
+        return tuple(self._found.places)
 
     def estimate(self, name: str) -> float:
         """The likeliest value of one unknown, by its name; see `interval`."""
-        return self._unknowns.estimate(name)
+        return self._found.value(name)
 
     def interval(self, name: str) -> tuple[float, float]:
         """The ends of the 95 % interval of one unknown.
@@ -146,4 +140,4 @@ class Findings(Frozen):
         ArgumentError
             If there is no such name.
         """
-        return self._unknowns.interval(name)
+        return self._found.interval(name)

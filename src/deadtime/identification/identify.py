@@ -7,19 +7,21 @@ from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import reporter
+from deadtime.base.checks import number, reporter
+from deadtime.base.errors import ArgumentError
 from deadtime.identification.closed_loop import estimate_in_loop
+from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
-from deadtime.identification.fed_back import fed_back
-from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden
-from deadtime.identification.hidden.mode_numbers import numbers_of
+from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden, numbers_of
+from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
 from deadtime.identification.levels import level_of
-from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.logged_states import (
     as_states,
+    fit_switching,
     require_sizes,
     require_states,
     sensors_of,
@@ -27,17 +29,13 @@ from deadtime.identification.log.logged_states import (
 from deadtime.identification.log.recording import Recording, read_recording
 from deadtime.identification.log.rest import disproved, resting
 from deadtime.identification.log.unit_changes import require_same_units, require_seconds
-from deadtime.identification.noisy.noise import estimate_with_noise
-from deadtime.identification.noisy.noise_intervals import exact_holds
-from deadtime.identification.options import (
-    choice,
-    range_of_delays,
-    require_order_for,
-    require_switches,
+from deadtime.identification.noisy.noise import estimate_with_noise, exact_holds
+from deadtime.identification.outputs.identify_outputs import (
+    identify_outputs,
+    is_states,
+    require_logged,
 )
-from deadtime.identification.outputs.identify_outputs import identify_outputs
-from deadtime.identification.outputs.output_orders import is_states, require_logged
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.residuals import alternates
 
 if TYPE_CHECKING:
@@ -158,15 +156,7 @@ def identify(
         if is_states(order, recording.outputs):  # the same model as of states that are logged
             order = None
     asked = _Options(
-        C,
-        numbers,
-        order,
-        zeros,
-        per_mode,
-        noise,
-        (low, high),
-        switches == "anywhere",
-        progress,
+        C, numbers, order, zeros, per_mode, noise, (low, high), switches == "anywhere", progress
     )
     fit = _identified(resting(recording, rest), asked)
     if rest is None and disproved(fit._recording, fit._found.white, fit.plant.longest_delay):
@@ -184,7 +174,7 @@ class _Options(NamedTuple):
     zeros: bool | None
     per_mode: bool
     noise: bool | None
-    bounds: tuple[float, float]
+    bounds: Window
     within: bool
     progress: Callable[[str], None]
 
@@ -195,13 +185,8 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
     bounds = max(low, _SHORTEST * recording.step), high
     about = recording.about(level_of(recording))
     if order is not None:
-        of = identify_outputs(about, order, zeros, per_mode, bounds, within, progress)
-        fit = Identification.of(
-            of.estimate, of.estimate.log.recording, of.model, of.why, of.C, of.states
-        )
-        return replace(
-            fit, sentences=(*fit.sentences, *of.sentences), doubts=(*fit.doubts, *of.doubts)
-        )
+        of = about, order, zeros, per_mode, bounds, within, progress
+        return Identification.of(identify_outputs(*of))
     sensors = sensors_of(C, recording)
     count = sensors.shape[1]
     named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
@@ -212,21 +197,64 @@ def _identified(recording: Recording, asked: _Options) -> Identification:
     said: tuple[str, ...] = ()
     if numbers is not None:
         noisy = True if C is not None else noise
-        sensed = Sensed(direct, about, sensors, noisy)
-        hidden = identify_hidden(sensed, numbers, layout, bounds, within, progress)
-        if hidden.estimate is not None:
-            return Identification.of_hidden(hidden, sensors, named)
-        said = hidden.sentences
+        sensed = Sensed(direct, about, sensors, named, noisy)
+        hidden, said = identify_hidden(sensed, numbers, layout, bounds, within, progress)
+        if hidden is not None:
+            return Identification.of(hidden)
     progress(f"looking for the delay between {low:g} and {high:g} s")
     found = estimate_exactly(direct, layout, bounds, within)
     sure = C is not None or bool(noise)
     if noise is not False and fed_back(recording).any():
         progress("taking sensors for noisy, as inputs follow them")
-        found = estimate_in_loop(about, sensors, found, within, bounds, sure)
+        found = estimate_in_loop(about, sensors, found, sure)
     elif sure or (noise is None and (not found.tests.white or alternates(list(found.white)))):
         progress("taking sensors for noisy")
-        noisy = estimate_with_noise(about, sensors, found, within, bounds)
+        noisy = estimate_with_noise(about, sensors, found)
         found = found if not sure and exact_holds(found, noisy) else noisy
     model, why = fit_switching(recording)
-    fit = Identification.of(found, found.log.recording, model, why, sensors, named)
+    fit = Identification.of(IdentifiedLog(found, found.log.recording, model, why, sensors, named))
     return replace(fit, sentences=(*said, *fit.sentences))
+
+
+def require_switches(switches: object) -> None:
+    """Refuse what is none of the values that there are."""
+    if switches not in ("anywhere", "samples"):
+        raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
+
+
+def choice(name: str, value: object) -> bool | None:
+    """True, False, or None, which leaves it to the log."""
+    if value is None:
+        return None
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise ArgumentError(
+        f"{name} must be True, False, or None to find out from the log, got {value!r}."
+    )
+
+
+def range_of_delays(delay: object) -> tuple[float, float]:
+    """The range of delays."""
+    try:
+        low, high = delay  # pyright: ignore[reportGeneralTypeIssues]
+    except (TypeError, ValueError):
+        raise ArgumentError(
+            f"delay must be the range (low, high) to look in, in seconds, got {delay!r}."
+        ) from None
+    low, high = number("delay[0]", low), number("delay[1]", high)
+    if not 0.0 <= low < high:
+        raise ArgumentError(
+            f"delay must be a range 0 ≤ low < high, in seconds, got ({low:g}, {high:g})."
+        )
+    return low, high
+
+
+def require_order_for(zeros: object, outputs: object, C: object) -> None:
+    """Refuse what only outputs alone have."""
+    if zeros is not None:
+        raise ArgumentError("zeros is of outputs alone: give order, too, or leave zeros out.")
+    if outputs is not None and C is None:
+        raise ArgumentError(
+            "outputs needs order, how many states each has, or C, what they are of the states; "
+            "columns that are the states are states=[…]."
+        )

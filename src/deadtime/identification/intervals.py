@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.parameters import Vector
 
 LEVEL = 0.95
 _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
@@ -21,16 +22,16 @@ class Spread(NamedTuple):
     """
 
     covariance: Float[np.ndarray, "size size"]
-    reach: Float[np.ndarray, " size"]
-    inflation: Float[np.ndarray, " size"]
-    spare: Float[np.ndarray, " size"]
+    reach: Vector
+    inflation: Vector
+    spare: Vector
 
 
 def spread_of(
     F: Float[np.ndarray, "size size"],
     names: list[str],
     known: Float[np.ndarray, "size size"],
-    spare: Float[np.ndarray, " size"],
+    spare: Vector,
 ) -> Spread:
     """The inverse of what is `known`, the information F less what the noise's own estimate costs.
 
@@ -77,3 +78,18 @@ def require_seen(F: Float[np.ndarray, "size size"], names: list[str]) -> None:
         "as with an input that is not a function of the state alone, or widen delay=(low, high) if "
         "the delay may lie outside it."
     )
+
+
+def left_of(
+    J: Float[np.ndarray, "all all"], of: Int[np.ndarray, " of"]
+) -> Float[np.ndarray, "of of"]:
+    """Schur's complement: what is left of the information on some unknowns, the others estimated.
+
+    Of scaled unknowns, so that units do not matter to what counts as no information.
+    """
+    rest = np.setdiff1d(np.arange(len(J)), of)
+    unit = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(J)), 1e-300))
+    scaled = J * unit[:, None] * unit
+    cross, own = scaled[np.ix_(of, rest)], scaled[np.ix_(rest, rest)]
+    left = scaled[np.ix_(of, of)] - cross @ np.linalg.pinv(own, _UNSEEN, hermitian=True) @ cross.T
+    return left / unit[of, None] / unit[of]

@@ -18,23 +18,20 @@ is left over is an offset of each.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import inverse
+from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.log.recording import Level, Recording
 from deadtime.identification.log.rest import rest_rows
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector
 from deadtime.plant import OperatingPoint
 
-if TYPE_CHECKING:
-    from deadtime.identification.estimate import Estimate
-    from deadtime.identification.maximum import ExactLog
-    from deadtime.identification.noisy.likelihood import NoisyLog
-
-    _Log = TypeVar("_Log", ExactLog, NoisyLog)
+_Log = TypeVar("_Log", bound=Likelihood)
 
 CHANCE = 1e-3  # that constant terms are taken for such though there are none
 _SELDOM = 1e-6  # the same where noise has to be told, too
@@ -80,7 +77,7 @@ def known_mean(column: Float[np.ndarray, "sample p"]) -> Float[np.ndarray, " p"]
 
 
 def with_constant(
-    theta: Float[np.ndarray, " size"], layout: Layout, level: Level, back: Float[np.ndarray, "n p"]
+    theta: Vector, layout: Layout, level: Level, back: Float[np.ndarray, "n p"]
 ) -> tuple[Float[np.ndarray, " larger"], Layout]:
     """The vector of the same plant about a level; `back` makes states of outputs."""
     if layout.constant:
@@ -94,7 +91,7 @@ def with_constant(
 
 def without_level(
     log: _Log,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     information: Float[np.ndarray, "size size"],
     back: Float[np.ndarray, "n p"],
 ) -> tuple[_Log, Int[np.ndarray, " kept"]]:
@@ -132,7 +129,7 @@ def likelier_than_chance(rise: float, more: int) -> bool:
 
 def from_zero(
     layout: Layout,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     information: Float[np.ndarray, "size size"],
     recording: Recording,
     back: Float[np.ndarray, "n p"],
@@ -202,7 +199,7 @@ def _deviations(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[n
 
 def _about(
     layout: Layout,
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     information: Float[np.ndarray, "unknown unknown"],
     states: Float[np.ndarray, " n"],
     inputs: Float[np.ndarray, " m"],

@@ -3,6 +3,8 @@
 With an operating point that is not 0, dx/dt = A (x − x₀) + B (u(t − D) − u₀), each mode has the
 constant term c = −A x₀ − B u₀. It acts as an input does that is always 1, so it is one more column
 of B, which no delay belongs to.
+
+Between two whole numbers of periods, in a cell of a delay, the same samples of an input act.
 """
 
 from __future__ import annotations
@@ -13,6 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.plant import SwitchedSystem
+
+Vector = Float[np.ndarray, " size"]  # unknowns, those of a plant first
+Window = tuple[float, float]  # the least and the largest delay, seconds
 
 
 @dataclass(frozen=True)
@@ -83,17 +88,25 @@ class Layout:
         """Where the delays lie."""
         return slice(self.size - self.delays, self.size)
 
-    def join(self, A: np.ndarray, B: np.ndarray, delays: np.ndarray) -> Float[np.ndarray, " size"]:
+    def join(self, A: np.ndarray, B: np.ndarray, delays: np.ndarray) -> Vector:
         """The vector of A (modes, n, n), B (modes, n, acting) and delays (modes, m)."""
         own = delays if self.per_mode else delays[0]
         return np.concatenate((A.ravel(), B.ravel(), own.ravel()))
 
-    def plant(self, theta: Float[np.ndarray, " size"]) -> SwitchedSystem:
+    def ordered(
+        self, vector: Float[np.ndarray, " some"], order: Int[np.ndarray, " mode"]
+    ) -> Float[np.ndarray, " some"]:
+        """A vector that begins with this layout's, with modes in another order."""
+        A, B, delays = self.split(vector[: self.size])
+        theta = self.join(A[order], B[order], delays[order])
+        return np.concatenate((theta, vector[self.size :]))
+
+    def plant(self, theta: Vector) -> SwitchedSystem:
         """The plant of a vector, about its operating point."""
         A, B, delays = self.split(theta)
         return SwitchedSystem(A, B[:, :, : self.m], delays)
 
-    def constant_of(self, theta: Float[np.ndarray, " size"]) -> Float[np.ndarray, "mode n"]:
+    def constant_of(self, theta: Vector) -> Float[np.ndarray, "mode n"]:
         """The constant terms of a vector, 0 where there are none."""
         return theta[self.of_constant].sum(axis=2)
 
@@ -103,7 +116,7 @@ class Layout:
         return replace(self, constant=False), kept
 
     def split(
-        self, theta: Float[np.ndarray, " size"]
+        self, theta: Vector
     ) -> tuple[
         Float[np.ndarray, "mode n n"],
         Float[np.ndarray, "mode n acting"],
@@ -112,9 +125,7 @@ class Layout:
         """A, B and delays of a vector."""
         return theta[self.of_A], theta[self.of_B], theta[self.of_delay]
 
-    def of_each(
-        self, count: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"]
-    ) -> Float[np.ndarray, " size"]:
+    def of_each(self, count: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"]) -> Vector:
         """Of every unknown a count of its mode's; of a delay that modes share that of all."""
         result = np.empty(self.size)
         result[self.at_delays] = count.sum()
@@ -140,3 +151,23 @@ class Layout:
         if self.per_mode:
             return names + [f"delay[{i}][{j}]" for i, j in np.ndindex(self.modes, self.m)]
         return names + [f"delay[{j}]" for j in range(self.m)]
+
+
+def cell_of(delay: float, step: float, up: bool = False) -> int:
+    """The N with D in [(N − 1) h, N h]; the larger one at a whole period where `up`.
+
+    Examples
+    --------
+    >>> cell_of(0.312, 0.05), cell_of(0.3, 0.05), cell_of(0.3, 0.05, up=True)
+    (7, 6, 7)
+    """
+    ratio = delay / step
+    nearest = round(ratio)
+    if abs(ratio - nearest) < 1e-9:
+        return max(1, nearest + up)
+    return max(1, int(np.ceil(ratio)))
+
+
+def cells_of(delays: Float[np.ndarray, " delay"], step: float) -> Int[np.ndarray, " delay"]:
+    """The cell of each delay."""
+    return np.array([cell_of(float(delay), step) for delay in delays])

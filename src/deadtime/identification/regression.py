@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.log.recording import Part
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector
 from deadtime.identification.scoring import Evaluation
 from deadtime.identification.transition import transitions_of
 
@@ -44,9 +44,9 @@ class Term(NamedTuple):
 def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.ndarray, "mode n n"]]:
     """The log likelihood of all modes, and the covariances S_i that it is largest with."""
     value, score, information, covariances = 0.0, np.zeros(size), np.zeros((size, size)), []
-    for root, count, P, by_P, place in terms:
-        n = len(P)
-        y, r = root[:, :n], root[:, n:]
+    for term in terms:
+        count, P, n = term.periods, term.P, len(term.P)
+        y, r = term.root[:, :n], term.root[:, n:]
         e = y - r @ P.T
         S = e.T @ e / count
         if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows
@@ -54,13 +54,21 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
             return nothing, np.full((len(terms), n, n), np.nan)
         S = floored(S, P[:, :n], y, count)
         L = np.linalg.cholesky(S)
-        white = np.linalg.solve(L, e.T)
-        moved = np.linalg.solve(L, by_P @ r.T).reshape(len(place), -1)
-        score[place] += moved @ white.ravel()
-        information[np.ix_(place, place)] += moved @ moved.T
+        add_score(term, e, L, score, information)
         value -= 0.5 * count * (2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi * np.e))
         covariances.append(S)
     return Evaluation(value, score, information), np.array(covariances)
+
+
+def add_score(
+    term: Term, e: np.ndarray, L: np.ndarray, score: Vector, information: np.ndarray
+) -> None:
+    """What residuals e (rows, n) of covariance L Lᵀ tell of P, in place."""
+    place, r = term.place, term.root[:, len(L) :]
+    white = np.linalg.solve(L, e.T)
+    moved = np.linalg.solve(L, term.by_P @ r.T).reshape(len(place), -1)
+    score[place] += moved @ white.ravel()
+    information[np.ix_(place, place)] += moved @ moved.T
 
 
 def floored(
@@ -91,6 +99,11 @@ def log_density(
     white = np.linalg.solve(L, (z[:, :n] - z[:, n:] @ P.T).T)
     constant = 2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi)
     return -0.5 * ((white**2).sum(axis=0) + constant)
+
+
+def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"]) -> np.ndarray:
+    """R with RᵀR = Σ w z zᵀ, R triangular."""
+    return np.asarray(np.linalg.qr(np.sqrt(weight)[:, None] * z, mode="r"))
 
 
 class LagRoots(NamedTuple):

@@ -9,11 +9,13 @@ and beyond a kink only where one at the cell's end says that it goes on rising.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+
+from deadtime.identification.parameters import Vector, Window
 
 GAIN = 1e-10  # of log likelihood that is still worth a step
 _STEPS = 200
@@ -25,14 +27,14 @@ class Evaluation(NamedTuple):
     """A log likelihood with its derivative and the information on the unknowns."""
 
     value: float
-    score: Float[np.ndarray, " size"]
+    score: Vector
     information: Float[np.ndarray, "size size"]
 
 
 class Maximum(NamedTuple):
     """Where a likelihood is largest; `bound` tells the unknowns that a bound keeps."""
 
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     found: Evaluation
     bound: Bool[np.ndarray, " size"]
 
@@ -41,12 +43,34 @@ Evaluate = Callable[[np.ndarray], Evaluation]
 Stride = Callable[[np.ndarray], np.ndarray]
 
 
+def best_in_turn(
+    begin: tuple[int | None, ...],
+    options: Sequence[int],
+    worth: Callable[[tuple[int | None, ...]], float],
+    sweeps: int,
+) -> tuple[int | None, ...]:
+    """Choices of which none alone is better otherwise: one after the other, sweep by sweep.
+
+    Examples
+    --------
+    >>> best_in_turn((None, 0), range(5), lambda c: (c[0] or 0) * (4 - (c[0] or 0)) - c[1], 4)
+    (2, 0)
+    """
+    for _ in range(sweeps):
+        before = begin
+        for j in range(len(begin)):
+            begin = max(((*begin[:j], c, *begin[j + 1 :]) for c in options), key=worth)
+        if begin == before:
+            break
+    return begin
+
+
 @np.errstate(all="ignore")  # of trials far out, whose exponentials overflow
 def climb(
     evaluate: Evaluate,
-    theta: Float[np.ndarray, " size"],
-    low: Float[np.ndarray, " size"],
-    high: Float[np.ndarray, " size"],
+    theta: Vector,
+    low: Vector,
+    high: Vector,
     steps: int = _STEPS,
     gain: float = GAIN,
     stride: Stride | None = None,
@@ -109,11 +133,11 @@ def _step(
 
 def climb_cells(
     evaluate_in: Callable[[np.ndarray], Evaluate],
-    theta: Float[np.ndarray, " size"],
+    theta: Vector,
     delays: slice,
     cells: np.ndarray,
     step: float,
-    bounds: tuple[float, float],
+    bounds: Window,
     limits: tuple[np.ndarray, np.ndarray],
     fixed: np.ndarray | None = None,
     stride: Stride | None = None,

@@ -15,15 +15,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.identifiability import require_enough
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.regression import known_ends, lags_of, stacked
+from deadtime.identification.scoring import best_in_turn
 from deadtime.identification.transition import transitions_of
-from deadtime.identification.untold import require_enough
 
 MOST_COLUMNS = 1000  # of past inputs, in a scan
 _MOST_OF = 0.75  # of the periods of each mode: so many that all cells are compared by
 _ENOUGH = 10_000  # samples that tell where to begin, where cells are compared by their own periods
+_SWEEPS = 3  # over the delays
 _ALL = 2000  # combinations of cells that are all tried
 
 
@@ -32,19 +34,19 @@ class Start(NamedTuple):
 
     theta : of the `Layout`; cells : of each of its delays
     scanned : (delays, cells), log likelihood, the others in their cells, from cell `first` on
+    weights : of each input, how many are free in each of its cells, mode by mode
     vectors : (delays, cells, size), where it is so large, if a maximum was sought in each cell
     """
 
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     cells: Int[np.ndarray, " delay"]
     first: int
     scanned: Float[np.ndarray, "delay cell"]
+    weights: int
     vectors: Float[np.ndarray, "delay cell unknown"] | None = None
 
 
-def start_of(
-    recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
-) -> Start:
+def start_of(recording: Recording, layout: Layout, bounds: Window, within: bool) -> Start:
     """A first guess from an evenly sampled recording; delays are within `bounds`, seconds."""
     h = recording.step
     first, last = cell_range(h, bounds, layout.m)
@@ -55,7 +57,7 @@ def start_of(
     require_enough(recording, layout, count, last * h)
     P = [scan.weights(i, one) for i, one in enumerate(own)]
     theta = plant_of(P, layout.spread(cells), count, layout, h, bounds)
-    return Start(theta, cells, first, scanned)
+    return Start(theta, cells, first, scanned, 2 * layout.n)
 
 
 def _sums_of(
@@ -124,7 +126,7 @@ class _OwnPeriods:
         return (every - count) * each
 
 
-def cell_range(h: float, bounds: tuple[float, float], m: int) -> tuple[int, int]:
+def cell_range(h: float, bounds: Window, m: int) -> tuple[int, int]:
     """The first and the last cell of delays within `bounds`, seconds."""
     first = max(1, int(np.floor(bounds[0] / h * (1.0 + 1e-12) + 1e-9)) + (bounds[0] > 0.0))
     last = max(first, int(np.ceil(bounds[1] / h - 1e-9)))
@@ -144,8 +146,8 @@ def plant_of(
     count: Float[np.ndarray, " mode"] | Int[np.ndarray, " mode"],
     layout: Layout,
     h: float,
-    bounds: tuple[float, float],
-) -> Float[np.ndarray, " size"]:
+    bounds: Window,
+) -> Vector:
     """The plant of regressions on x_k, u_{k−N} and u_{k−N+1}, each over `count` periods."""
     A, B, D = np.zeros((layout.modes, layout.n, layout.n)), [], []
     for i in range(layout.modes):
@@ -190,11 +192,7 @@ class _CellScan:
             table = {c: likelihood(c) for c in itertools.product(self.cells.tolist(), repeat=m)}
             best = max(table, key=lambda c: table[c])
         else:
-            best = (None,) * m
-            for _ in range(3):
-                for j in range(m):
-                    options = [(*best[:j], c, *best[j + 1 :]) for c in self.cells.tolist()]
-                    best = max(options, key=likelihood)
+            best = best_in_turn((None,) * m, self.cells.tolist(), likelihood, _SWEEPS)
         scanned = [
             [likelihood((*best[:j], c, *best[j + 1 :]), True) for c in self.cells.tolist()]
             for j in range(m)

@@ -10,6 +10,7 @@ NumPy's, for few numbers, and `deadtime.numerics.philox` gives the same ones com
 from __future__ import annotations
 
 from hashlib import blake2b
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt64
@@ -40,7 +41,7 @@ class Words(ISpawnableSeedSequence):
             raise ArgumentError("dtype must be uint64: these words are for PCG64 and Philox.")
         return np.random.Philox(key=np.array(self.key, np.uint64)).random_raw(n_words)
 
-    def spawn(self, n_children: int) -> list[Words]:
+    def spawn(self, n_children: int) -> list[ISpawnableSeedSequence]:
         return [Words(self.seed, *self.purpose, i) for i in range(n_children)]
 
 
@@ -56,7 +57,8 @@ def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Gen
     >>> stream(1, "Noise").random() == stream(1, "Dropout").random()
     False
     """
-    return np.random.default_rng(Words(seed, name, index, *spawned))
+    words: Any = Words(seed, name, index, *spawned)
+    return np.random.default_rng(words)
 
 
 def key_of(seed: int) -> UInt64[np.ndarray, 2]:

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.cells import cells_of
-from deadtime.identification.excitation.exact_states import ExactStates
 from deadtime.identification.excitation.excited_loop import chain_of, require_bounded
 from deadtime.identification.excitation.experiment import Experiment
 from deadtime.identification.excitation.given import (
@@ -20,7 +18,6 @@ from deadtime.identification.excitation.given import (
     intensity_of,
     modes_of_rows,
     one_for_all,
-    require_words,
     root_of,
     table_of,
     used_periods,
@@ -33,9 +30,13 @@ from deadtime.identification.excitation.input_search import (
     steps,
     within_limits,
 )
-from deadtime.identification.excitation.noise_tables import NoiseTables
-from deadtime.identification.excitation.noisy_states import NoisyStates
-from deadtime.identification.parameters import Layout
+from deadtime.identification.excitation.state_information import (
+    ExactStates,
+    NoiseTables,
+    NoisyStates,
+)
+from deadtime.identification.identify import require_switches
+from deadtime.identification.parameters import Layout, cells_of
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -129,7 +130,9 @@ def design_experiment(
     True
     """
     instance("plant", plant, SwitchedSystem)
-    require_words(criterion, switches)
+    if criterion not in ("delay", "all"):
+        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
+    require_switches(switches)
     step, horizon = positive("step", step), positive("horizon", horizon)
     if horizon / step > _MOST_SAMPLES + 0.5:
         raise ArgumentError(

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, bound, instance
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.cells import cells_of
-from deadtime.identification.maximum import REACH
-from deadtime.identification.parameters import Layout
+from deadtime.identification.likelihoods.likelihood import REACH
+from deadtime.identification.parameters import Layout, cells_of
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -22,14 +21,6 @@ if TYPE_CHECKING:
     from deadtime.feedback import Feedback, Law
 
 _FLOOR = 1e-9  # of all noise, that W has in every direction: its root has an inverse
-
-
-def require_words(criterion: str, switches: str) -> None:
-    """Refuse words that mean nothing."""
-    if criterion not in ("delay", "all"):
-        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
-    if switches not in ("anywhere", "samples"):
-        raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
 
 
 def modes_of_rows(

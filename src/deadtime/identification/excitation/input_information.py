@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
-from deadtime.identification.excitation.exact_states import ExactStates
 from deadtime.identification.excitation.excited_loop import Chain
-from deadtime.identification.excitation.noisy_states import NoisyStates
-from deadtime.identification.parameters import Layout
+from deadtime.identification.excitation.state_information import ExactStates, NoisyStates
+from deadtime.identification.parameters import Layout, Vector
 
 SIGMAS = 3.0  # standard deviations of the noise that limits leave room for
 _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
@@ -89,7 +88,7 @@ class Prospect(Frozen):
         """F of inputs."""
         return self.measured.information(self.acting(r)[1])[0]
 
-    def errors(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, " size"]:
+    def errors(self, r: Float[np.ndarray, "sample m"]) -> Vector:
         """The standard error of every unknown; infinite where the inputs do not tell it."""
         return errors_of(self.information(r))
 
@@ -130,7 +129,7 @@ class Prospect(Frozen):
         return float(value), by_F * unit[:, None] * unit
 
 
-def errors_of(F: Float[np.ndarray, "size size"]) -> Float[np.ndarray, " size"]:
+def errors_of(F: Float[np.ndarray, "size size"]) -> Vector:
     """Roots of the diagonal of F⁻¹; infinite where F is singular."""
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
     scaled = F * unit[:, None] * unit

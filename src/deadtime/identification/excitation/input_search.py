@@ -94,11 +94,7 @@ def _held(v: np.ndarray, hold: int, count: int) -> np.ndarray:
 
 
 def _climb(
-    prospect: Prospect,
-    first: np.ndarray,
-    limit: np.ndarray,
-    hold: int,
-    prices: tuple[float, ...],
+    prospect: Prospect, first: np.ndarray, limit: np.ndarray, hold: int, prices: tuple[float, ...]
 ) -> tuple[float, Float[np.ndarray, "sample m"]]:
     """The worth of the local maximum that a start leads to, made to keep its limits, and it."""
     from scipy.optimize import minimize

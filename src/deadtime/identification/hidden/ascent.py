@@ -13,10 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
-from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior, UnevenPeriods
-from deadtime.identification.hidden.regressions import rooted
-from deadtime.identification.regression import LagRoots, Term, concentrated, even_terms, stacked
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.parameters import Vector
+from deadtime.identification.regression import (
+    LagRoots,
+    Term,
+    concentrated,
+    even_terms,
+    rooted,
+    stacked,
+)
 from deadtime.identification.scoring import Evaluate, Evaluation, climb, climb_cells
 
 _GAIN = 1e-6  # of log likelihood that is still worth a step
@@ -32,16 +39,13 @@ class Ascent(NamedTuple):
     """
 
     log: HiddenLog
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     values: Float[np.ndarray, " step"]
     found: Posterior
 
 
 def ascended(
-    log: HiddenLog,
-    theta: Float[np.ndarray, " size"],
-    least: float,
-    found: Posterior | None = None,
+    log: HiddenLog, theta: Vector, least: float, found: Posterior | None = None
 ) -> Ascent | None:
     """The maximum that a start leads to; None where a mode is left with less periods than `least`.
 
@@ -64,9 +68,7 @@ def ascended(
     return Ascent(log, theta, np.array(values), found)
 
 
-def _stepped(
-    log: HiddenLog, theta: np.ndarray, found: Posterior
-) -> tuple[HiddenLog, Float[np.ndarray, " size"]]:
+def _stepped(log: HiddenLog, theta: np.ndarray, found: Posterior) -> tuple[HiddenLog, Vector]:
     """The next unknowns, S and the chain, given how likely each mode was."""
     periods = log.periods
     if isinstance(periods, UnevenPeriods):
@@ -79,7 +81,7 @@ def _stepped(
 
 def _climbed(
     log: HiddenLog, periods: UnevenPeriods, theta: np.ndarray, found: Posterior
-) -> tuple[Float[np.ndarray, " size"], list[Term]]:
+) -> tuple[Vector, list[Term]]:
     """A few steps up of uneven rows: a rise is all that is asked for."""
     low, high = log.limits
     low[log.layout.at_delays], high[log.layout.at_delays] = periods.low, periods.high
@@ -94,7 +96,7 @@ def _climbed(
 
 def _climbed_evenly(
     log: HiddenLog, periods: EvenPeriods, theta: np.ndarray, found: Posterior
-) -> tuple[Float[np.ndarray, " size"], list[Term]]:
+) -> tuple[Vector, list[Term]]:
     """The maximum of even rows, from cell to cell."""
     layout, h, place = log.layout, log.recording.step, log.layout.at_delays
     cells = log.cells(theta)

@@ -7,8 +7,8 @@ N: the periods that are usable whatever the delays are; they are the same for al
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,27 +16,36 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.identification.hidden.ascent import Ascent, ascended
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
-from deadtime.identification.hidden.jumps import Counts, Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior, UnevenPeriods
-from deadtime.identification.hidden.pooled import PooledPlant, PooledRegression
 from deadtime.identification.hidden.regressions import (
     Regressions,
     climbed,
+    drawn_start,
+    first_cells,
     maximised,
     regressed,
-    rooted,
-    rows_of_modes,
     scanned,
+    stretches_of,
 )
-from deadtime.identification.hidden.starts import drawn_start, first_cells, stretches_of
 from deadtime.identification.levels import near_zero
+from deadtime.identification.likelihoods.exact_log import ExactLog
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog
+from deadtime.identification.likelihoods.jumps import Counts, Jumps
+from deadtime.identification.likelihoods.likelihood import maximise, window_of
+from deadtime.identification.likelihoods.mode_periods import (
+    EvenPeriods,
+    PooledPlant,
+    PooledRegression,
+    Posterior,
+    UnevenPeriods,
+)
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import ExactLog, maximise, window_of
-from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import concentrated
+from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.regression import concentrated, rooted
 from deadtime.identification.start import cell_range, plant_of, start_of
 from deadtime.identification.uneven import gridded, nodes_for
+
+Log = TypeVar("Log", HiddenLog, HiddenNoisyLog)
 
 _STARTS = 12
 _SHORT = 12  # steps of each start, with one covariance for all modes
@@ -55,7 +64,7 @@ class HiddenSearch(NamedTuple):
     periods: EvenPeriods | UnevenPeriods
     grid: Recording
     even: EvenPeriods
-    bounds: tuple[float, float]
+    bounds: Window
     plain: HiddenSearch | None
 
 
@@ -66,31 +75,39 @@ class Begun(NamedTuple):
     found : what the log says of the modes under the regressions
     """
 
-    layout: Layout
     log: HiddenLog
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     found: Posterior
     agreed: int
     starts: int
 
 
-class Fitted(NamedTuple):
-    """The likeliest plant of a number of modes, BIC, and how many starts led there.
+@dataclass(frozen=True, eq=False)
+class HiddenFit(Generic[Log]):
+    """The likeliest plant of a number of modes, and BIC.
 
-    grid : the likelihood of the recording on a grid; of even rows that of the ascent
+    given : what the likelihood is evaluated in: cells of delays, or samples at which it starts anew
+    window : of delays; values : log likelihood on the way up
+    grid, on_grid : the likelihood of exact states on a grid, and where it is large
     """
 
-    layout: Layout
-    ascent: Ascent
-    grid: HiddenLog
+    log: Log
+    theta: Vector
+    given: Any
+    window: Window
+    values: Float[np.ndarray, " step"]
     bic: float
-    agreed: int
-    starts: int
+    begun: Begun
+    grid: HiddenLog
+    on_grid: Float[np.ndarray, " plant"]
+
+    @property
+    def layout(self) -> Layout:
+        """Where unknowns of the plant lie."""
+        return self.log.layout
 
 
-def search_of(
-    recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
-) -> HiddenSearch:
+def search_of(recording: Recording, layout: Layout, bounds: Window, within: bool) -> HiddenSearch:
     """The usable periods of a recording, with the density of one model for all modes."""
     one = replace(layout, modes=1, per_mode=False)
     plain, grid = None, gridded(recording)
@@ -105,9 +122,7 @@ def search_of(
     return HiddenSearch(recording, periods, grid, even, bounds, plain)
 
 
-def _even_periods(
-    recording: Recording, one: Layout, bounds: tuple[float, float], within: bool
-) -> EvenPeriods:
+def _even_periods(recording: Recording, one: Layout, bounds: Window, within: bool) -> EvenPeriods:
     """Those of even rows, with one regression for all modes."""
     first, last = cell_range(recording.step, bounds, one.m)
     periods = EvenPeriods.of(recording.parts, first, last, None, one.constant)
@@ -120,9 +135,7 @@ def _even_periods(
     return replace(periods, pooled=PooledRegression(*pooled, cells, one.constant))
 
 
-def _one_plant(
-    recording: Recording, grid: Recording, one: Layout, bounds: tuple[float, float]
-) -> PooledPlant:
+def _one_plant(recording: Recording, grid: Recording, one: Layout, bounds: Window) -> PooledPlant:
     """The plant of one mode that uneven rows are likeliest of."""
     start = start_of(grid, one, bounds, within=False)
     A, _, _ = one.split(start.theta)
@@ -134,12 +147,11 @@ def _one_plant(
     return PooledPlant(A[0], B[0], delays[0], S[0], log.nodes, recording.step)
 
 
-def refined(fit: Fitted) -> Fitted:
-    """The same over all periods that are usable for delays near those found: a window of them."""
-    log, theta = fit.ascent.log, fit.ascent.theta
-    near = log.over(*window_of(log, theta[log.layout.at_delays]))
-    ascent = ascended(near, theta, fit.layout.least_periods)
-    return fit if ascent is None else fit._replace(ascent=ascent)
+def refined(fit: HiddenFit[HiddenLog]) -> HiddenFit[HiddenLog]:
+    """With exact states, over all periods that are usable for delays near those found."""
+    near = fit.log.over(*window_of(fit.log, fit.theta[fit.layout.at_delays]))
+    ascent = ascended(near, fit.theta, fit.layout.least_periods)
+    return fit if ascent is None else _fit_at(ascent, fit.bic, fit.begun, fit.grid)
 
 
 def require_periods(periods: EvenPeriods, layout: Layout) -> None:
@@ -172,14 +184,15 @@ def begun(search: HiddenSearch, layout: Layout, common: bool = False, seed: int 
             list(model.P), model.cells, model.weight, layout, search.grid.step, search.bounds
         )
         nodes = nodes_for(search.recording.parts, layout.split(theta)[0])
-        given = search.grid, layout, search.bounds, nodes, search.even, model.S, model.jumps
-        each.append(Begun(layout, HiddenLog(*given), theta, begin, agreed, starts))
+        given = search.grid, layout, search.even.within, search.bounds, nodes, search.even
+        log = HiddenLog(*given, model.S, model.jumps)
+        each.append(Begun(log, theta, begin, agreed, starts))
     if not each:
         raise _too_many(layout, starts)
     return each
 
 
-def fitted(search: HiddenSearch, layout: Layout) -> Fitted:
+def fitted(search: HiddenSearch, layout: Layout) -> HiddenFit[HiddenLog]:
     """The likeliest plant of as many modes as the layout has.
 
     Raises
@@ -195,31 +208,42 @@ def fitted(search: HiddenSearch, layout: Layout) -> Fitted:
     raise _too_many(layout, each[0].starts)
 
 
-def _led(search: HiddenSearch, begin: Begun, found: Posterior | None) -> Fitted | None:
+def _led(
+    search: HiddenSearch, begin: Begun, found: Posterior | None
+) -> HiddenFit[HiddenLog] | None:
     """The maximum that a beginning leads to; None where a mode is left with next to no period."""
-    layout = begin.layout
+    layout = begin.log.layout
     ascent = ascended(begin.log, begin.theta, layout.least_periods, found)
     if ascent is None:
         return None
     grid = ascent.log
     if not search.recording.even and (ascent := _off_the_grid(search, ascent)) is None:
         return None
-    unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
-    unknowns += layout.modes * (layout.modes - 1)
-    bic = unknowns * float(np.log(search.periods.count)) - 2.0 * ascent.found.value
-    return Fitted(layout, ascent, grid, bic, begin.agreed, begin.starts)
+    of_noise = layout.modes * (layout.n * (layout.n + 1) // 2)
+    bic = bic_of(search, layout, of_noise, ascent.found.value)
+    return _fit_at(ascent, bic, begin, grid)
 
 
-def _at_zero(search: HiddenSearch, fit: Fitted) -> Fitted | None:
+def _fit_at(ascent: Ascent, bic: float, begin: Begun, grid: HiddenLog) -> HiddenFit[HiddenLog]:
+    log, theta = ascent.log, ascent.theta
+    cells = log.cells(theta)
+    return HiddenFit(log, theta, cells, log.window, ascent.values, bic, begin, grid, theta)
+
+
+def bic_of(search: HiddenSearch, layout: Layout, of_noise: int, value: float) -> float:
+    """BIC of a plant, of so many unknowns of its noise, and a chain."""
+    unknowns = layout.size + of_noise + layout.modes * (layout.modes - 1)
+    return unknowns * float(np.log(search.periods.count)) - 2.0 * value
+
+
+def _at_zero(search: HiddenSearch, fit: HiddenFit[HiddenLog]) -> HiddenFit[HiddenLog] | None:
     """The maximum near a fit without its constant terms; None if it has none, or there is none."""
     plain = search.plain
     if plain is None:
         return None
     layout, kept = fit.layout.without_constant()
     log = replace(fit.grid, recording=plain.grid, layout=layout, periods=plain.even)
-    theta = fit.ascent.theta[kept]
-    begin = Begun(layout, log, theta, fit.ascent.found, fit.agreed, fit.starts)
-    return _led(plain, begin, None)
+    return _led(plain, fit.begun._replace(log=log, theta=fit.theta[kept]), None)
 
 
 def _too_many(layout: Layout, starts: int) -> ArgumentError:
@@ -241,7 +265,8 @@ def _off_the_grid(search: HiddenSearch, ascent: Ascent) -> Ascent | None:
     step, counts = search.recording.step, ascent.found.counts
     counts = Counts(counts.jumps, counts.spent * step)
     jumps = Jumps.of(grid.jumps.matrix, step, rates=True)
-    log = HiddenLog(search.recording, grid.layout, search.bounds, nodes, periods, grid.S, jumps)
+    given = search.recording, grid.layout, periods.within, search.bounds, nodes, periods
+    log = HiddenLog(*given, grid.S, jumps)
     begin = Posterior(ascent.found.value, np.vstack(weight), counts, ascent.found.node)
     return ascended(log, theta, grid.layout.least_periods, begin)
 
@@ -288,5 +313,5 @@ def _in_best_cells(
         cells, _ = scanned(periods, posterior.weight, model.cells, layout)
         if cells.tobytes() in tried:
             return model, posterior
-        rows = rows_of_modes(periods, cells)
+        rows = periods.rows_of_modes(cells)
         model = maximised(rows, posterior, model.jumps, cells, common)

@@ -1,57 +1,66 @@
-"""The estimate of a plant whose modes were hidden, with intervals that count that in."""
+"""Estimates of plants whose modes were hidden, with intervals that count that in.
+
+With noisy sensors, of the vector θ of plant and noise and the odds η of the chain, J is minus the
+second differences of the log likelihood; J_θθ − J_θη J_ηη⁻¹ J_ηθ is left, at most what the filter
+of logged modes would give along the likeliest path.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Generic, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.choice import Begun, Fitted
-from deadtime.identification.hidden.hidden_information import Information, information_of
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
-from deadtime.identification.hidden.hidden_modes import HiddenModes
-from deadtime.identification.hidden.mode_periods import EvenPeriods
-from deadtime.identification.hidden.noisy_choice import NoisyFit
+from deadtime.identification.exact_estimate import estimate_of_plant
+from deadtime.identification.hidden.choice import HiddenFit, Log
+from deadtime.identification.hidden.hidden_information import Information, information_of, lifted
 from deadtime.identification.hidden.regressions import scanned
-from deadtime.identification.intervals import spread_of
+from deadtime.identification.intervals import left_of, spread_of
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import continuous
-from deadtime.identification.parameters import Layout
-from deadtime.identification.residuals import judge_residuals, residuals_of
+from deadtime.identification.noisy.noise import estimate_of_sensors
+from deadtime.identification.parameters import Layout, Vector
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
+_SMALL = 0.1  # of a standard error, a step of second differences
+_VAGUE = 1e-2  # information on the logarithm of a noise: its standard error is 10 at most
+_ODDS = 0.03  # the same of the logarithm of a jump's odds
+_NEVER = 1e-4  # a jump of less probability is none that could be estimated
 
-class Decoded(NamedTuple):
-    """A likelihood and unknowns whose modes are in the order of the path, and that path.
 
-    log.recording : with the path as its modes; theta, cells : unknowns, and cells of the delays
-    grid : the likelihood on a grid
+@dataclass(frozen=True, eq=False)
+class Decoded(Generic[Log]):
+    """A fit whose modes are in the order of its likeliest path, and the recording with that path.
+
+    order : of its modes in those of the fit; theta : its vector
     """
 
-    fit: Fitted
-    log: HiddenLog
-    theta: Float[np.ndarray, " size"]
-    cells: Int[np.ndarray, " delay"]
-    grid: HiddenLog
+    fit: HiddenFit[Log]
+    log: Log
+    theta: Vector
+    order: Int[np.ndarray, " mode"]
+    recording: Recording
 
 
-class Said(NamedTuple):
-    """Of the modes: how likely each was, their chain, the way up, and how much intervals widen."""
+class ModesTold(NamedTuple):
+    """An estimate, how likely each mode was in every row, and how many times longer intervals are.
 
+    These are the plant's longest, beside those with known modes.
+    """
+
+    estimate: Estimate
     node: list[Float[np.ndarray, "sample mode"]]
-    chain: Float[np.ndarray, "mode mode"]
-    values: Float[np.ndarray, " step"]
     widening: float
 
 
-def decoded(fit: Fitted) -> Decoded:
+def decoded(fit: HiddenFit[Log]) -> Decoded[Log]:
     """The likeliest path, modes in the order in which it visits them.
 
     Raises
@@ -59,18 +68,12 @@ def decoded(fit: Fitted) -> Decoded:
     ArgumentError
         If it leaves a mode out.
     """
-    log, theta, layout = fit.ascent.log, fit.ascent.theta, fit.layout
-    recording = log.recording
-    paths = log.path(theta, log.cells(theta))
-    order, record = ordered_by_path(paths, recording, layout)
-    A, B, D = layout.split(theta)
-    theta = layout.join(A[order], B[order], D[order])
-    log = replace(log, recording=record, S=log.S[order], jumps=log.jumps.ordered(order))
-    grid = replace(fit.grid, S=fit.grid.S[order], jumps=fit.grid.jumps.ordered(order))
-    return Decoded(fit, log, theta, log.cells(theta), grid)
+    paths = fit.log.path(fit.theta, fit.given)
+    order, record = _ordered_by_path(paths, fit.log.recording, fit.layout)
+    return Decoded(fit, fit.log.ordered(order), fit.layout.ordered(fit.theta, order), order, record)
 
 
-def ordered_by_path(
+def _ordered_by_path(
     paths: list[Int[np.ndarray, " sample"]], recording: Recording, layout: Layout
 ) -> tuple[Int[np.ndarray, " mode"], Recording]:
     """Modes in the order in which paths visit them, and the recording with these as its modes.
@@ -93,10 +96,10 @@ def ordered_by_path(
     return order, recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
 
 
-def estimated(found: Decoded) -> tuple[Estimate, Said]:
-    """The estimate, and what there is to say of the modes."""
-    _, log, theta, cells, grid = found
-    layout, record = log.layout, log.recording
+def estimated(found: Decoded[HiddenLog]) -> ModesTold:
+    """With exact states."""
+    log, theta, record = found.log, found.theta, found.recording
+    layout, cells = log.layout, log.cells(theta)
     posterior = log.posterior(theta, cells)
     best = Maximum(theta, log.evaluate(theta, cells), np.zeros(theta.size, bool))
     told = information_of(log, theta, cells)
@@ -105,66 +108,81 @@ def estimated(found: Decoded) -> tuple[Estimate, Said]:
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
-    start = start_of_grid(grid, theta)
-    window = log.window
-    intervals, several = delay_intervals(log, best, window, spread, start)
-    plant = layout.plant(theta)
-    covariances = log.S * (counts / spare)[:, None, None]
-    roots = np.linalg.cholesky(covariances)
-    white = residuals_of(record, plant, layout.constant_of(theta), log.nodes, log.within, roots)
-    for one, k in zip(white, log.periods.usable, strict=True):
-        one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan  # nothing told their modes
-    estimate = Estimate(
-        log=log,
-        best=best,
-        window=window,
-        plant=plant,
-        spread=spread,
-        intervals=intervals,
-        several=several,
-        start=start,
-        disturbance=continuous(plant.A, covariances, record.step),
-        noise=np.zeros(layout.n),
-        spare=np.maximum(spare * told.of_noise, 1.0).astype(np.int64),
-        tests=judge_residuals(white, record, plant.longest_delay),
-        white=tuple(white),
-    )
-    said = Said(posterior.node, log.jumps.chain, found.fit.ascent.values, widening_of(told))
-    return estimate, said
+    peak = log, best, found.fit.window, spread, _start(found)
+    S = log.S * (counts / spare)[:, None, None]
+    free = np.maximum(spare * told.of_noise, 1.0).astype(np.int64)
+    estimate = estimate_of_plant(*peak, S, free, record, told=log.periods.usable)
+    return ModesTold(estimate, posterior.node, told.widening)
 
 
-def start_of_grid(grid: HiddenLog, theta: Float[np.ndarray, " size"]) -> Start:
+def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
+    """With noisy sensors."""
+    fit, log, theta, record = found.fit, found.log, found.theta, found.recording
+    layout, window, starts = log.layout, fit.window, fit.given
+    cells = log.cells(theta)
+    path = log.along(record)
+    of_path = path.evaluate_in(*window)(cells)(theta)
+    path = replace(path, within=log.within)
+    told = _information(log, theta, starts, cells, of_path.information + _vague(log))
+    observations = sum(int(np.isfinite(part.output).sum()) for part in record.parts)
+    spare = max(observations - theta.size, 1)
+    every = np.full(theta.size, float(spare))
+    spread = spread_of(told.held, layout.names(), told.left * (spare / observations), every)
+    now = log.evaluate(theta, starts, cells)
+    best = Maximum(theta, now._replace(information=told.held), np.zeros(theta.size, bool))
+    posterior = log.posterior(theta, starts)
+    rows = np.maximum(np.vstack(posterior.node).sum(axis=0), 1.0).astype(np.int64)
+    peak = log, best, window, spread, _start(found)
+    estimate = estimate_of_sensors(*peak, theta, path, rows)
+    return ModesTold(estimate, posterior.node, told.widening)
+
+
+def _start(found: Decoded) -> Start:
     """What other cells of the delays would be like: other peaks may lie far from those found."""
-    whole, cells, layout = grid.over(*grid.bounds), grid.cells(theta), grid.layout
-    periods, weight = whole.periods, whole.posterior(theta, cells).weight
-    if not isinstance(periods, EvenPeriods):
-        raise ArgumentError("grid must be even.")
-    _, curves = scanned(periods, weight, layout.spread(cells), layout)
-    return Start(theta, cells, periods.first, curves)
+    fit, theta = found.fit, found.theta[: found.log.layout.size]
+    whole, cells, layout = fit.grid.over(*fit.grid.bounds), fit.grid.cells(fit.on_grid), fit.layout
+    periods, weight = whole.periods, whole.posterior(fit.on_grid, cells).weight
+    assert isinstance(periods, EvenPeriods)
+    _, curves = scanned(periods, weight, layout.spread(cells), fit.grid.layout)
+    if layout.per_mode:
+        curves = curves.reshape(layout.modes, layout.m, -1)[found.order].reshape(curves.shape)
+    return Start(theta, found.log.cells(theta), periods.first, curves, 2 * layout.n)
 
 
-def widening_of(told: Information) -> float:
-    """How many times longer than with known modes the longest interval is."""
-    errors = [np.diagonal(np.linalg.inv(F)) for F in (told.left, told.known)]
-    return float(np.sqrt((errors[0] / errors[1]).max()))
+def _information(
+    log: HiddenNoisyLog,
+    theta: Vector,
+    starts: Starts,
+    cells: Int[np.ndarray, " delay"],
+    known: Float[np.ndarray, "size size"],
+) -> Information:
+    """J of the vector, with the chain held and estimated; and that of the modes of the path."""
+    jumps, size, vague = log.jumps.likelier(_NEVER), theta.size, _vague(log)
+    unit = _SMALL * np.minimum(1.0 / np.sqrt(np.maximum(np.diagonal(known), 1e-300)), log.most)
+    steps = np.diag(np.concatenate((unit, np.full(len(jumps), _ODDS))))
+
+    def value(moved: np.ndarray) -> float:
+        odds = np.ones(log.jumps.matrix.shape)
+        odds[tuple(jumps.T)] = np.exp(moved[size:])
+        shifted = log if not moved[size:].any() else replace(log, jumps=log.jumps.scaled(odds))
+        return shifted.value(theta + moved[:size], starts, cells)
+
+    top, ends = value(np.zeros(len(steps))), [[value(s * e) for e in steps] for s in (1, -1)]
+    single, J = np.array(ends).sum(axis=0) - 2.0 * top, np.empty(steps.shape)
+    for a in range(len(steps)):
+        J[a, a] = -single[a]
+        for b in range(a):
+            both = steps[a] + steps[b]
+            twice = value(both) + value(-both) - 2.0 * top
+            J[a, b] = J[b, a] = -0.5 * (twice - single[a] - single[b])
+    scale = np.diagonal(steps)
+    J = J / scale / scale[:, None]
+    J[:size, :size] += vague
+    held, _ = lifted(J[:size, :size], known)
+    left, told = lifted(left_of(J, np.arange(size)), known)
+    return Information(held, left, known, told, np.ones(log.layout.modes))
 
 
-def hidden_modes(
-    fits: Sequence[Fitted] | Sequence[NoisyFit],
-    best: Fitted | Begun,
-    recording: Recording,
-    said: Said,
-) -> HiddenModes:
-    """What there is to say of the modes; `fits` are those of all numbers tried."""
-    return HiddenModes(
-        np.concatenate([part.time for part in recording.parts]),
-        np.concatenate([part.mode for part in recording.parts]),
-        np.vstack(said.node),
-        said.chain,
-        np.array([one.layout.modes for one in fits]),
-        np.array([one.bic for one in fits]),
-        said.values,
-        best.starts,
-        best.agreed,
-        said.widening,
-    )
+def _vague(log: HiddenNoisyLog) -> Float[np.ndarray, "size size"]:
+    """Next to no information on the noise, so that one which the log does not tell may be any."""
+    return np.diag(_VAGUE / log.most**2)

@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.hidden_likelihood import HiddenLog
+from deadtime.identification.intervals import left_of
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.parameters import Vector
 
 _FAINT = 1e-8  # of information: beside one that is so much larger, differences lose it
 _SMALL = 1e-3  # of a standard error, a step of differences
@@ -37,6 +39,12 @@ class Information(NamedTuple):
     known: Float[np.ndarray, "size size"]
     told: float
     of_noise: Float[np.ndarray, " mode"]
+
+    @property
+    def widening(self) -> float:
+        """How many times longer than with known modes the longest interval is."""
+        errors = [np.diagonal(np.linalg.inv(F)) for F in (self.left, self.known)]
+        return float(np.sqrt((errors[0] / errors[1]).max()))
 
 
 class _Noise:
@@ -102,9 +110,7 @@ class _Noise:
         return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
 
 
-def information_of(
-    log: HiddenLog, theta: Float[np.ndarray, " size"], cells: Int[np.ndarray, " delay"]
-) -> Information:
+def information_of(log: HiddenLog, theta: Vector, cells: Int[np.ndarray, " delay"]) -> Information:
     """The information on θ at the maximum, delays within their cells."""
     noise, known = _Noise(log), log.evaluate(theta, cells).information
     weight = log.posterior(theta, cells).weight
@@ -129,19 +135,6 @@ def information_of(
     left, told = lifted(left_of(J, np.arange(size)), known)
     of_noise = left_of(J, np.arange(size, steps.size - len(noise.jumps)))
     return Information(held, left, known, told, noise.shares(of_noise, weight.sum(axis=0)))
-
-
-def left_of(J: np.ndarray, of: np.ndarray) -> np.ndarray:
-    """Schur's complement: what is left of the information on some unknowns, the others estimated.
-
-    Of scaled unknowns, so that units do not matter to what counts as no information.
-    """
-    rest = np.setdiff1d(np.arange(len(J)), of)
-    unit = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(J)), 1e-300))
-    scaled = J * unit[:, None] * unit
-    cross, own = scaled[np.ix_(of, rest)], scaled[np.ix_(rest, rest)]
-    left = scaled[np.ix_(of, of)] - cross @ np.linalg.pinv(own, 1e-12, hermitian=True) @ cross.T
-    return left / unit[of, None] / unit[of]
 
 
 def lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:

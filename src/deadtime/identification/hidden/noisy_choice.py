@@ -10,21 +10,26 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.hidden.choice import Begun, HiddenSearch, begun, fitted
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
-from deadtime.identification.levels import from_zero
+from deadtime.identification.hidden.choice import (
+    Begun,
+    HiddenFit,
+    HiddenSearch,
+    begun,
+    bic_of,
+    fitted,
+)
+from deadtime.identification.levels import at_zero, from_zero
+from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.likelihood import maximise, window_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise, window_of
-from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.noisy.noise import continuous, first_noises
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.scoring import Maximum
 
 _ENOUGH = 2_000  # samples that tell which of two beginnings is the better one
@@ -34,31 +39,9 @@ _FAR = 10.0  # times what BIC asks of constant terms: they are no chance
 _SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at first, at the end
 
 
-class NoisyFit(NamedTuple):
-    """The likeliest plant and noise of a number of modes, and BIC.
-
-    begun : where it began; window : of delays; values : log likelihood of every round
-    """
-
-    begun: Begun
-    log: HiddenNoisyLog
-    best: Maximum
-    window: tuple[float, float]
-    values: Float[np.ndarray, " round"]
-    bic: float
-
-    @property
-    def layout(self) -> Layout:
-        """Where unknowns of the plant lie."""
-        return self.log.layout
-
-
 def fitted_with_noise(
-    search: HiddenSearch,
-    layout: Layout,
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
-) -> NoisyFit:
+    search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
+) -> HiddenFit[HiddenNoisyLog]:
     """The likeliest plant and noise of a recording of y = C x, of a number of modes.
 
     Raises
@@ -69,10 +52,10 @@ def fitted_with_noise(
     if search.plain is not None and not _seems_to_need_level(search, layout):
         plain = replace(layout, constant=False)
         return fitted_with_noise(search.plain, plain, recording.absolute(), C)
-    found = _led(search, *_best_start(search, layout, recording, C))
+    found, best = _led(search, *_best_start(search, layout, recording, C))
     if search.plain is None:
         return found
-    return min(found, _at_zero(search.plain, found) or found, key=lambda fit: fit.bic)
+    return min(found, _at_zero(search.plain, found, best) or found, key=lambda fit: fit.bic)
 
 
 def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
@@ -83,29 +66,23 @@ def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
         return True
 
 
-def _at_zero(search: HiddenSearch, fit: NoisyFit) -> NoisyFit | None:
+def _at_zero(
+    search: HiddenSearch, fit: HiddenFit[HiddenNoisyLog], best: Maximum
+) -> HiddenFit[HiddenNoisyLog] | None:
     """The maximum near a fit without its constant terms; None where these are far from chance."""
-    theta, information, C = fit.best.theta, fit.best.found.information, fit.log.noisy.C
-    recording = fit.log.recording
-    far, terms = from_zero(fit.layout, theta, information, recording, np.linalg.pinv(C))
+    given = best.theta, best.found.information, fit.log.recording, np.linalg.pinv(fit.log.C)
+    far, terms = from_zero(fit.layout, *given)
     if far > _FAR * terms * np.log(search.periods.count):
         return None
-    layout, kept = fit.layout.without_constant()
-    kept = np.append(kept, np.arange(fit.layout.size, theta.size))
-    one = replace(fit.log.noisy.layout, constant=False)
-    noisy = replace(fit.log.noisy, recording=recording.absolute(), layout=one)
-    log = replace(fit.log, noisy=noisy, layout=layout, unit=fit.log.unit[kept], _kept={})
+    log, kept = at_zero(fit.log, best.theta.size)
+    log = replace(log, errors=log.errors[kept], _kept={})
     with suppress(ArgumentError):
-        return _led(search, fit.begun, log, theta[kept], fit.window)
+        return _led(search, fit.begun, log, best.theta[kept], fit.window)[0]
 
 
 def _led(
-    search: HiddenSearch,
-    begin: Begun,
-    log: HiddenNoisyLog,
-    theta: Float[np.ndarray, " size"],
-    window: tuple[float, float],
-) -> NoisyFit:
+    search: HiddenSearch, begin: Begun, log: HiddenNoisyLog, theta: Vector, window: Window
+) -> tuple[HiddenFit[HiddenNoisyLog], Maximum]:
     """The maximum that a vector leads to.
 
     Raises
@@ -121,18 +98,17 @@ def _led(
             f"modes = {layout.modes} is too many for this log: with noise of the sensors a mode is "
             f"left with {rows:.0f} rows: ask for fewer, or log for longer."
         )
-    n, modes = layout.n, layout.modes
-    unknowns = layout.size + n * (n + 1) // 2 + len(log.noisy.C) + modes * (modes - 1)
     # Of the same samples for all numbers, and all levels: nothing but P0 is known of the first.
     starts = log.starts(*search.bounds)
     value = float(log.filtered(best.theta, starts)[1][~np.concatenate(starts)].sum())
-    bic = unknowns * float(np.log(search.periods.count)) - 2.0 * value
-    return NoisyFit(begin, log, best, window, values, bic)
+    bic = bic_of(search, layout, best.theta.size - layout.size, value)
+    given = log, best.theta, log.starts(*window), window, values, bic
+    return HiddenFit(*given, begin, begin.log, begin.theta), best
 
 
 def _best_start(
     search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
-) -> tuple[Begun, HiddenNoisyLog, Float[np.ndarray, " size"], tuple[float, float]]:
+) -> tuple[Begun, HiddenNoisyLog, Vector, tuple[float, float]]:
     """What leads highest in coarse steps, of those that leave all modes some rows, if any do.
 
     And its likelihood, its vector, and the window of its delays.
@@ -141,9 +117,9 @@ def _best_start(
     for start in _starts(search, layout):
         log, W = _of_start(start, search, recording, C)
         window = window_of(start.log, start.theta[layout.at_delays])
-        rough = replace(log, noisy=replace(log.noisy, recording=few), within=False, _kept={})
+        rough = replace(log, recording=few, within=False, _kept={})
         for noise in first_noises(W, C, recording.step):
-            vector = rough.whole.join(start.theta, noise)
+            vector = rough.join(start.theta, noise)
             led, best, _ = _climbed(rough, vector, window, _SOON)
             whole = _least_rows(led, best.theta, window) >= layout.least_periods
             value = led.value(best.theta, led.starts(*search.bounds))
@@ -172,30 +148,24 @@ def _of_start(
     start: Begun, search: HiddenSearch, recording: Recording, C: Float[np.ndarray, "p n"]
 ) -> tuple[HiddenNoisyLog, Float[np.ndarray, "n n"]]:
     """The likelihood, with modes that last; and what a period adds, as noise of the plant."""
-    exact, theta, layout = start.log, start.theta, start.layout
+    exact, theta, layout = start.log, start.theta, start.log.layout
     A, _, _ = layout.split(theta)
     share = start.found.weight.sum(axis=0)
     W = np.tensordot(share / share.sum(), continuous(A, exact.S, recording.step), axes=1)
     known = np.diagonal(exact.evaluate(theta, exact.cells(theta)).information)
-    unit = np.concatenate((1.0 / np.sqrt(np.maximum(known, 1e-300)), _units(W), np.ones(len(C))))
-    one = replace(layout, modes=1, per_mode=False)
-    noisy = NoisyLog(recording, one, C, False, search.bounds, exact.nodes)
+    errors = np.concatenate((1.0 / np.sqrt(np.maximum(known, 1e-300)), _units(W), np.ones(len(C))))
     jumps = Jumps.lasting(layout.modes, recording.step, not recording.even)
-    return HiddenNoisyLog(noisy, layout, unit, jumps, exact.within), W
+    given = recording, layout, exact.within, search.bounds, exact.nodes, C
+    return HiddenNoisyLog(*given, errors=errors, jumps=jumps), W
 
 
-def _least_rows(
-    log: HiddenNoisyLog, theta: Float[np.ndarray, " size"], window: tuple[float, float]
-) -> float:
+def _least_rows(log: HiddenNoisyLog, theta: Vector, window: Window) -> float:
     """How many rows the rarest mode is expected to have."""
     return float(np.vstack(log.posterior(theta, log.starts(*window)).node).sum(axis=0).min())
 
 
 def _climbed(
-    log: HiddenNoisyLog,
-    theta: Float[np.ndarray, " size"],
-    window: tuple[float, float],
-    gain: float,
+    log: HiddenNoisyLog, theta: Vector, window: Window, gain: float
 ) -> tuple[HiddenNoisyLog, Maximum, Float[np.ndarray, " round"]]:
     """Rounds of the plant and of the chain, until they gain little; and the likelihood of each."""
     values, starts = [], log.starts(*window)

@@ -2,6 +2,12 @@
 
 With the cell N of every delay given, each mode is a regression x_{k+1} = P_i r_k + e, of which the
 maximum with weights is known; P and S are free, and so is the chain. Cells are found by scan.
+
+It begins at regressions over short stretches of the log. Modes last, so most stretches of a few
+dozen periods have one mode. Each has a regression of its own, whatever the modes are; the cells in
+which these fit best together are those of the delays. Then as many stretches as there are modes are
+drawn, each from those that the ones before explain badly (the seeding of k-means++: Arthur and
+Vassilvitskii, SODA 2007).
 """
 
 from __future__ import annotations
@@ -11,12 +17,110 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import floored, log_density
+from deadtime.identification.regression import floored, log_density, rooted
+from deadtime.identification.scoring import best_in_turn
 
+_MOST = 150  # stretches
+_PURE = (0.4, 0.8)  # of all stretches, those that fit best, are drawn from
+_FAR = 25.0  # of a squared deviation per state: farther off is no more likely to be drawn
+_WIDE = 4.0  # times the covariance of a stretch: its regression rests on few periods
+_LEAST = 1e-6  # of the covariance of one regression for all: of no noise, too, starts differ
 _SWEEPS = 3  # over the delays, in a scan
+
+
+class PeriodRuns(NamedTuple):
+    """Runs of usable periods that follow each other: (stretches, length), places of rows."""
+
+    rows: Int[np.ndarray, "stretch period"]
+
+
+def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> PeriodRuns | None:
+    """Half overlapping, some at most, spread over the log; None if there are less than modes.
+
+    Short ones have periods for little more than a regression, and more often one mode.
+    """
+    columns = layout.n + 2 * layout.m + layout.constant
+    length = (1 if short else 2) * columns + layout.n + 2
+    places, start = [], 0
+    for k in periods.usable:
+        runs = np.split(np.arange(k.size), np.flatnonzero(np.diff(k) != 1) + 1)
+        for run in runs:
+            begins = np.arange(0, run.size - length + 1, length // 2)
+            places += [start + run[0] + begin for begin in begins]
+        start += k.size
+    if len(places) < layout.modes:
+        return None
+    chosen = np.linspace(0, len(places) - 1, min(len(places), _MOST)).round().astype(int)
+    return PeriodRuns(np.array(places)[chosen, None] + np.arange(length))
+
+
+def first_cells(
+    periods: EvenPeriods, stretches: PeriodRuns, layout: Layout
+) -> Int[np.ndarray, " m"]:
+    """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
+    options, begin = range(periods.first, periods.last + 1), (None,) * layout.m
+    found = best_in_turn(begin, options, lambda own: _together(periods, stretches, own, layout), 2)
+    return np.array(found)
+
+
+def _together(
+    periods: EvenPeriods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
+) -> float:
+    """How likely all stretches are, inputs without a cell left out."""
+    z = periods.rows(np.array([periods.first if c is None else c for c in cells]))
+    n = layout.n
+    known = np.array([c is not None for c in cells])
+    keep = np.concatenate((np.ones(2 * n, bool), known, known, np.ones(int(layout.constant), bool)))
+    return float(-_own_covariances(z[:, keep][stretches.rows], n)[1].sum())
+
+
+def _own_covariances(
+    z: Float[np.ndarray, "stretch period z"], n: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The residuals' covariance of each stretch under a regression of its own, and its log det."""
+    turned = np.concatenate((z[..., n:], z[..., :n]), axis=-1)
+    scale = np.maximum(np.sqrt((turned**2).mean(axis=(0, 1))), 1e-300)
+    whole = np.asarray(np.linalg.qr(turned / scale, mode="r"))
+    R = whole[:, -n:, -n:] * scale[-n:]
+    spare = z.shape[1] - (z.shape[2] - n)
+    S = R.transpose(0, 2, 1) @ R / spare
+    pivots = np.diagonal(R, axis1=1, axis2=2) ** 2 / spare + 1e-24 * scale[-n:] ** 2
+    return S, np.log(np.maximum(pivots, np.finfo(float).tiny)).sum(axis=1)
+
+
+def drawn_start(
+    periods: EvenPeriods,
+    stretches: PeriodRuns,
+    cells: Int[np.ndarray, " m"],
+    layout: Layout,
+    rng: np.random.Generator,
+) -> Regressions:
+    """Regressions over stretches that are drawn, with one covariance for all modes.
+
+    How many of all are drawn from is drawn, too: in noisy modes few fit well, in short ones few do.
+    """
+    n, modes = layout.n, layout.modes
+    z = periods.rows(cells)[stretches.rows]
+    S, size = _own_covariances(z, n)
+    pure = np.flatnonzero(size <= np.quantile(size, rng.choice(_PURE)))
+    flat = z.reshape(-1, z.shape[2])
+    _, whole = regressed(rooted(flat, np.ones(len(flat))), n, float(len(flat)))
+    best = pure[size[pure] <= np.median(size[pure])]  # entries' medians are no covariance
+    shared = S[best].mean(axis=0) + _LEAST * whole
+    white = np.linalg.inv(np.linalg.cholesky(shared))
+    P, off = [], np.full(pure.size, np.inf)
+    for _ in range(modes):
+        chance = np.ones(pure.size) if not P else np.minimum(off, _FAR) + 1e-12
+        own = z[pure[rng.choice(pure.size, p=chance / chance.sum())]]
+        P.append(np.linalg.lstsq(own[:, n:], own[:, :n], rcond=1e-13)[0].T)
+        e = (z[pure, :, :n] - z[pure, :, n:] @ P[-1].T) @ white.T
+        off = np.minimum(off, (e**2).mean(axis=(1, 2)))
+    count = np.full(modes, periods.count / modes)
+    every, jumps = np.tile(_WIDE * shared, (modes, 1, 1)), Jumps.lasting(modes, 1.0, rates=False)
+    return Regressions(np.array(P), every, jumps, np.tile(cells, (modes, 1)), count)
 
 
 class Regressions(NamedTuple):
@@ -32,11 +136,6 @@ class Regressions(NamedTuple):
     weight: Float[np.ndarray, " mode"]
 
 
-def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"]) -> np.ndarray:
-    """R with RᵀR = Σ w z zᵀ, R triangular."""
-    return np.asarray(np.linalg.qr(np.sqrt(weight)[:, None] * z, mode="r"))
-
-
 def regressed(
     root: Float[np.ndarray, "z z"], n: int, total: float
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "n n"]]:
@@ -46,15 +145,6 @@ def regressed(
     P = np.linalg.lstsq(r / unit, y, rcond=1e-13)[0].T / unit
     e = y - r @ P.T
     return P, floored(e.T @ e / total, P[:, : y.shape[1]], y, total)
-
-
-def rows_of_modes(periods: EvenPeriods, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:
-    """The rows of each mode, shared where cells are the same."""
-    kept = {}
-    for own in cells:
-        if own.tobytes() not in kept:
-            kept[own.tobytes()] = periods.rows(own)
-    return [kept[own.tobytes()] for own in cells]
 
 
 def expected(periods: EvenPeriods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
@@ -90,7 +180,7 @@ def climbed(
     periods: EvenPeriods, model: Regressions, steps: int, least: float, common: bool, gain: float
 ) -> tuple[Regressions, Posterior] | None:
     """The regressions after some steps; None where a mode has less periods than `least`."""
-    rows, before = rows_of_modes(periods, model.cells), -np.inf
+    rows, before = periods.rows_of_modes(model.cells), -np.inf
     found = expected(periods, model, rows)
     for _ in range(steps):
         if found.weight.sum(axis=0).min() < least:

@@ -1,4 +1,4 @@
-"""The states that a log holds, or outputs of them of rank n; what cannot be states is refused."""
+"""The states that a log holds, or outputs of them of rank n; and how its modes switch."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.recording import Recording
+from deadtime.switching import SwitchingSignal
+from deadtime.switching.models.semi_markov import SemiMarkov
 
 _SAME = 1e-13  # of the least eigenvalue of the correlation of states
 _SIZES = 1e-70, 1e70  # of what is measured, and of inputs
@@ -77,3 +79,28 @@ def require_states(recording: Recording, names: Sequence[str]) -> None:
             f"{', '.join(part)} must be states of their own, got such that one is a sum of the "
             "others: leave it out by states=[…], --states."
         )
+
+
+def signals_of(recording: Recording) -> list[SwitchingSignal]:
+    """The logged modes of every log as a signal from its first row on.
+
+    A mode that begins in the last row, before rows that were lost, lasts that row's period.
+    """
+    signals = []
+    for part in recording.parts:
+        first = np.flatnonzero(np.diff(part.mode, prepend=-1))
+        time = part.time - part.time[0]
+        end = max(float(time[-1]), float(time[first[-1]]) + recording.step)
+        signals.append(SwitchingSignal(time[first], part.mode[first], end=end))
+    return signals
+
+
+def fit_switching(recording: Recording) -> tuple[SemiMarkov | None, str]:
+    """The model of how the mode switches, and why there is none where there is none."""
+    if len(recording.modes) < 2:
+        return None, ""
+    try:
+        signals = signals_of(recording)
+        return SemiMarkov.fit(signals, modes=len(recording.modes), first="drop"), ""
+    except ArgumentError as error:
+        return None, f"There is no switching model: {error}"

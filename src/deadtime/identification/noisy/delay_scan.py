@@ -1,4 +1,8 @@
-"""All delays of a log with noisy sensors, A and the noise held: each is a linear regression.
+"""The largest maximum of the likelihood with noisy sensors: climbs from scans of all delays.
+
+There are several maxima over the delays, and over how the noise is shared between plant and
+sensors. So all delays are scanned about where each climb begins, and again about the likeliest
+plant so far, until a scan leads no higher.
 
 With A, W and V as they are, errors of the filter are linear in what inputs and constant terms add,
 and a delay of N periods takes the column of u_{k−N}; one between N − 1 and N nearly a mean of two
@@ -8,38 +12,49 @@ eliminated first: they are the same whatever the delays are.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.smoother import FilterModel, filtered, responses
-from deadtime.identification.parameters import Layout
+from deadtime.identification.likelihoods.likelihood import maximise, window_of
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
+from deadtime.identification.likelihoods.switched_filter import FilterPeriods, Places
+from deadtime.identification.log.recording import Part
+from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.regression import inputs_at
+from deadtime.identification.scoring import Maximum, best_in_turn
 from deadtime.identification.start import cell_range
 from deadtime.identification.transition import transitions_of
+from deadtime.identification.uneven import gridded
 
 _PARTS = 4  # of a period: delays that are tried
 _SWEEPS = 4  # over all delays, each in turn
+_ROUNDS = 3  # of scans, each about the likeliest plant so far
+_BETTER = 0.1  # of log likelihood: cells that are worth going to
+_GAIN = 1e-4  # of log likelihood that a beginning may be short of: a pole too many runs for ever
+_NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
+_LESS = 1e-4  # of the plant's noise, where all errors may be the sensors'
+_LOST = 0.5  # of the samples: a range of delays for which more are of no use is searched in part
 
 
 class Scanned(NamedTuple):
     """The likeliest plant, and how likely each cell of a delay is beside it, from `first` on."""
 
-    theta: Float[np.ndarray, " size"]
+    theta: Vector
     first: int
     curves: Float[np.ndarray, "delay cell"]
 
-    def moved(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def moved(self, vector: Vector) -> Vector:
         """The vector with its plant, and its own noise."""
         return np.concatenate((self.theta, vector[self.theta.size :]))
 
 
-def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
+def scanned(log: NoisyLog, vector: Vector) -> Scanned:
     """All delays of an even log, A and noise as they are in `vector`."""
-    layout, h, shape = log.layout, log.recording.step, log.embedding
-    rows = np.arange(layout.n) if shape is None or shape.zeros else shape.last
+    layout, h, rows = log.layout, log.recording.step, log.acting
     first, last = cell_range(h, log.bounds, layout.m)
     lags = np.arange(first - 1, last + 1)
     gram, share = _gram(log, vector, rows, lags), _shares(log, vector, rows.size)
@@ -60,23 +75,30 @@ def _gram(
 ) -> Float[np.ndarray, "z z"]:
     """Sums of the errors without inputs and of the responses to each: modes, rows, lags × m (+ 1).
 
-    Constant terms come last in each row, where there are any.
+    Constant terms come last in each row, where there are any. A response is what an error would be
+    less by, in standard deviations, for one more input: the filter's derivative.
     """
-    layout, h = log.layout, log.recording.step
+    layout, whole = log.layout, log.filter(vector, log.starts(*log.bounds))
+    modes, n, columns = layout.modes, layout.n, lags.size * layout.m + layout.constant
     A = layout.split(vector[: layout.size])[0]
-    starts, total = log.starts(*log.bounds), 0.0
-    left_out = log.initial(starts)
-    push = np.array([transitions_of(one, np.array([h])).W[0][:, rows] for one in A])
-    for part, start, known in zip(log.recording.parts, starts, left_out, strict=True):
-        periods = log.periods(vector, part, start)
-        model = FilterModel.of(log, vector, periods)
-        free = filtered(part.output, start, periods.kind, np.zeros(periods.added.shape), model)
-        row = np.arange(-1, start.size - 1)[:, None] - lags
-        u = np.nan_to_num(inputs_at(part, row)).reshape(start.size, -1)
-        u = np.hstack((u, np.ones((start.size, int(layout.constant)))))
-        added = responses(free, start, periods.kind, push, u, model)
-        e = (free.error / np.sqrt(free.variance))[..., None]
-        z = np.concatenate((e, added), axis=2)[~known & np.isfinite(part.output)]
+    step = np.array([log.recording.step])
+    push = np.array([transitions_of(one, step).W[0][:, rows] for one in A])
+    own = np.arange(modes * rows.size * columns).reshape(modes, -1)
+    own = np.hstack((np.full((modes, n * n), -1), own))  # A is known
+    places = Places.none(modes)._replace(size=int(own.max()) + 1, own=own)
+
+    def periods_of(part: Part, k: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
+        found = whole.periods_of(part, k, fresh)
+        u = np.nan_to_num(inputs_at(part, k[:, None] - 1 - lags)).reshape(k.size, -1)
+        u = np.hstack((u, np.ones((k.size, int(layout.constant)))))
+        acting = push[found.mode].swapaxes(1, 2)[:, :, None] * u[:, None, :, None]
+        by = np.hstack((np.zeros((k.size, n * n, n)), acting.reshape(k.size, -1, n)))
+        return found._replace(added=np.zeros(found.added.shape), by_added=by)
+
+    total = 0.0
+    for block in whole._replace(periods_of=periods_of).innovations(places):
+        z = np.concatenate((block.e[..., None], -block.by_e), axis=2)
+        z = (z / np.sqrt(block.s)[..., None])[np.isfinite(block.y)]
         total = total + z.T @ z
     return np.asarray(total)
 
@@ -155,20 +177,86 @@ class _DelayScan:
         """The likeliest delays, and each one's curve beside them."""
         delays, options = self.layout.delays, range(self.options)
         begins = (None,) * delays, tuple(own.tolist())
-        best = max((self._ascended(begin) for begin in begins), key=self.likelihood)
+        given = options, self.likelihood, _SWEEPS
+        best = max((best_in_turn(one, *given) for one in begins), key=self.likelihood)
         curves = [
             [self.likelihood((*best[:d], c, *best[d + 1 :])) for c in options]
             for d in range(delays)
         ]
         return np.array(best), np.array(curves)
 
-    def _ascended(self, places: tuple[int | None, ...]) -> tuple[int, ...]:
-        """Delays of which none alone is better elsewhere."""
-        for _ in range(_SWEEPS):
-            before = places
-            for d in range(len(places)):
-                tried = [(*places[:d], c, *places[d + 1 :]) for c in range(self.options)]
-                places = max(tried, key=self.likelihood)
-            if places == before:
-                break
-        return places  # pyright: ignore[reportReturnType]
+
+def largest_maximum(
+    log: NoisyLog,
+    begins: Iterable[np.ndarray],
+    climbed: Iterable[np.ndarray] = (),
+    others: Callable[[np.ndarray], list[np.ndarray]] = lambda _: [],
+) -> tuple[Maximum, Scanned]:
+    """The likeliest vector that is found, and the last scan.
+
+    begins : vectors whose A and noise a scan begins with; climbed : those that are climbed from as
+    they are; others : what else to try beside a vector
+    """
+    begins, climbed = list(begins), list(climbed)
+    log = replace(log, bounds=_searched(log, (*begins, *climbed)[0]))
+    scan, grid = None, replace(log, recording=gridded(log.recording))
+    found = [_climbed(log, begin) for begin in climbed]
+    for begin in begins:
+        scan = scanned(grid, begin)
+        found.append(_climbed(log, scan.moved(begin)))
+    best = max(found, key=lambda one: one.found.value)
+    for _ in range(_ROUNDS):
+        scan = scanned(grid, best.theta)
+        beside = [of_sensors(log, best.theta), *others(best.theta), *_elsewhere(log, best, scan)]
+        tried = [_climbed(log, one) for one in beside]
+        top = max(tried, key=lambda one: one.found.value, default=best)
+        if top.found.value < best.found.value + _BETTER:
+            break
+        best = top
+    assert scan is not None
+    return best, scan
+
+
+def _searched(log: NoisyLog, theta: np.ndarray) -> Window:
+    """The range of delays, or a part of it about a vector's where all of it would cost too much.
+
+    What is usable of a log depends on how far back inputs must be known.
+    """
+    low, high = window_of(log, theta[log.layout.at_delays])
+    most, least = (np.concatenate(log.starts(*ends)).sum() for ends in ((low, high), log.bounds))
+    return (low, high) if least - most > _LOST * log.recording.samples else log.bounds
+
+
+def _elsewhere(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
+    """Where else a maximum may be: where the scan is, and of each delay where it is nearly so."""
+    place, h, found = log.layout.at_delays, log.recording.step, []
+    if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
+        found.append(scan.moved(best.theta))
+    for row, curve in enumerate(scan.curves):
+        D = (scan.first + np.arange(curve.size) - 0.5) * h
+        near = (curve > curve.max() - _NEARLY) & (np.abs(D - best.theta[place][row]) > 1.5 * h)
+        if near.any():
+            theta = best.theta.copy()
+            theta[place.start + row] = D[near][curve[near].argmax()]
+            found.append(theta)
+    return found
+
+
+def of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
+    """The same plant, as if all that it cannot foretell were noise of the sensors.
+
+    A climb does not come back by itself from a sensor without noise.
+    """
+    e, _ = log.innovations(vector, log.starts(*log.bounds))
+    changed, (i, j) = vector.copy(), log.places
+    L = slice(log.layout.size, log.layout.size + i.size)
+    less = np.sqrt(_LESS)
+    changed[L] = np.where(i == j, vector[L] + np.log(less), less * vector[L])
+    error = np.sqrt(np.mean(e**2, axis=0))
+    changed[L.stop :] = np.log(np.maximum(error, np.finfo(float).tiny))
+    return changed
+
+
+def _climbed(log: NoisyLog, vector: np.ndarray) -> Maximum:
+    """The maximum that a vector leads to, over the whole range of delays."""
+    return maximise(log, vector, window=log.bounds, gain=_GAIN)[0]

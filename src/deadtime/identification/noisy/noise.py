@@ -1,14 +1,24 @@
-"""From what a period adds to a noise of the plant, and to noise of the sensors."""
+"""The estimate with noisy sensors: noise of the plant, noise of the sensors, and what both leave.
+
+The likeliest noise is too small, as a variance is that is divided by N where N − p are left: the p
+unknowns θ of the plant have followed the noise. With θ integrated out (Laplace), what is left is
+the likelihood of the noise η alone, over which Harville maximises:
+
+    log L(θ, η) − ½ log det F_θθ(η).
+
+The gradient g of the second term hardly moves with η, the logarithms of deviations: of one
+regression it is p whatever η, so log L + gᵀη is maximised instead, which gives N − p exactly.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from deadtime.identification.cells import cells_of
-from deadtime.identification.delay_intervals import delay_intervals
+from deadtime.identification.delay_intervals import delay_intervals, ends_over_peaks
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
 from deadtime.identification.levels import (
@@ -18,14 +28,13 @@ from deadtime.identification.levels import (
     with_constant,
     without_level,
 )
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog, SensorLikelihood
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.largest import largest_maximum
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
-from deadtime.identification.noisy.restricted import restricted
-from deadtime.identification.over_peaks import ends_over_peaks
+from deadtime.identification.noisy.delay_scan import largest_maximum
+from deadtime.identification.parameters import Vector, Window
 from deadtime.identification.residuals import judge_residuals
-from deadtime.identification.scoring import Maximum
+from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 from deadtime.identification.start import Start
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.kernels import expect_many_calls
@@ -33,6 +42,10 @@ from deadtime.numerics.kernels import expect_many_calls
 _ENOUGH = 10_000  # samples that tell how noise is restricted
 _FEW = 4_000  # samples that tell where the largest maximum is
 _FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
+_STEP = 1e-3  # of a logarithm, for differences
+_GAIN = 1e-4  # of log likelihood that is still worth a step
+_TOLD = 1.0  # information on a logarithm: one that is told to less than a factor of e stays
+_FEWEST = 3.0  # degrees of freedom: of fewer Student's has no variance
 
 
 def continuous(
@@ -69,8 +82,8 @@ def intensity_errors(
     W: Float[np.ndarray, "mode n n"],
     step: float,
     spare: Int[np.ndarray, " mode"],
-) -> Float[np.ndarray, "mode n"]:
-    """The standard errors of the diagonals of W, from `spare` periods of every mode.
+) -> Float[np.ndarray, " variance"]:
+    """The standard errors of the diagonals of W, mode by mode, from `spare` periods of each.
 
     W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. A
     position has noise in S that its speed has brought there, and with it an error.
@@ -79,7 +92,7 @@ def intensity_errors(
     --------
     >>> A, W = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([np.diag([0.0, 3.0])])
     >>> (intensity_errors(A, W, 0.1, np.array([200])) * [1000.0, 1.0]).round(3)
-    array([[0.354, 0.3  ]])
+    array([0.354, 0.3  ])
     """
     modes, n, _ = A.shape
     errors, S = np.empty((modes, n)), noise_covariances(A, W, np.full(modes, step))
@@ -87,19 +100,15 @@ def intensity_errors(
         G = np.linalg.pinv(_images(one, step))[:: n + 1].reshape(n, n, n)
         GS = 0.5 * (G + G.transpose(0, 2, 1)) @ S[i]
         errors[i] = np.sqrt(2.0 * np.einsum("abc,acb->a", GS, GS) / spare[i])
-    return errors
+    return errors.ravel()
 
 
 def estimate_with_noise(
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
-    exact: Estimate,
-    within: bool,
-    bounds: tuple[float, float],
+    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
-    log, begins = begun_with_noise(recording, C, exact, within, bounds)
-    some = replace(log, recording=recording.stretches(_FEW, recording.lag(bounds[1])))
+    log, begins = begun_with_noise(recording, C, exact)
+    some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
     top, scan = largest_maximum(some, begins)
     best, window = maximise(log, top.theta)
     smaller, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
@@ -124,23 +133,20 @@ def start_beside(
     log: NoisyLog, best: Maximum, first: int, curves: Float[np.ndarray, "delay cell"]
 ) -> Start:
     """A maximum, and how likely a scan says that each cell of a delay is beside it."""
-    cells = cells_of(best.theta[log.layout.at_delays], log.recording.step)
-    return Start(best.theta[: log.layout.size], cells, first, curves)
+    theta = best.theta[: log.layout.size]
+    return Start(theta, log.cells(theta), first, curves, log.acting.size)
 
 
 def begun_with_noise(
-    recording: Recording,
-    C: Float[np.ndarray, "p n"],
-    exact: Estimate,
-    within: bool,
-    bounds: tuple[float, float],
-) -> tuple[NoisyLog, list[Float[np.ndarray, " size"]]]:
+    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
+) -> tuple[NoisyLog, list[Vector]]:
     """The likelihood with noisy sensors, and vectors to climb from."""
     expect_many_calls()
     layout, theta = exact.log.layout, exact.best.theta
     if recording.level is not None:
         theta, layout = with_constant(theta, layout, recording.level, np.linalg.pinv(C))
-    log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
+    of = exact.log
+    log = NoisyLog(recording, layout, of.within, of.bounds, of.nodes, C)
     noises = first_noises(exact.disturbance.mean(axis=0), C, recording.step)
     return log, [log.join(theta, noise) for noise in noises]
 
@@ -148,22 +154,45 @@ def begun_with_noise(
 def estimated_of(
     log: NoisyLog,
     best: Maximum,
-    window: tuple[float, float],
+    window: Window,
     start: Start,
     spare: Int[np.ndarray, " mode"] | None = None,
 ) -> Estimate:
     """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
-    recording, layout, starts = log.recording, log.layout, log.starts(*window)
-    beyond = max(log.measured(starts) - log.free.size, 1)
+    recording, layout = log.recording, log.layout
+    beyond = max(log.measured(log.starts(*window)) - log.free.size, 1)
     lag = recording.lag(window[1])
     some = replace(log, recording=recording.stretches(_ENOUGH, lag))
     spread, theta = _spread(log, some, best, window, float(beyond))
+    peak = log, best, window, spread, start
+    own = np.full(layout.modes, beyond) if spare is None else spare
+    if log.embedding is None:
+        ends = ends_over_peaks(log, best, spread, start)
+        return estimate_of_sensors(*peak, theta, log, own, ends=ends)
+    return estimate_of_sensors(*peak, theta, log, own, of_outputs=log)
+
+
+def estimate_of_sensors(
+    log: SensorLikelihood,
+    best: Maximum,
+    window: Window,
+    spread: Spread,
+    start: Start,
+    theta: Vector,
+    along: NoisyLog,
+    spare: Int[np.ndarray, " mode"],
+    *,
+    ends: Float[np.ndarray, "unknown 2"] | None = None,
+    of_outputs: NoisyLog | None = None,
+) -> Estimate:
+    """What there is to say of a maximum with noisy sensors, its noise restricted in `theta`.
+
+    along : the likelihood with modes known, those of the likeliest path if they were hidden
+    """
     intervals, several = delay_intervals(log, best, window, spread, start)
+    layout, noise, white = log.layout, log.noise(theta), noisy_residuals(along, theta, window)
     plant = layout.plant(theta[: layout.size])
-    noise = log.noise(theta)
-    white = noisy_residuals(log, theta, starts)
-    chained = log.embedding is not None
-    spent = 2 * layout.n * len(log.C) if chained else None
+    spent = None if of_outputs is None else 2 * layout.n * len(log.C)
     return Estimate(
         log=log,
         best=best._replace(theta=theta),
@@ -175,16 +204,18 @@ def estimated_of(
         start=start,
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
-        spare=np.full(layout.modes, beyond) if spare is None else spare,
-        tests=judge_residuals(white, recording, plant.longest_delay, spent),
+        noise_errors=variance_errors(log, theta, spread.covariance),
+        spare=spare,
+        tests=judge_residuals(white, along.recording, plant.longest_delay, spent),
         white=tuple(white),
-        ends=None if chained else ends_over_peaks(log, best, spread, start),
+        ends=ends,
+        of_outputs=of_outputs,
     )
 
 
 def _spread(
-    log: NoisyLog, some: NoisyLog, best: Maximum, window: tuple[float, float], most: float
-) -> tuple[Spread, Float[np.ndarray, " size"]]:
+    log: NoisyLog, some: NoisyLog, best: Maximum, window: Window, most: float
+) -> tuple[Spread, Vector]:
     """Of all unknowns, and these with the noise restricted.
 
     What is known has no variance, noise that the log does not tell any.
@@ -208,9 +239,10 @@ def _spread(
 
 
 def noisy_residuals(
-    log: NoisyLog, theta: Float[np.ndarray, " size"], starts: list[Bool[np.ndarray, " sample"]]
+    log: NoisyLog, theta: Vector, window: Window
 ) -> list[Float[np.ndarray, "sample p"]]:
     """The innovations of every part, each over its deviation; NaN where there are none."""
+    starts = log.starts(*window)
     e, s = log.innovations(theta, starts)
     fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
     parts = log.recording.parts
@@ -227,3 +259,112 @@ def first_noises(
     W = W + floor * np.eye(len(W))
     added = np.sqrt(np.diagonal(C @ W @ C.T) * step)
     return [NoiseLevels(0.7 * W, 0.4 * added), NoiseLevels(0.1 * W, 0.7 * added)]
+
+
+class Restricted(NamedTuple):
+    """The unknowns with restricted noise, their information, and the freedom each rests on."""
+
+    theta: Vector
+    information: Float[np.ndarray, "size size"]
+    spare: Vector
+
+
+def restricted(
+    log: NoisyLog, some: NoisyLog, best: Maximum, window: Window, most: float
+) -> Restricted:
+    """From the maximum of the likelihood; how information moves is seen on `some` of the log.
+
+    Delays stay. most : degrees of freedom that there are at most
+    """
+    cells, size = log.cells(best.theta), log.layout.size
+    evaluate, own = log.evaluate_in(*window)(cells), some.evaluate_in(*window)(cells)
+    noise, unit = np.arange(size, log.size), log.unit(best.theta)[size:]
+    told = np.diagonal(best.found.information)[size:] * unit**2 > _TOLD
+    moves = _moves(own, best.theta, noise[told], unit[told])[:, :size, :size]
+    moves *= log.recording.samples / some.recording.samples
+    free, C = log.free[log.free < size], np.zeros((size, size))
+    C[np.ix_(free, free)] = inverse(best.found.information[np.ix_(free, free)])
+    gradient = np.zeros(log.size)
+    gradient[noise[told]] = -0.5 * np.einsum("ab,cba->c", C, moves)
+
+    def tilted(theta: np.ndarray) -> Evaluation:
+        found = evaluate(theta)
+        more = float(gradient @ (theta - best.theta))
+        return Evaluation(found.value + more, found.score + gradient, found.information)
+
+    low, high = log.limits
+    still = np.concatenate((np.arange(size)[log.layout.at_delays], noise[~told]))
+    low[still], high[still] = best.theta[still], best.theta[still]
+    after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
+    value = after.found.value - float(gradient @ (after.theta - best.theta))
+    if not value > best.found.value - free.size:  # so much less likely it is no correction any more
+        return Restricted(best.theta, best.found.information, np.full(log.size, most))
+    fewer = np.sqrt(np.append(np.ones(size), _noise_shares(log, best.theta, after.theta)))
+    F = after.found.information * fewer[:, None] * fewer
+    slopes = np.zeros((size, moves.shape[0]))
+    slopes[free] = -np.einsum("ab,cbd,da->ac", C, moves, C)[free] / np.diagonal(C)[free, None]
+    error = np.linalg.pinv(F[np.ix_(noise[told], noise[told])])
+    variance = np.einsum("ac,cd,ad->a", slopes, error, slopes)  # of the logarithms of variances
+    spare = np.full(log.size, most)
+    spare[:size] = np.maximum(2.0 / np.maximum(variance, 2.0 / most), min(_FEWEST, most))
+    return Restricted(after.theta, F, spare)
+
+
+def _moves(
+    evaluate: Evaluate, theta: np.ndarray, places: np.ndarray, units: np.ndarray
+) -> Float[np.ndarray, "place size size"]:
+    """The derivatives of the information by unknowns of the noise."""
+    now = evaluate(theta).information
+    moves = np.empty((places.size, *now.shape))
+    for row, (place, unit) in enumerate(zip(places, units, strict=True)):
+        ahead = theta.copy()
+        ahead[place] += _STEP * unit
+        moves[row] = (evaluate(ahead).information - now) / (_STEP * unit)
+    return moves
+
+
+def _noise_shares(
+    log: NoisyLog, likeliest: np.ndarray, theta: np.ndarray
+) -> Float[np.ndarray, " noise"]:
+    """(N − p)/N of every unknown of the noise: its variance before, over that after."""
+    before, after = log.noise(likeliest), log.noise(theta)
+    of_W = np.diagonal(before.W) / np.diagonal(after.W)
+    return np.minimum(
+        np.concatenate((of_W[log.places[0]], (before.deviation / after.deviation) ** 2)), 1.0
+    )
+
+
+def variance_errors(
+    log: SensorLikelihood, vector: Vector, covariance: Float[np.ndarray, "size size"]
+) -> Float[np.ndarray, " variance"]:
+    """Standard errors of W_aa = Σ_b L_ab², mode by mode, and of sensors' variances.
+
+    To second order in L_ab. Near 0 the log likelihood is a parabola in w = W_aa: F, that on log √w,
+    is next to nothing there, but the error 2 w/√F is not.
+    """
+    size, (i, j), n = log.layout.size, log.places, log.layout.n
+    C, L = covariance[size:, size:], log.root(vector)
+    off = i != j
+    slope = np.zeros((n + len(log.C), len(C)))
+    slope[i, np.arange(i.size)] = 2.0 * np.where(off, L[i, j], L[i, j] ** 2)
+    sensors = np.arange(len(log.C))
+    slope[n + sensors, i.size + sensors] = 2.0 * log.noise(vector).deviation ** 2
+    variance = np.einsum("va,ab,vb->v", slope, C, slope)
+    for a in range(n):
+        own = np.flatnonzero(off & (i == a))
+        with np.errstate(over="ignore"):  # what the log does not tell at all may be any
+            variance[a] += 2.0 * float((C[np.ix_(own, own)] ** 2).sum())
+    W, R = np.split(np.sqrt(variance), [n])
+    return np.concatenate((np.tile(W, log.layout.modes), R))
+
+
+def exact_holds(exact: Estimate, noisy: Estimate) -> bool:
+    """Whether measurements may be taken as exact: sensors' noise is not told, and little changes.
+
+    Else the exact estimate is biased, and its intervals are too narrow by far.
+    """
+    if not exact.tests.white or noisy.several.any():
+        return False
+    low = np.maximum(exact.intervals, noisy.intervals)[:, 0]
+    high = np.minimum(exact.intervals, noisy.intervals)[:, 1]
+    return bool((low <= high).all()) and all(least == 0.0 for least, _ in noisy.sensor_intervals)

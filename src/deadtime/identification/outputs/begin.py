@@ -1,24 +1,260 @@
-"""Where climbs to the likeliest plant of outputs begin; with zeros there are several maxima."""
+"""Where climbs to the likeliest plant of outputs begin; with zeros there are several maxima.
+
+First derivatives of outputs are found by a smoother that knows no plant, and taken as measured.
+Each output is the first of a chain of integrators, the last of which is driven by white noise: the
+spline whose stiffness is likeliest (Wahba, J. Royal Statistical Society B 40(3), 1978).
+
+What outputs are is told by what they were, too: A of their chains, whatever the delays. With x the
+states of `Embedding`, stand-ins for them are outputs that are q periods apart,
+
+    z_k = (y_j,k, y_j,k−q, …, y_j,k−(n_j−1)q),    all outputs j,
+    z_{k+q} = M z_k + what inputs add, linear in all those since row k − (n_j − 1) q − lag.
+
+Of M a row for each output is unknown. z has the sensors' noise, as z_{k+q} has, so a row is what is
+least between both, once inputs are taken out of them: total least squares (Golub and Van Loan, SIAM
+J. Numerical Analysis 17(6), 1980), which tends to the truth where the plant has no noise. It needs
+not know B nor delays. log M / (q h) is A in the states z, and the rows C_j A^a, a < n_j, take it to
+the chains. Fast poles want a small q, slow ones a large one, by which noise matters less.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import factorial
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.delay_scan import scanned
-from deadtime.identification.noisy.largest import of_sensors
-from deadtime.identification.noisy.likelihood import NoiseLevels, NoisyLog
-from deadtime.identification.outputs.past import chains_by_past
-from deadtime.identification.outputs.smoothed_start import Guess
+from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
+from deadtime.identification.likelihoods.switched_filter import (
+    FilterPeriods,
+    Places,
+    Sensors,
+    SwitchedKalmanFilter,
+)
+from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.noisy.delay_scan import of_sensors, scanned
+from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.start import matrix_logarithm, start_of
 from deadtime.identification.uneven import gridded
 
+_VAGUE = 1e8  # variances of a sensor that a state is not known by
+_DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends
+_ENOUGH = 2.0  # rows for each unknown
+_GROWTH = 10.0  # of a state from z_k to z_{k+q}: nobody logs a plant that grows faster
 _SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise that chains with zeros begin with
 _APART = 8, 4, 2, 1  # periods between outputs that stand for states
 _NOTHING = 1e-8  # of the plant's noise, where it is left out
 _FEW = 1_000  # samples for climbs with noise held
 _GAIN = 1e-2  # of log likelihood that is worth a step while noise is held
+
+
+class Derivatives(NamedTuple):
+    """States of every part, and per output its sensor's deviation and the noise that drives it.
+
+    states : of every part, (samples, n), per second, per second², …
+    deviation : (p,); drive : (p,), the intensity of the noise of the last derivative
+    """
+
+    states: tuple[Float[np.ndarray, "sample n"], ...]
+    deviation: Float[np.ndarray, " p"]
+    drive: Float[np.ndarray, " p"]
+
+
+def derivatives_of(parts: tuple[Part, ...], order: tuple[int, ...], step: float) -> Derivatives:
+    """The derivatives of every output of evenly sampled logs.
+
+    Examples
+    --------
+    >>> t = 0.1 * np.arange(200)
+    >>> part = Part(t, np.sin(t)[:, None], np.zeros((200, 1)), np.zeros(200, np.int64))
+    >>> found = derivatives_of((part,), (2,), 0.1).states[0]
+    >>> bool(np.abs(found[20:-20, 1] - np.cos(t)[20:-20]).max() < 1e-3)
+    True
+    """
+    columns, deviation, drive = [], [], []
+    for j, count in enumerate(order):
+        series = [part.output[:, j : j + 1] for part in parts]
+        states, r, q = _chain(series, count)
+        columns.append([one / step ** np.arange(count) for one in states])
+        deviation.append(r)
+        drive.append(q / step ** (2 * count - 1))
+    every = tuple(np.hstack(one) for one in zip(*columns, strict=True))
+    return Derivatives(every, np.array(deviation), np.array(drive))
+
+
+def _chain(series: list[np.ndarray], count: int) -> tuple[list[np.ndarray], float, float]:
+    """The states of one output in units of a period, its deviation, and the noise behind it."""
+    known = np.concatenate([one[np.isfinite(one)] for one in series])
+    size = float(np.sqrt(np.mean(known**2)))
+    grid = 10.0 ** np.arange(-_DECADES * count, _DECADES + 2.0)
+    each = [one / size for one in series]
+    found = [(_likelihood(_integrators(each, count, q)), q) for q in grid.tolist()]
+    (_, variance), q = max(found, key=lambda one: one[0][0])
+    best = _integrators(each, count, q)
+    states = [size * best.states(number).smoothed for number in range(len(series))]
+    return states, size * float(np.sqrt(variance)), size**2 * variance * q
+
+
+def _integrators(series: list[np.ndarray], count: int, q: float) -> SwitchedKalmanFilter:
+    """The filter of a chain of integrators; variances in units of the sensor's.
+
+    The first measurements, by which states begin, are left out.
+    """
+    Phi, Q = np.zeros((1, count, count)), np.zeros((1, count, count))
+    for a in range(count):
+        for b in range(count):
+            if b >= a:
+                Phi[0, a, b] = 1.0 / factorial(b - a)
+            i, j = count - 1 - a, count - 1 - b
+            Q[0, a, b] = q / (factorial(i) * factorial(j) * (i + j + 1))
+    nothing = np.zeros((1, 0, count, count))
+
+    def periods(_: Part, rows: np.ndarray, __: np.ndarray) -> FilterPeriods:
+        kind, unmoved = np.zeros(rows.size, np.int64), np.zeros((rows.size, count))
+        by_nothing = np.zeros((rows.size, 0, count))
+        return FilterPeriods(kind, kind, Phi, nothing, Q, nothing, unmoved, by_nothing)
+
+    times = [np.arange(len(y)) for y in series]
+    parts = [
+        Part(t.astype(float), y, np.zeros((t.size, 0)), 0 * t)
+        for t, y in zip(times, series, strict=True)
+    ]
+    initial = [np.isfinite(y) & (np.cumsum(np.isfinite(y), axis=0) <= count) for y in series]
+    sensors = Sensors(np.eye(1, count), np.ones(1), (_VAGUE * (1.0 + q)) * np.eye(count))
+    return SwitchedKalmanFilter(tuple(parts), [t == 0 for t in times], initial, periods, sensors)
+
+
+def _likelihood(chain: SwitchedKalmanFilter) -> tuple[float, float]:
+    """Log likelihood with the sensor's variance at its likeliest, and that."""
+    total, squares, logs = 0, 0.0, 0.0
+    for block in chain.innovations(Places.none(1)):
+        total += np.count_nonzero(np.isfinite(block.y))
+        squares += float((block.e * block.e / block.s).sum())
+        logs += float(np.log(block.s).sum())
+    variance = max(squares / max(total, 1), 1e-14)
+    return -0.5 * (total * np.log(variance) + logs), variance
+
+
+class Guess(NamedTuple):
+    """A first plant, and its noise; `size` of the states."""
+
+    theta: Vector
+    noise: tuple[NoiseLevels, ...]
+    size: Float[np.ndarray, " n"]
+
+
+def guess_of(
+    grid: Recording, layout: Layout, order: tuple[int, ...], bounds: Window, within: bool
+) -> Guess:
+    """A first plant from evenly sampled outputs, as if their smoothed derivatives were measured."""
+    found = derivatives_of(grid.parts, order, grid.step)
+    every = np.vstack(found.states)
+    shape = Embedding(order, False, np.sqrt(np.mean(every**2, axis=0)))
+    parts = zip(grid.parts, found.states, strict=True)
+    measured = grid._replace(parts=tuple(part._replace(output=x) for part, x in parts))
+    A, B, delays = layout.split(start_of(measured, layout, bounds, within).theta)
+    A, B = A.copy(), B.copy()
+    A[:, shape.upper], B[:, shape.upper] = shape.shift()[shape.upper], 0.0
+    return Guess(layout.join(A, B, delays), _noises(found, shape, grid.step), shape.size)
+
+
+def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[NoiseLevels, ...]:
+    """What moves outputs is mostly noise of the plant, or mostly of the sensors."""
+    moves = [np.diff(states, axis=0) for states in found.states]
+    moves = np.mean(np.vstack(moves) ** 2, axis=0) / step
+    deviation = np.maximum(found.deviation, 1e-4 * (shape.C @ shape.size))
+    noises = []
+    for much, sensor in ((0.3, 0.5), (0.01, 1.0)):
+        W = 0.1 * much * moves
+        W[shape.last] = much * np.minimum(found.drive, moves[shape.last])
+        W = np.maximum(W, 1e-8 * shape.size**2)
+        noises.append(NoiseLevels(np.diag(W), sensor * deviation))
+    return tuple(noises)
+
+
+def chains_by_past(
+    parts: tuple[Part, ...],
+    shape: Embedding,
+    deviation: Float[np.ndarray, " p"],
+    step: float,
+    lag: int,
+    modes: int,
+    apart: int,
+) -> Float[np.ndarray, "mode n n"] | None:
+    """A of evenly sampled outputs; None if rows within a mode are too few, or tell no plant.
+
+    deviation : about, of the sensors; step : between rows, seconds
+    lag : so many periods late inputs may act; apart : q, periods
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> y, u = np.zeros((99, 1)), rng.standard_normal((99, 1))
+    >>> for k in range(2, 98):
+    ...     y[k + 1] = 0.5 * y[k] + u[k - 2]
+    >>> part = Part(0.1 * np.arange(99), y, u, np.zeros(99, np.int64))
+    >>> shape = Embedding((1,), False, np.ones(1))
+    >>> chains_by_past((part,), shape, np.ones(1), 0.1, 4, 1, 2).round(4)  # log 0.5 / 0.1
+    array([[[-6.9315]]])
+    """
+    rows = [_past_rows(part, shape, lag, apart) for part in parts]
+    mode, y, z, u = (np.concatenate(column) for column in zip(*rows, strict=True))
+    scale, found = np.repeat(deviation, shape.order), []
+    for i in range(modes):
+        own = mode == i
+        if np.count_nonzero(own) < _ENOUGH * (u.shape[1] + z.shape[1]):
+            return None
+        basis = np.linalg.qr(u[own])[0]
+        now, past = (a - basis @ (basis.T @ a) for a in (y[own] / deviation, z[own] / scale))
+        M = _past_transition(now, past, shape)
+        if not np.isfinite(M).all() or np.abs(np.linalg.eigvals(M)).max() > _GROWTH:
+            return None
+        F = matrix_logarithm(M * scale[:, None] / scale) / (apart * step)
+        found.append(_in_chains(F, shape))
+    return np.array(found)
+
+
+def _past_rows(
+    part: Part, shape: Embedding, lag: int, apart: int
+) -> tuple[Int[np.ndarray, " row"], np.ndarray, np.ndarray, np.ndarray]:
+    """The mode, outputs, z_k, inputs and 1, of rows that stay in a mode, all of them known."""
+    before = (max(shape.order) - 1) * apart
+    k = np.arange(before + lag, len(part.output) - apart)
+    z = [part.output[k - a * apart, j] for j, n in enumerate(shape.order) for a in range(n)]
+    y, z = part.output[k + apart], np.column_stack(z)
+    lags = np.arange(before + apart + lag)
+    u = part.input[k[:, None] + apart - 1 - lags].reshape(k.size, lags.size * part.input.shape[1])
+    u = np.hstack((u, np.ones((k.size, 1))))
+    changes = np.concatenate(([0], np.cumsum(part.mode[1:] != part.mode[:-1])))
+    own = np.isfinite(np.hstack((y, z, u))).all(axis=1)
+    own &= changes[k + apart] == changes[k - before]
+    return part.mode[k][own], y[own], z[own], u[own]
+
+
+def _past_transition(
+    now: Float[np.ndarray, "row p"], past: Float[np.ndarray, "row n"], shape: Embedding
+) -> Float[np.ndarray, "n n"]:
+    """M, by which z_k becomes z_{k+q}."""
+    M = np.eye(past.shape[1], k=-1)
+    for j, row in enumerate(shape.C.argmax(axis=1)):
+        both = np.column_stack((past, now[:, j]))
+        least = np.linalg.svd(both, full_matrices=False)[2][-1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            M[row] = -least[:-1] / least[-1]
+    return M
+
+
+def _in_chains(F: Float[np.ndarray, "n n"], shape: Embedding) -> Float[np.ndarray, "n n"]:
+    """F, of states that begin with outputs, in the states of the embedding."""
+    powers = [np.linalg.matrix_power(F, a) for a in range(max(shape.order))]
+    T = np.array([shape.C[j] @ powers[a] for j, n in enumerate(shape.order) for a in range(n)])
+    A = shape.shift()
+    A[shape.last] = np.linalg.lstsq(T.T, (T @ F)[shape.last].T, rcond=1e-12)[0].T
+    return A
 
 
 def begins_of(log: NoisyLog, guess: Guess) -> list[np.ndarray]:

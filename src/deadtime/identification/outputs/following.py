@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Part
-from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.smoother import FilterModel, filtered, smoothed
+from deadtime.identification.parameters import Vector, Window
 
 _MOST = 10_000  # samples of a long log whose states are looked at
 
@@ -26,21 +26,13 @@ class Following(NamedTuple):
     free: Float[np.ndarray, "sample n"]
 
 
-def following(
-    log: NoisyLog,
-    vector: Float[np.ndarray, " size"],
-    part: Part,
-    window: tuple[float, float],
-) -> Following:
+def following(log: NoisyLog, vector: Vector, part: Part, window: Window) -> Following:
     """States of a part by the likeliest plant."""
     own = replace(log, recording=log.recording._replace(parts=(part,)))
-    starts = own.starts(*window)
-    (start,), periods = starts, own.periods(vector, part, starts[0])
-    model = FilterModel.of(own, vector, periods)
-    found = filtered(part.output, start, periods.kind, periods.added, model)
-    states = smoothed(found, start, periods.kind, model)
+    (start,) = starts = own.starts(*window)
+    one_ahead, states, periods = own.filter(vector, starts).states(0)
     known = ~start & (np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n)
-    ahead = np.where(known[:, None], found.state, np.nan)
+    ahead = np.where(known[:, None], one_ahead, np.nan)
     free = np.full(states.shape, np.nan)
     for k in np.flatnonzero(~start).tolist():
         before = free[k - 1] if np.isfinite(free[k - 1]).all() else states[k - 1]
@@ -48,9 +40,7 @@ def following(
     return Following(np.where(known[:, None], states, np.nan), ahead, free)
 
 
-def largest_of(
-    log: NoisyLog, vector: Float[np.ndarray, " size"], window: tuple[float, float]
-) -> Float[np.ndarray, " n"]:
+def largest_of(log: NoisyLog, vector: Vector, window: Window) -> Float[np.ndarray, " n"]:
     """The largest |x| of every state; of a long log in stretches from all over it."""
     parts = log.recording.stretches(_MOST, log.recording.lag(window[1])).parts
     states = np.vstack([following(log, vector, part, window).states for part in parts])

@@ -2,39 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.estimate import Estimate
+from deadtime.identification.estimate import Estimate, IdentifiedLog
 from deadtime.identification.levels import near_zero
-from deadtime.identification.log.logged_modes import fit_switching
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.log.logged_states import fit_switching
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.noise import estimated_of, start_beside
-from deadtime.identification.outputs.chosen import Chosen, OutputsRequest, chosen_of, worthier
-from deadtime.identification.outputs.doubts import hardly_tells, order_too_high, zeros_in_doubt
+from deadtime.identification.outputs.chosen import (
+    Chosen,
+    OutputsRequest,
+    chosen_of,
+    hardly_tells,
+    order_too_high,
+    worthier,
+    zeros_in_doubt,
+)
 from deadtime.identification.outputs.other_delays import with_others
-from deadtime.identification.outputs.output_orders import order_of, state_names
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.uneven import nodes_for
-from deadtime.switching import SwitchingModel
 
-
-class FromOutputs(NamedTuple):
-    """What `Identification.of` takes, and what else there is to say."""
-
-    estimate: Estimate
-    model: SwitchingModel | None
-    why: str
-    C: Float[np.ndarray, "p n"]
-    states: tuple[str, ...]
-    sentences: tuple[str, ...]
-    doubts: tuple[str, ...]
+_MOST = 12  # states in all
 
 
 def identify_outputs(
@@ -42,10 +37,10 @@ def identify_outputs(
     order: int | Sequence[int],
     zeros: bool | None,
     per_mode: bool,
-    bounds: tuple[float, float],
+    bounds: Window,
     within: bool,
     progress: Callable[[str], None],
-) -> FromOutputs:
+) -> IdentifiedLog:
     """The likeliest plant with so many states of each output."""
     given = order_of(order, recording.outputs)
     _require_moving(recording)
@@ -61,7 +56,8 @@ def identify_outputs(
     said = high or others or unsure
     doubts = ("a smaller order explains the log better",) if high else ()
     doubts += ("the log hardly tells on which states inputs act",) if unsure else ()
-    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said), doubts)
+    given = found, found.log.recording, *fit_switching(recording), shape.C, names
+    return IdentifiedLog(*given, tuple(said), doubts)
 
 
 def _require_moving(recording: Recording) -> None:
@@ -109,3 +105,73 @@ def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, Chosen]:
         return estimated_of(log, top, window, start), chosen
     except ArgumentError as error:
         raise ArgumentError(" ".join((str(error), *order_too_high(request, chosen)))) from None
+
+
+def order_of(order: Any, outputs: tuple[str, ...]) -> tuple[int, ...]:
+    """How many states each output has; one number is that of every output.
+
+    Examples
+    --------
+    >>> order_of(2, ("position", "angle")), order_of((2, 1), ("position", "heat"))
+    ((2, 2), (2, 1))
+    """
+    several = isinstance(order, Iterable) and not isinstance(order, str)
+    given: list[Any] = list(order) if several else [order] * len(outputs)
+    whole = [isinstance(one, int | np.integer) and not isinstance(one, bool) for one in given]
+    if not given or not all(whole) or min(given) < 1 or sum(given) > _MOST:
+        raise ArgumentError(
+            "order must be how many states each output has, such as 2 for a position, or (2, 1), "
+            f"at least 1 each and {_MOST} in all, got {brief(order)}."
+        )
+    if len(given) != len(outputs):
+        raise ArgumentError(
+            f"order must have a number for each output, {len(outputs)} ({', '.join(outputs)}), "
+            f"got {len(given)}: {brief(order)}."
+        )
+    return tuple(int(one) for one in given)
+
+
+def is_states(order: Any, outputs: tuple[str, ...]) -> bool:
+    """Whether outputs are the states: one of each."""
+    return set(order_of(order, outputs)) == {1}
+
+
+def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
+    """Refuse what outputs alone are not identified with."""
+    if C is not None:
+        raise ArgumentError(
+            "C must be left out beside order: the states are chosen so that outputs are the first "
+            "of each chain."
+        )
+    if noise is False:
+        raise ArgumentError(
+            "noise must not be False with order: from outputs alone noise of the sensors is always "
+            "estimated. Leave it out."
+        )
+    if hidden:
+        raise ArgumentError(
+            "modes must be logged where order is given, got a number of hidden ones: they are told "
+            "from all states alone. Log the mode, or all states; of one mode say modes=None, "
+            "--one-mode."
+        )
+
+
+def state_names(
+    outputs: tuple[str, ...], order: tuple[int, ...], numbered: bool
+) -> tuple[str, ...]:
+    """What states are called: outputs and primes for their derivatives, or numbers.
+
+    Examples
+    --------
+    >>> state_names(("position", "heat"), (3, 1), False)
+    ('position', "position'", "position''", 'heat')
+    >>> state_names(("position",), (2,), True)
+    ('position', 'position (2)')
+    """
+    names = []
+    for name, count in zip(outputs, order, strict=True):
+        more = [
+            f"{name} ({k + 1})" if numbered else f"{name}{chr(39) * k}" for k in range(1, count)
+        ]
+        names += [name, *more]
+    return tuple(names)

@@ -25,8 +25,9 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.noisy_log import NoisyLog
+from deadtime.identification.parameters import Vector
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.transition import plain_transitions
 
@@ -34,7 +35,7 @@ _PARTS = 32  # of a period
 _SAME = 2.0  # standard errors, and parts of a period: a delay so near is no other one
 
 
-def others_of(log: NoisyLog, theta: Float[np.ndarray, " size"]) -> list[np.ndarray]:
+def others_of(log: NoisyLog, theta: Vector) -> list[np.ndarray]:
     """Vectors with another delay and other weights, of nearly the same pulses; none if uneven."""
     shape, layout, h = log.embedding, log.layout, log.recording.step
     assert shape is not None

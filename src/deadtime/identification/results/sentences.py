@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.identifiability import counts_milliseconds, reasons
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise_intervals import sensor_intervals
-from deadtime.identification.untold import counts_milliseconds, reasons
 
 _EDGE = 1e-6  # of the range searched
 _SINGULAR = 1e8  # a condition of A: such a mode, as an integrator, has no rest of its own
@@ -222,7 +221,7 @@ def _apart(found: Estimate, recording: Recording, rest: Rest, states: tuple[str,
 def _noise(found: Estimate) -> list[str]:
     if not found.noise.any():
         return ["Measurements are taken as exact, and all noise as the plant's."]
-    each = zip(found.noise.tolist(), sensor_intervals(found), strict=True)
+    each = zip(found.noise.tolist(), found.sensor_intervals, strict=True)
     deviations = [
         amount(v) if low > 0.0 else f"less than {amount(high)}" for v, (low, high) in each
     ]

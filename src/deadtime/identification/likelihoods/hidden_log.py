@@ -15,39 +15,41 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.frozen import Frozen
-from deadtime.identification.cells import cell_of, cells_of
-from deadtime.identification.hidden.jumps import Jumps
-from deadtime.identification.hidden.mode_periods import EvenPeriods, Posterior, UnevenPeriods
-from deadtime.identification.hidden.pooled import PooledRegression
-from deadtime.identification.hidden.regressions import rooted, rows_of_modes
-from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import LagRoots, Term, even_terms, log_density
+from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.likelihood import PlantLikelihood
+from deadtime.identification.likelihoods.mode_periods import (
+    EvenPeriods,
+    PooledRegression,
+    Posterior,
+    UnevenPeriods,
+)
+from deadtime.identification.parameters import Window, cell_of
+from deadtime.identification.regression import (
+    LagRoots,
+    Term,
+    add_score,
+    even_terms,
+    log_density,
+    rooted,
+)
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import node_columns, node_term
 
 
 @dataclass(frozen=True, eq=False)
-class HiddenLog(Frozen):
-    """The likelihood of a recording, S of every mode and the chain held.
+class HiddenLog(PlantLikelihood):
+    """The likelihood of a recording whose modes are hidden, S of every mode and the chain held.
 
-    bounds : of the delays, seconds; nodes : for predictions
     periods : those that are usable in a window of the delays
     """
 
-    recording: Recording
-    layout: Layout
-    bounds: tuple[float, float]
-    nodes: Float[np.ndarray, " node"] = field(repr=False)
     periods: EvenPeriods | UnevenPeriods = field(repr=False)
     S: Float[np.ndarray, "mode n n"]
     jumps: Jumps
 
-    @property
-    def within(self) -> bool:
-        """Whether the mode may change within periods."""
-        return self.periods.within
+    def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenLog:
+        """With modes in another order."""
+        return replace(self, S=self.S[order], jumps=self.jumps.ordered(order))
 
     def over(self, low: float, high: float) -> HiddenLog:
         """The likelihood of the periods that are usable for delays between two, seconds."""
@@ -62,22 +64,13 @@ class HiddenLog(Frozen):
         return replace(self, periods=EvenPeriods.of(old.parts, first, last, pooled, old.constant))
 
     @property
-    def window(self) -> tuple[float, float]:
+    def window(self) -> Window:
         """The range of delays that the periods are usable for."""
         h, periods = self.recording.step, self.periods
         if isinstance(periods, UnevenPeriods):
             return periods.low, periods.high
         ends = (periods.first - 1) * h, periods.last * h
         return max(self.bounds[0], ends[0]), min(self.bounds[1], ends[1])
-
-    def cells(self, theta: Float[np.ndarray, " size"]) -> Int[np.ndarray, " delay"]:
-        """The cells that delays lie in."""
-        return cells_of(theta[self.layout.at_delays], self.recording.step)
-
-    @property
-    def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """What bounds unknowns, delays aside: nothing."""
-        return np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
 
     def _cut(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> list[Term]:
         """The regressions' matrices, of no rows yet."""
@@ -111,7 +104,7 @@ class HiddenLog(Frozen):
     def rows(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> list[np.ndarray]:
         """The rows of every mode's regression: all usable periods, as if they were of it."""
         if not isinstance(self.periods, UnevenPeriods):
-            return rows_of_modes(self.periods, self.layout.spread(cells))
+            return self.periods.rows_of_modes(self.layout.spread(cells))
         _, _, delays = self.layout.split(theta)
         if not self.layout.per_mode:
             return [self.periods.rows(delays[0], self.nodes)] * self.layout.modes
@@ -149,15 +142,10 @@ class HiddenLog(Frozen):
                 return Evaluation(-np.inf, score, np.eye(size))
             terms, found = self.weighted(theta, cells)
             for term, S in zip(terms, self.S, strict=True):
-                n, L = len(S), np.linalg.cholesky(S)
-                r = term.root[:, n:]
-                white = np.linalg.solve(L, (term.root[:, :n] - r @ term.P.T).T)
-                moved = np.linalg.solve(L, term.by_P @ r.T).reshape(len(term.place), -1)
-                score[term.place] += moved @ white.ravel()
-                information[np.ix_(term.place, term.place)] += moved @ moved.T
+                e = term.root[:, : len(S)] - term.root[:, len(S) :] @ term.P.T
+                add_score(term, e, np.linalg.cholesky(S), score, information)
         return Evaluation(found.value, score, information)
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
-        """The likelihood for delays between two, seconds, in cells of theirs."""
         log = self.over(low, high)
         return lambda cells: lambda theta: log.evaluate(theta, cells)

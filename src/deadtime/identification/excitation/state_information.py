@@ -1,6 +1,14 @@
-"""Information of a log whose sensors are noisy: that of the innovations of Kalman's filter.
+"""Information of a log, of states that are measured with noise or without.
 
-Of y_k = x_k + v_k, v ~ N(0, V), the filter's innovations e_k are white, N(0, S_k), so that
+Without noise S_σ, what noise adds in a period, is not tied to the unknowns θ: then
+
+    F = Σ_k E[(∂P z_k)ᵀ S⁻¹ (∂P z_k)],    x_{k+1} = P_σ(θ) z_k + w_k,
+
+exactly. E z zᵀ = z̄ z̄ᵀ + Cov z: the first part is what the inputs do, the second what noise does,
+whatever the inputs.
+
+With noisy sensors it is that of the innovations of Kalman's filter. Of y_k = x_k + v_k,
+v ~ N(0, V), these are white, e_k ~ N(0, S_k), so that
 
     F = Σ_k E[∂e_kᵀ S_k⁻¹ ∂e_k] + ½ tr(S_k⁻¹ ∂S_k S_k⁻¹ ∂S_k).
 
@@ -17,7 +25,7 @@ their part is taken out for good (Schur's complement).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,11 +33,90 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
-from deadtime.identification.excitation.exact_states import Pullback
 from deadtime.identification.excitation.excited_loop import Chain
-from deadtime.identification.excitation.noise_tables import NoiseTables
+from deadtime.identification.intervals import left_of
+from deadtime.identification.likelihoods.switched_filter import noise_tables
+from deadtime.identification.parameters import Layout
 
-_UNSEEN = 1e-12  # of an eigenvalue of the noise's information, scaled to a diagonal of ones
+Pullback = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class ExactStates(Frozen):
+    """F by means z̄ of what acts in every period.
+
+    white : of every mode ∂P in units of its noise; place : whose they are, of `size` unknowns
+    rows : the periods that count, of every mode; random : Σ Cov z over them
+    """
+
+    white: list[Float[np.ndarray, "own n z"]]
+    place: list[Int[np.ndarray, " own"]]
+    rows: list[Int[np.ndarray, " row"]]
+    random: Float[np.ndarray, "mode z z"]
+    size: int
+
+    @classmethod
+    def of(cls, chain: Chain, used: Bool[np.ndarray, " sample"], size: int) -> ExactStates:
+        """Those of a chain, over the periods that an identification uses."""
+        roots = np.linalg.cholesky(chain.S)
+        white = [np.linalg.solve(L, one) for L, one in zip(roots, chain.by_P, strict=True)]
+        rows = [np.flatnonzero(used & (chain.mode == i)) for i in range(len(white))]
+        random = np.zeros((len(white), *chain.Z.shape[1:2] * 2))
+        for k, now in enumerate(chain.covariances()):
+            if used[k]:
+                Z = chain.Z[chain.kind[k]][:, : len(now)]
+                random[chain.mode[k]] += Z @ now @ Z.T
+        return cls(white, chain.place, rows, random, size)
+
+    def information(
+        self, z: Float[np.ndarray, "sample z"]
+    ) -> tuple[Float[np.ndarray, "size size"], Pullback]:
+        """F, and the map from a derivative by F to one by z̄."""
+        F = np.zeros((self.size, self.size))
+        every = list(zip(self.white, self.place, self.rows, strict=True))
+        for i, (white, place, own) in enumerate(every):
+            moved = white @ (z[own].T @ z[own] + self.random[i])
+            F[np.ix_(place, place)] += np.einsum("anz,bnz->ab", moved, white)
+
+        def back(by_F: np.ndarray) -> np.ndarray:
+            of_z = np.zeros(z.shape)
+            for white, place, own in every:
+                theta = np.einsum("ab,anz,bny->zy", by_F[np.ix_(place, place)], white, white)
+                of_z[own] = 2.0 * z[own] @ theta
+            return of_z
+
+        return F, back
+
+
+class NoiseTables(NamedTuple):
+    """Q of every mode; `wide`, the unknowns that it or a sensor depends on; of_Q by those.
+
+    Unknowns behind the plant's are the lower triangle of L, its diagonal by its logarithm, then
+    the logarithms of the sensors' standard deviations.
+    """
+
+    Q: Float[np.ndarray, "mode n n"]
+    wide: Int[np.ndarray, " q"]
+    of_Q: Float[np.ndarray, "mode q n n"]
+
+    @classmethod
+    def of(
+        cls,
+        layout: Layout,
+        A: Float[np.ndarray, "mode n n"],
+        L: Float[np.ndarray, "n n"],
+        step: float,
+    ) -> NoiseTables:
+        """Those of periods of `step` seconds, with one W for all modes."""
+        n, square = layout.n, layout.n**2
+        triangle = n * (n + 1) // 2
+        wide = np.append(layout.of_A.ravel(), layout.size + np.arange(triangle + n))
+        Q, of_Q = np.empty(A.shape), np.zeros((layout.modes, wide.size, n, n))
+        of_L = layout.modes * square + np.arange(triangle)
+        for i in range(layout.modes):
+            (Q[i],), (by_Q,) = noise_tables(A[i], L, np.array([step]))
+            of_Q[i, i * square : (i + 1) * square], of_Q[i, of_L] = np.split(by_Q, [square])
+        return cls(Q, wide, of_Q)
 
 
 class FilterSample(NamedTuple):
@@ -88,7 +175,7 @@ class NoisyStates(Frozen):
                 carried[k] = chain.P[chain.mode[k], :, :n] @ (np.eye(n) - one.K)
                 joint = joint.after(k, one, carried[k])
         rows = [np.flatnonzero(used & (chain.mode == i)) for i in range(len(chain.S))]
-        return cls(white, carried, chain.by_P, chain.place, rows, _without_noise(F, size))
+        return cls(white, carried, chain.by_P, chain.place, rows, left_of(F, np.arange(size)))
 
     def information(
         self, z: Float[np.ndarray, "sample z"]
@@ -200,12 +287,3 @@ class _Joint(NamedTuple):
         by_e = np.vstack((of_xi, of_eta.reshape(-1, n)))
         covariance = over(over(self.covariance).T) + by_e @ one.S @ by_e.T
         return self._replace(covariance=covariance)
-
-
-def _without_noise(F: Float[np.ndarray, "all all"], size: int) -> Float[np.ndarray, "size size"]:
-    """The information that is left where noise is unknown, too."""
-    unit = np.sqrt(np.diagonal(F)[size:])
-    unit = np.divide(1.0, unit, out=np.zeros(unit.size), where=unit > 0.0)
-    noise = F[size:, size:] * unit[:, None] * unit
-    across = F[:size, size:] * unit
-    return F[:size, :size] - across @ np.linalg.pinv(noise, _UNSEEN, hermitian=True) @ across.T

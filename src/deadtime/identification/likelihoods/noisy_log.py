@@ -9,12 +9,13 @@ foretell, and the variance s of that,
     log L = −½ Σ (log 2π s + e²/s),
     score = Σ (∂s (e²/s − 1)/2 − e ∂e)/s,    F = Σ (∂s²/2s² + ∂e²/s).
 
-The filter carries ∂e and ∂s along with e and s (`filtering`).
+The filter carries ∂e and ∂s along with e and s (`switched_filter`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -23,24 +24,24 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.base.frozen import Frozen
-from deadtime.identification.cells import cells_of
-from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.embedding import Embedding
-from deadtime.identification.noisy.filter_periods import (
-    FilterPeriods,
-    PeriodsOf,
-    even_periods,
-    uneven_periods,
+from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.likelihoods.switched_filter import (
+    Places,
+    Sensors,
+    SwitchedKalmanFilter,
+    periods_of,
 )
-from deadtime.identification.noisy.filtering import Filtered, Places, Sensors, evaluated, filtered
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Vector
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
 _UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _STRIDE = 1.5  # of a noise's logarithm
+
+
+Starts = list[np.ndarray]  # of every part, which of its samples nothing leads to
 
 
 class NoiseLevels(NamedTuple):
@@ -51,25 +52,20 @@ class NoiseLevels(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class NoisyLog(Frozen):
-    """The likelihood of a recording with measurement noise.
+class SensorLikelihood(Likelihood):
+    """A likelihood in the unknowns of a plant, of its noise, and of the noise of sensors.
 
     Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, the logarithms of its
     diagonal, and those of the sensors' standard deviations. With an `embedding` the states are
     those that outputs alone have, and some of the vector is known.
     """
 
-    recording: Recording
-    layout: Layout
     C: Float[np.ndarray, "p n"]
-    within: bool
-    bounds: tuple[float, float]
-    nodes: Float[np.ndarray, " node"]
     embedding: Embedding | None = None
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """What bounds unknowns, delays aside: noise is within 1e-12 … 1e6 of what is measured."""
+        # Noise is within 1e-6 … 1e6 of what is measured.
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         at = self.logarithms
         size = 0.5 * np.log(np.diagonal(self.P0) / _VAGUE)
@@ -79,19 +75,6 @@ class NoisyLog(Frozen):
             places, values = self.embedding.known(self.layout)
             low[places], high[places] = values, values
         return low, high
-
-    def stride(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
-        """The longest step of each unknown: the information on noise of next to nothing is none.
-
-        Where W of 0 is likeliest, log L falls as W = L Lᵀ grows: linearly in W, so by a square of
-        L's rows, of which the information, of second order in W, says nothing. A stride of a
-        row's own size is that curvature.
-        """
-        stride = np.full(self.size, np.inf)
-        of_L = slice(self.layout.size, self.size - len(self.C))
-        stride[of_L] = self.unit(vector)[of_L]
-        stride[self.logarithms] = _STRIDE
-        return stride
 
     @property
     def logarithms(self) -> Int[np.ndarray, " log"]:
@@ -108,31 +91,12 @@ class NoisyLog(Frozen):
             free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
         return read_only(free)
 
-    def told(
-        self, vector: Float[np.ndarray, " size"], F: Float[np.ndarray, "size size"]
-    ) -> Int[np.ndarray, " told"]:
-        """Those of them that an information is of: noise that is next to nothing is not told."""
+    def told(self, vector: Vector, F: Float[np.ndarray, "size size"]) -> Int[np.ndarray, " told"]:
+        # Noise that is next to nothing is not told.
         free, told = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNTOLD
         return free[(free < self.layout.size) | told[free]]
 
-    def initial(self, starts: list[np.ndarray]) -> list[Bool[np.ndarray, "sample p"]]:
-        """The measurements of every part that are left out: see `Embedding.initial`."""
-        parts = self.recording.parts
-        if self.embedding is None:
-            return [np.zeros(part.output.shape, bool) for part in parts]
-        given = zip(parts, starts, strict=True)
-        return [self.embedding.initial(part.output, start) for part, start in given]
-
-    def measured(self, starts: list[np.ndarray]) -> int:
-        """How many measurements the likelihood is of."""
-        every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
-        return every - sum(int(one.sum()) for one in self.initial(starts))
-
-    def cells(self, theta: np.ndarray) -> np.ndarray:
-        """The cells that delays lie in."""
-        return cells_of(theta[self.layout.at_delays], self.recording.step)
-
-    def starts(self, low: float, high: float) -> list[Bool[np.ndarray, " sample"]]:
+    def starts(self, low: float, high: float) -> Starts:
         """The samples before which nothing is known, for delays between two; of every part."""
         starts = []
         for part in self.recording.parts:
@@ -153,6 +117,12 @@ class NoisyLog(Frozen):
         return read_only(_VAGUE * size * np.eye(self.layout.n))
 
     @property
+    def acting(self) -> Int[np.ndarray, " row"]:
+        """The states that inputs act on."""
+        shape = self.embedding
+        return np.arange(self.layout.n) if shape is None or shape.zeros else shape.last
+
+    @property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the triangle of L."""
         return np.tril_indices(self.layout.n)
@@ -162,26 +132,26 @@ class NoisyLog(Frozen):
         """How many unknowns there are."""
         return self.layout.size + self.places[0].size + len(self.C)
 
-    def join(self, theta: np.ndarray, noise: NoiseLevels) -> Float[np.ndarray, " size"]:
+    def join(self, theta: np.ndarray, noise: NoiseLevels) -> Vector:
         """The vector of a plant's unknowns and its noise."""
         L = np.linalg.cholesky(noise.W)
         i, j = self.places
         lower = np.where(i == j, np.log(np.abs(np.where(i == j, L[i, j], 1.0))), L[i, j])
         return np.concatenate((theta, lower, np.log(noise.deviation)))
 
-    def noise(self, vector: Float[np.ndarray, " size"]) -> NoiseLevels:
+    def noise(self, vector: Vector) -> NoiseLevels:
         """W and the deviations of a vector."""
         L = self.root(vector)
         return NoiseLevels(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
 
-    def unit(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def unit(self, vector: Vector) -> Vector:
         """What unknowns of the noise are of: 1, but of L the deviation of their row."""
         unit, (i, j) = np.ones(self.size), self.places
         row = np.sqrt(np.diagonal(self.noise(vector).W))[i]
         unit[self.layout.size : self.layout.size + i.size] = np.where(i == j, 1.0, row)
         return unit
 
-    def root(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, "n n"]:
+    def root(self, vector: Vector) -> Float[np.ndarray, "n n"]:
         """L of a vector, W = L Lᵀ."""
         i, j = self.places
         lower = vector[self.layout.size : self.layout.size + i.size]
@@ -189,62 +159,78 @@ class NoisyLog(Frozen):
         L[i, j] = np.where(i == j, np.exp(np.where(i == j, lower, 0.0)), lower)
         return L
 
-    def innovations(
-        self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    @abstractmethod
+    def evaluate(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> Evaluation:
+        """The log likelihood, its score and information; of an even log in cells of delays."""
+
+    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
+        starts = self.starts(low, high)
+        return lambda cells: lambda vector: self.evaluate(vector, starts, cells)
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyLog(SensorLikelihood):
+    """The likelihood of a recording with measurement noise, its modes known."""
+
+    def stride(self, vector: Vector) -> Vector:
+        """The longest steps: the information on noise of next to nothing is none.
+
+        Where W of 0 is likeliest, log L falls as W = L Lᵀ grows: linearly in W, so by a square of
+        L's rows, of which the information, of second order in W, says nothing. A stride of a
+        row's own size is that curvature.
+        """
+        stride = np.full(self.size, np.inf)
+        of_L = slice(self.layout.size, self.size - len(self.C))
+        stride[of_L] = self.unit(vector)[of_L]
+        stride[self.logarithms] = _STRIDE
+        return stride
+
+    def initial(self, starts: Starts) -> list[Bool[np.ndarray, "sample p"]]:
+        """The measurements of every part that are left out: see `Embedding.initial`."""
+        parts = self.recording.parts
+        if self.embedding is None:
+            return [np.zeros(part.output.shape, bool) for part in parts]
+        given = zip(parts, starts, strict=True)
+        return [self.embedding.initial(part.output, start) for part, start in given]
+
+    def measured(self, starts: Starts) -> int:
+        """How many measurements the likelihood is of."""
+        every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
+        return every - sum(int(one.sum()) for one in self.initial(starts))
+
+    def filter(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> SwitchedKalmanFilter:
+        """The filter over all parts; of an even log in cells of delays, by default their own."""
+        theta = vector[: self.layout.size]
+        own = self.cells(theta) if cells is None else cells
+        given = self.recording, self.layout, theta, self.root(vector), own, self.nodes
+        sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
+        left_out = self.initial(starts)
+        return SwitchedKalmanFilter(
+            self.recording.parts, starts, left_out, periods_of(*given), sensors
+        )
+
+    def innovations(self, vector: Vector, starts: Starts) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
-        blocks = self._filtered(vector, starts, None, Places.none(self.layout.modes))
+        blocks = self.filter(vector, starts).innovations(Places.none(self.layout.modes))
         found = [(block.e, block.s) for block in blocks]
         return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
 
-    def value(self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]) -> float:
+    def value(self, vector: Vector, starts: Starts) -> float:
         """The log likelihood."""
-        places = Places.none(self.layout.modes)
-        return evaluated(self._filtered(vector, starts, None, places), places).value
+        return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
 
     def evaluate(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: list[np.ndarray],
-        cells: np.ndarray | None = None,
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
     ) -> Evaluation:
-        """The log likelihood, its score and information; of an even log in cells of delays."""
         free = self.free
         places = Places.of(self.layout, len(self.C), free)
         with np.errstate(all="ignore"):
-            found = evaluated(self._filtered(vector, starts, cells, places), places)
+            found = self.filter(vector, starts, cells).evaluate(places)
         score, information = np.zeros(self.size), np.zeros((self.size, self.size))
         score[free], information[np.ix_(free, free)] = found.score, found.information
         known = np.isfinite(score).all() and np.isfinite(information).all()
         return Evaluation(found.value if known else -np.inf, score, information)
-
-    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
-        """The likelihood for delays between two, seconds; of an even log in cells of theirs."""
-        starts = self.starts(low, high)
-        return lambda cells: lambda vector: self.evaluate(vector, starts, cells)
-
-    def _filtered(
-        self,
-        vector: Float[np.ndarray, " size"],
-        starts: list[np.ndarray],
-        cells: np.ndarray | None,
-        places: Places,
-    ) -> Iterator[Filtered]:
-        """The filter over all parts."""
-        sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
-        left_out, periods_of = self.initial(starts), self._periods_of(vector, cells)
-        return filtered(self.recording.parts, starts, left_out, periods_of, sensors, places)
-
-    def periods(
-        self, vector: Float[np.ndarray, " size"], part: Part, start: Bool[np.ndarray, " sample"]
-    ) -> FilterPeriods:
-        """What leads to each sample of a part but those that begin anew."""
-        return self._periods_of(vector, None)(part, np.arange(start.size), start)
-
-    def _periods_of(self, vector: np.ndarray, cells: np.ndarray | None) -> PeriodsOf:
-        """What leads to samples; of an even log in cells of delays, by default their own."""
-        layout, theta, L = self.layout, vector[: self.layout.size], self.root(vector)
-        if not self.recording.even:
-            return uneven_periods(layout, theta, L, self.nodes)
-        own = self.cells(theta) if cells is None else cells
-        return even_periods(layout, theta, L, layout.spread(own), self.recording.step)

@@ -2,8 +2,9 @@
 
 In each mode a period is normal about what the mode foretells, e = x_{k+1} − P_i r_k ~ N(0, S_i).
 With a `pooled` model the mode may change at any time: a period that begins and ends in other modes
-has the density of that, in which no unknown is. Without it the mode of a row holds for its period.
-A period of which something is missing says nothing, and the chain goes on.
+has the density of that, one model for all modes. No unknown is in it, so that such periods tell
+where a switch was and nothing of the plant, as where modes are logged. Without it the mode of a row
+holds for its period. A period of which something is missing says nothing, and the chain goes on.
 """
 
 from __future__ import annotations
@@ -18,12 +19,65 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
-from deadtime.identification.hidden.chain import likeliest, smooth
-from deadtime.identification.hidden.jumps import Counts, Jumps
-from deadtime.identification.hidden.pooled import Pooled, PooledPlant, PooledRegression, cell_rows
+from deadtime.identification.likelihoods.chain import likeliest, smooth
+from deadtime.identification.likelihoods.jumps import Counts, Jumps
 from deadtime.identification.log.recording import Part
-from deadtime.identification.regression import rows_of
+from deadtime.identification.regression import log_density, rows_of
+from deadtime.identification.transition import plain_transitions
 from deadtime.identification.uneven import node_rows, usable
+
+
+class PooledRegression(NamedTuple):
+    """Of even rows a regression, in the cells that its inputs have, (m,).
+
+    constant : whether its last column is a constant term's
+    """
+
+    P: Float[np.ndarray, "n r"]
+    S: Float[np.ndarray, "n n"]
+    cells: Int[np.ndarray, " m"]
+    constant: bool
+
+    def density(self, part: Part, k: Int[np.ndarray, " period"]) -> Float[np.ndarray, " period"]:
+        """The log density of periods k of a part."""
+        return log_density(cell_rows(part, k, self.cells, self.constant), self.P, self.S)
+
+
+class PooledPlant(NamedTuple):
+    """Of uneven rows a plant of one mode: A, B (with a constant term as its last column), delays.
+
+    S : what a period of `step` adds
+    """
+
+    A: Float[np.ndarray, "n n"]
+    B: Float[np.ndarray, "n acting"]
+    delays: Float[np.ndarray, " m"]
+    S: Float[np.ndarray, "n n"]
+    nodes: Float[np.ndarray, " node"]
+    step: float
+
+    def density(self, part: Part, k: Int[np.ndarray, " period"]) -> Float[np.ndarray, " period"]:
+        """The log density of periods k of a part."""
+        n, m, count = len(self.A), self.delays.size, self.nodes.size
+        constant = self.B.shape[1] > m
+        z = node_rows(part, k, self.delays, self.nodes, self.step, constant)
+        Phi, W = plain_transitions(self.A[None], self.nodes)
+        flat = (np.moveaxis(one[0], 0, 1).reshape(n, -1) for one in (Phi, W @ self.B))
+        P = np.hstack((*flat, np.zeros((n, count * m))))
+        return log_density(z, P, self.S)
+
+
+Pooled = PooledRegression | PooledPlant
+
+
+def cell_rows(
+    part: Part, k: Int[np.ndarray, " period"], cells: Int[np.ndarray, " m"], constant: bool
+) -> Float[np.ndarray, "period z"]:
+    """z = (x_{k+1}, x_k, u_{k−N}, u_{k−N+1}), N the cell of each input; and 1 for a constant."""
+    column = np.arange(cells.size)
+    read = [part.input[np.maximum(k[:, None] - lag, 0), column] for lag in (cells, cells - 1)]
+    ones = np.ones((k.size, int(constant)))
+    return np.hstack((part.output[k + 1], part.output[k], *read, ones))
 
 
 class Posterior(NamedTuple):
@@ -126,6 +180,12 @@ class EvenPeriods(Periods):
         """The rows of `cell_rows`."""
         each = zip(self.parts, self.usable, strict=True)
         return np.vstack([cell_rows(part, k, cells, self.constant) for part, k in each])
+
+    def rows_of_modes(self, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:
+        """The rows of each mode, shared where cells are the same."""
+        kept = {own.tobytes(): own for own in cells}
+        rows = {key: self.rows(own) for key, own in kept.items()}
+        return [rows[own.tobytes()] for own in cells]
 
 
 @dataclass(frozen=True, eq=False)
