@@ -27,7 +27,8 @@ class Words(ISpawnableSeedSequence):
     """What a generator of NumPy's begins from: words of Philox with the key (seed, purpose)."""
 
     def __init__(self, seed: int, *purpose: str | int) -> None:
-        self.seed, self.purpose = seed, purpose
+        self.seed, self.spawned = int(seed), 0
+        self.purpose = (*(part if isinstance(part, str) else int(part) for part in purpose),)
 
     @property
     def key(self) -> tuple[int, int]:
@@ -40,8 +41,9 @@ class Words(ISpawnableSeedSequence):
             raise ArgumentError("dtype must be uint64: these words are for PCG64 and Philox.")
         return np.random.Philox(key=np.array(self.key, np.uint64)).random_raw(n_words)
 
-    def spawn(self, n_children: int) -> list[Words]:
-        return [Words(self.seed, *self.purpose, i) for i in range(n_children)]
+    def spawn(self, n_children: int) -> list[ISpawnableSeedSequence]:
+        first, self.spawned = self.spawned, self.spawned + n_children
+        return [Words(self.seed, *self.purpose, i) for i in range(first, self.spawned)]
 
 
 def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Generator:
@@ -56,7 +58,8 @@ def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Gen
     >>> stream(1, "Noise").random() == stream(1, "Dropout").random()
     False
     """
-    return np.random.default_rng(Words(seed, name, index, *spawned))
+    words = Words(seed, name, index, *spawned)
+    return np.random.Generator(np.random.PCG64(words))  # pyright: ignore[reportArgumentType]
 
 
 def key_of(seed: int) -> UInt64[np.ndarray, 2]:
