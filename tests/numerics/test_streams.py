@@ -39,6 +39,13 @@ def test_seeds_beyond_a_word_have_streams_of_their_own_and_words_are_those_of_64
         np.random.MT19937(Words(5, "Noise"))
 
 
+def test_streams_that_are_spawned_one_after_the_other_differ():
+    rng = stream(5, "Noise")
+    firsts = [one.random() for count in (1, 2, 1) for one in rng.spawn(count)]
+    assert len(set(firsts)) == 4
+    assert firsts == [stream(5, "Noise", 0, i).random() for i in range(4)]
+
+
 def test_numbers_of_neighbouring_streams_are_uncorrelated():
     table = np.stack([stream(3, "Noise", index).random(2000) for index in range(20)])
     assert stats.kstest(table.ravel(), stats.uniform.cdf).pvalue > 0.01

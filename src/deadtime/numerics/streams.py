@@ -10,7 +10,6 @@ NumPy's, for few numbers, and `deadtime.numerics.philox` gives the same ones com
 from __future__ import annotations
 
 from hashlib import blake2b
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt64
@@ -28,7 +27,8 @@ class Words(ISpawnableSeedSequence):
     """What a generator of NumPy's begins from: words of Philox with the key (seed, purpose)."""
 
     def __init__(self, seed: int, *purpose: str | int) -> None:
-        self.seed, self.purpose = seed, purpose
+        self.seed, self.spawned = int(seed), 0
+        self.purpose = (*(part if isinstance(part, str) else int(part) for part in purpose),)
 
     @property
     def key(self) -> tuple[int, int]:
@@ -42,7 +42,8 @@ class Words(ISpawnableSeedSequence):
         return np.random.Philox(key=np.array(self.key, np.uint64)).random_raw(n_words)
 
     def spawn(self, n_children: int) -> list[ISpawnableSeedSequence]:
-        return [Words(self.seed, *self.purpose, i) for i in range(n_children)]
+        first, self.spawned = self.spawned, self.spawned + n_children
+        return [Words(self.seed, *self.purpose, i) for i in range(first, self.spawned)]
 
 
 def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Generator:
@@ -57,8 +58,8 @@ def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Gen
     >>> stream(1, "Noise").random() == stream(1, "Dropout").random()
     False
     """
-    words: Any = Words(seed, name, index, *spawned)
-    return np.random.default_rng(words)
+    words = Words(seed, name, index, *spawned)
+    return np.random.Generator(np.random.PCG64(words))  # pyright: ignore[reportArgumentType]
 
 
 def key_of(seed: int) -> UInt64[np.ndarray, 2]:
