@@ -193,6 +193,8 @@ def certificate(content):
     need(fits, "maximum_dwell is below dwell_time, or chatter is not 1")
     fits = all(c.follow[i] or c.maximum[i] is None or c.modes == 1 for i in range(c.modes))
     need(fits, "transitions lead nowhere from a mode that has to be left")
+    fits = c.modes == 1 or all(c.follow[i] or i in set().union(*c.follow) for i in range(c.modes))
+    need(fits, "transitions neither enter a mode nor leave it")
     c.linear = lyapunov["kind"] == "linear"
     c.averaged = not c.linear and c.chatter > 1 and c.modes > 1
     keys = "kind knots P" + " Psi S" * c.linear + " mu" * c.averaged

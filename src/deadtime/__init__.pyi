@@ -98,6 +98,7 @@ from .switching import (
     QuadraticRegions as QuadraticRegions,
     SemiMarkov as SemiMarkov,
     SignalBatch as SignalBatch,
+    SignalClass as SignalClass,
     SwitchingSignal as SwitchingSignal,
 )
 from .synthesis import (

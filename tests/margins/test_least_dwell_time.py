@@ -31,7 +31,7 @@ def test_the_least_dwell_time_of_two_modes_that_turn_lies_in_a_narrow_bracket():
     assert 2.69 <= found.refuted <= limit <= found.certified <= 2.77
     assert found.ratio == found.certified / found.refuted
     assert (found.proven, found.certificate.stable) == (True, True)
-    assert found.certificate.evidence.setting.dwell_time == pytest.approx(found.certified)
+    assert found.certificate.evidence.setting.signals.dwell_time == pytest.approx(found.certified)
     cycle = list(zip(found.witness.modes, found.witness.sojourns, strict=True))
     assert products.multiplier(TURNING, cycle) > 1.0
     assert min(found.witness.sojourns) == found.refuted

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import with_names
@@ -11,7 +10,8 @@ from deadtime.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
-    from deadtime.problems.asked import Signals
+    from deadtime.problems.asked import AskedSignals
+    from deadtime.switching import SignalClass
 
 
 class ProvedBracket(NamedTuple):
@@ -32,12 +32,9 @@ class ProvedBracket(NamedTuple):
 
 
 def least_dwell_times(
-    problem: Problem, law: str | None, signals: Mapping[str, Any], json_output: bool
+    problem: Problem, law: str | None, signals: SignalClass, mode: int | None, json_output: bool
 ) -> int:
-    """The bracket of every law, or of one; 1 if that one has none.
-
-    `signals`: what `least_dwell_time` takes of them.
-    """
+    """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
     from deadtime.problems.asked import step_of
     from deadtime.reports.tables.certificates import left_out
@@ -47,7 +44,7 @@ def least_dwell_times(
     with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
         for name, one in zip(names, laws, strict=True):
             try:
-                margin = least_dwell_time(problem.plant, one, period, **signals)
+                margin = least_dwell_time(problem.plant, one, period, dwell_time=signals, mode=mode)
                 brackets[name] = ProvedBracket(
                     *(getattr(margin, field) for field in ProvedBracket._fields)
                 )
@@ -57,11 +54,19 @@ def least_dwell_times(
                 brackets[name] = ProvedBracket(None, None, str(error))
             advance(name)
     if json_output:
-        record = about(problem, period) | for_json(signals)
+        record = about(problem, period) | for_json(signals, problem.plant.modes)
+        if mode is not None:
+            record["mode"] = mode
+        elif not isinstance(record["dwell_time"], tuple):
+            del record["dwell_time"]
         each = {name: one.record() for name, one in brackets.items()}
         print_json(record | {"least_dwell_times": each})
     else:
-        said = [f"Sampling period {period:g} s.", *_limits(signals), *left_out(problem)]
+        said = [
+            f"Sampling period {period:g} s.",
+            *_limits(signals, problem.plant.modes, mode),
+            *left_out(problem),
+        ]
         print("\n".join((problem.title, *(with_names(one, problem.modes) for one in said), "")))
         rows = [
             (
@@ -78,13 +83,14 @@ def least_dwell_times(
 
 
 def longest_mode_lags(
-    problem: Problem, law: str | None, asked: Signals, period: float, json_output: bool
+    problem: Problem, law: str | None, asked: AskedSignals, period: float, json_output: bool
 ) -> int:
     """The bracket of every law, or of one, in periods; 1 if that one has none."""
     from deadtime.margins import longest_mode_lag
     from deadtime.reports.tables.certificates import left_out
 
-    if asked.chatter > 1:
+    (dwell, source), signals = asked
+    if signals.chatter > 1:
         raise ArgumentError(
             "--longest-mode-lag is asked of a dwell time, not of an average one: give "
             "--dwell-time and --chatter 1."
@@ -94,7 +100,7 @@ def longest_mode_lags(
     with progress_bar(len(names), quiet=json_output) as advance:
         for name, one in zip(names, laws, strict=True):
             try:
-                found = longest_mode_lag(problem.plant, one, step=period, **asked.options)
+                found = longest_mode_lag(problem.plant, one, signals, period)
                 certified, refuted = found.certified_seconds, found.refuted_seconds
                 brackets[name] = ProvedBracket(certified, refuted, found.message)
             except ArgumentError as error:
@@ -103,14 +109,13 @@ def longest_mode_lags(
                 brackets[name] = ProvedBracket(None, None, str(error))
             advance(name)
     if json_output:
-        record = about(problem, period) | for_json(asked.options)
+        record = about(problem, period) | for_json(signals, problem.plant.modes)
         each = {name: one.record() for name, one in brackets.items()}
         print_json(record | {"longest_mode_lags": each})
     else:
-        dwell = asked.dwell
-        said = f"Sampling period {period:g} s, dwell time {dwell.value:.4g} s ({dwell.source})."
-        if not asked.constraint.is_plain:
-            stays, switches = asked.constraint.in_words()
+        said = f"Sampling period {period:g} s, dwell time {dwell:.4g} s ({source})."
+        if not signals.is_plain(problem.plant.modes):
+            stays, switches = signals.in_words(problem.plant.modes)
             said = f"Sampling period {period:g} s; every signal that {stays}, {switches}."
             said = with_names(said, problem.modes)
         print("\n".join((problem.title, said, *left_out(problem), "")))
@@ -121,36 +126,40 @@ def longest_mode_lags(
     return 0 if law is None or brackets[law].certified is not None else 1
 
 
-def _limits(signals: Mapping[str, Any]) -> list[str]:
+def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
     """What the search keeps of the signals, where it keeps anything."""
-    found = []
-    if signals.get("dwell_time") is not None and signals.get("mode") is None:
-        times = ", ".join(f"{one:g}" for one in signals["dwell_time"])
+    limits, found = signals.limits(modes), []
+    if mode is not None:
+        found.append(f"The dwell time of mode {mode} moves; the others stay.")
+    elif len(set(limits.dwell_time)) > 1:
+        times = ", ".join(f"{one:g}" for one in limits.dwell_time)
         found.append(f"Dwell times of the modes stay in proportion to {times} s.")
-    elif signals.get("mode") is not None:
-        found.append(f"The dwell time of mode {signals['mode']} moves; the others stay.")
-    if signals.get("chatter", 1) > 1:
+    if signals.chatter > 1:
         found.append(
-            f"Dwell times τ are averages: {signals['chatter']} + T/τ switches in any T seconds at "
+            f"Dwell times τ are averages: {signals.chatter} + T/τ switches in any T seconds at "
             "most, one in a period."
         )
-    if signals.get("maximum_dwell") is not None:
+    if len(limits.lasting) < modes:
         found.append("No sojourn is longer than the maximum dwell time of its mode.")
-    if signals.get("transitions") is not None:
+    if not limits.is_free:
         found.append("Only those switches are taken to happen that the problem allows.")
     return found
 
 
-def for_json(signals: Mapping[str, Any]) -> dict[str, object]:
-    """The signals that were asked about; no limit as null."""
-    found = dict(signals)
-    if found.get("maximum_dwell") is not None:
-        longest = found["maximum_dwell"]
-        several = longest if isinstance(longest, (tuple, list)) else (longest,)
-        found["maximum_dwell"] = [None if one == float("inf") else one for one in several]
-    if found.get("transitions") is not None:
-        found["transitions"] = found["transitions"].astype(int)
-    return found
+def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
+    """The signals that were asked about; nothing where there is no limit, null for none."""
+    from deadtime.switching.constraint import one_or_each
+
+    limits = signals.limits(modes)
+    found: dict[str, object] = {"dwell_time": one_or_each(limits.dwell_time)}
+    if len(limits.lasting) < modes:
+        longest = limits.maximum_dwell
+        found["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
+    if not limits.is_free:
+        found["transitions"] = limits.transitions.astype(int)
+    counts = ("chatter", signals.chatter, 1), ("mode_lag", signals.mode_lag, 0)
+    more = (*counts, ("lost_samples", signals.lost_samples, 0))
+    return found | {name: value for name, value, none in more if value != none}
 
 
 def _lag(seconds: float | None) -> str:

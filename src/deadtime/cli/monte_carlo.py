@@ -261,7 +261,8 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Se
     if _is_limited(problem):
         averaged = problem.average_dwell_time is not None  # whose own is no shortest sojourn
         asked = [sojourn.dwell.value] if averaged or sojourn.dwell.source == AS_ASKED else None
-        allowed = signals_of(problem, problem.signal, asked).constraint
+        signals = signals_of(problem, problem.signal, asked).signals
+        allowed = signals.limits(problem.plant.modes)
         mean = problem.mean_sojourn if mean_sojourn is None else mean_sojourn
         short = mean is not None and mean <= max(allowed.dwell_time)
         return random_model(allowed, None if short and mean_sojourn is None else mean)

@@ -70,7 +70,7 @@ class EvidenceSearch:
         self.model = CentreFloats.of(setting, (level.eigenvectors,) * modes, level.rank)
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
-        late = max(setting.mode_lag, setting.lost_samples)
+        late = max(setting.signals.mode_lag, setting.signals.lost_samples)
         told = [late] if 0 < late < last else []
         knots = sorted({*(int(mark) for mark in marks), *told})
         self.knots = tuple(knots) if level.eigenvectors else (0,)

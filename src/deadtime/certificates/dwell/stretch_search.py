@@ -232,4 +232,4 @@ class StretchSearch:
 
 def _unknown(setting: Setting) -> bool:
     """Whether the steps are not known: ranges of delays, a polytope of plants, lost samples."""
-    return setting.family.ranges or setting.family.vary or setting.lost_samples > 0
+    return setting.family.ranges or setting.family.vary or setting.signals.lost_samples > 0

@@ -73,14 +73,14 @@ class LeavingAges:
     def of(
         cls,
         dwell_time: float,
-        maximum_dwell: float | None,
+        maximum_dwell: float,
         step: float,
         tolerance: float,
         told: int,
     ) -> LeavingAges:
         """Of a dwell time and a maximum; `told` is the last age at which rows may change."""
         first, earliest = shortest(dwell_time, step, tolerance)
-        if maximum_dwell is not None:
+        if math.isfinite(maximum_dwell):
             last, latest = longest(maximum_dwell, step, tolerance)
             return cls(first, last, True, earliest, latest)
         # The last age stands for all later ones, at which a mode may be left at any instant.

@@ -48,16 +48,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TypeVar
 
 import numpy as np
 
 from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal
 from deadtime.feedback.table import Context, row_of
-
-T = TypeVar("T")
-PerMode = T | tuple[T, ...]
-Following = tuple[tuple[int, ...], ...]
+from deadtime.switching import SignalClass
 
 
 @dataclass(frozen=True)
@@ -144,31 +140,23 @@ class SwitchGraph:
     def of(
         cls,
         modes: int,
-        times: tuple[PerMode[float], PerMode[float | None]],
-        chatter: int,
+        signals: SignalClass,
         step: float,
-        tolerance: float,
         context: Context,
         ages: int,
-        lag: int = 0,
-        following: Following | None = None,
-        losses: int = 0,
     ) -> SwitchGraph:
-        """The graph of a (dwell time, maximum dwell time) at a period, in seconds.
-
-        Either is one for all modes or a tuple of one per mode; every other mode may follow one
-        where `following` says nothing.
-        """
-        following = everywhere(modes) if following is None else following
+        """The graph of a class of signals at a period, in seconds."""
+        limits, lag, losses = signals.limits(modes), signals.mode_lag, signals.lost_samples
+        following = limits.following
         if modes == 1:
             own = LeavingAges(0, ages - 1 + losses)
             return cls((own,), following, None, context, ages, 0, losses)
-        each = zip(*(per_mode(time, modes) for time in times), strict=True)
-        told = ages - 1 + lag + losses
+        told, tolerance = ages - 1 + lag + losses, signals.clock_tolerance
+        each = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
         clocks = tuple(LeavingAges.of(low, high, step, tolerance, told) for low, high in each)
-        if chatter > 1:
-            first, (dwell_time, *_) = clocks[0].first, per_mode(times[0], modes)
-            last = max(first, math.ceil(chatter * decimal(dwell_time) / decimal(step)))
+        if signals.chatter > 1:
+            first, average = clocks[0].first, decimal(limits.dwell_time[0])
+            last = max(first, math.ceil(signals.chatter * average / decimal(step)))
             clocks = (LeavingAges(first, last),) * modes
             return cls(clocks, following, first, context, ages, lag, losses)
         return cls(clocks, following, None, context, ages, lag, losses)
@@ -191,7 +179,7 @@ class SwitchGraph:
     @property
     def is_free(self) -> bool:
         """Whether every mode may follow every other one."""
-        return self.following == everywhere(self.modes)
+        return all(len(after) == self.modes - 1 for after in self.following)
 
     @property
     def switching(self) -> int:
@@ -366,16 +354,6 @@ class SwitchGraph:
         high = clock.latest if age == clock.last else 1.0
         steps = self.following[mode]
         return [Transition(mode, age, row, j, after, (low, high)) for j in steps]
-
-
-def everywhere(modes: int) -> Following:
-    """Every mode may follow every other one."""
-    return tuple(tuple(j for j in range(modes) if j != i) for i in range(modes))
-
-
-def per_mode(value: PerMode[T], modes: int) -> tuple[T, ...]:
-    """One value for all modes, or the tuple of one per mode that is given."""
-    return value if isinstance(value, tuple) else (value,) * modes
 
 
 def interpolation(knots: tuple[int, ...], age: int) -> list[tuple[int, Fraction]]:
