@@ -29,6 +29,7 @@ NAMES = (
     *("rate", "delayed", "maximum-free", "average-free", "lost-one-mode", "observed-late", "ways"),
     *("delays-short", "one-mode", "free-rate-0", "polytope-mode", "tracking", "late-mode"),
     *("ways-ring", "stretches-maximum-free", "stretches-late", "stretches-late-dwell"),
+    *("samples", "samples-turning", "samples-ring", "samples-aged", "samples-late", "samples-lost"),
 )
 CHANGED = ("plant", "law", "signals", "rho", "decay_rate")
 FACTORS = (0.5, 0.9, 0.99, 1.001, 1.01, 1.1, 2, 5, 100, -1)

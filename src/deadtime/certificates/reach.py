@@ -27,7 +27,8 @@ def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, s
             "is no one loop to certify."
         )
     dwell_time, tolerance = float(np.min(signals.dwell_time)), signals.clock_tolerance
-    if plants[0].modes > 1 and shortest(dwell_time, step, tolerance)[0] < 0:
+    several = plants[0].modes > 1 and signals.at == "anywhere"
+    if several and shortest(dwell_time, step, tolerance)[0] < 0:
         return (
             f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "
             f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step."

@@ -85,7 +85,7 @@ class ExpectedClaim:
         """The signals that are asked about; those of the certificate where nothing is asked."""
         own = vars(setting.signals) | {"chatter": 1, "lost_samples": 0}
         if self._of_times:  # without a limit there is none
-            own |= {"maximum_dwell": None, "transitions": None}
+            own |= {"maximum_dwell": None, "transitions": None, "at": "anywhere"}
         if self._of_times or "chatter" in self.signals:
             own["clock_tolerance"] = CLOCK_TOLERANCE
         if self.law is not None or "lost_samples" in self.signals:
@@ -139,6 +139,8 @@ class ExpectedClaim:
         beyond = _beyond(asked.limits(modes), setting.limits)
         if beyond:
             return f"{proved}, not {beyond}."
+        if asked.at != signals.at == "samples":
+            return f"{proved}, not at any instant (at=, --at)."
         if asked.chatter > signals.chatter:
             return f"{proved}, not for a chatter of {asked.chatter}."
         if asked.clock_tolerance > signals.clock_tolerance:

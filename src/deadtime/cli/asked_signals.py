@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
     from deadtime.problems.asked import AskedSignals
     from deadtime.switching import SignalClass
+    from deadtime.switching.signal_class import Instants
 
 
 def with_step(problem: Problem, step: float | None) -> Problem:
@@ -71,6 +72,7 @@ def kept_by_search(
     maximum_dwell: str | None,
     mode: int | None,
     chatter: int | None,
+    at: Instants,
 ) -> SignalClass:
     """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
     from deadtime.margins.dwell_time import SHORT
@@ -80,4 +82,4 @@ def kept_by_search(
     least, own = times[0], problem.constraint
     if least is None and mode is None and (own is None or len(set(own.dwell_time)) == 1):
         least = [SHORT * step_of(problem)]  # one for all modes says nothing of their proportions
-    return signals_of(problem, problem.signal, least, times[1], chatter).signals
+    return signals_of(problem, problem.signal, least, times[1], chatter, at).signals

@@ -141,6 +141,8 @@ def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
         )
     if len(limits.lasting) < modes:
         found.append("No sojourn is longer than the maximum dwell time of its mode.")
+    if signals.at == "samples":
+        found.append("Modes change at samples only.")
     if not limits.is_free:
         found.append("Only those switches are taken to happen that the problem allows.")
     return found
@@ -157,6 +159,8 @@ def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
         found["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
     if not limits.is_free:
         found["transitions"] = limits.transitions.astype(int)
+    if signals.at != "anywhere":
+        found["at"] = signals.at
     counts = ("chatter", signals.chatter, 1), ("mode_lag", signals.mode_lag, 0)
     more = (*counts, ("lost_samples", signals.lost_samples, 0))
     return found | {name: value for name, value, none in more if value != none}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import JUDGE, AsJson, File, app, lines
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml --law expected --longest-mode-lag",
         "deadtime certify problem.toml --lost-samples 2",
         "deadtime certify problem.toml --law averaged --dwell-time 2 --chatter 3",
+        "deadtime certify problem.toml --dwell-time 0.05 --step 0.05 --at samples",
         "deadtime certify identified.toml --uncertain",
     ),
 )
@@ -49,6 +50,7 @@ def certify(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
+    at: Literal["anywhere", "samples"] = "anywhere",
     step: float | None = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
@@ -82,6 +84,9 @@ def certify(
     chatter
         N: any T seconds may hold N + T/τ switches, one in a period at most, τ the dwell time; 1 for
         a dwell time of every sojourn. That of the problem's average dwell time by default, else 1.
+    at
+        When modes may change: anywhere, or samples: only where the law samples, so that a dwell
+        time of one period is meaningful.
     step
         Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     decay_rate
@@ -125,7 +130,7 @@ def certify(
                 "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
-        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter)
+        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
         return least_dwell_times(chosen, law, signals, mode, json_output)
     if mode is not None:
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
@@ -136,9 +141,8 @@ def certify(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
-    asked, period = signals_and_step(
-        chosen, dwell_time, maximum_dwell, chatter, mode_lag=mode_lag, lost_samples=lost_samples
-    )
+    late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
+    asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
     if longest_mode_lag:
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
@@ -187,6 +191,7 @@ def verify(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
+    at: Literal["anywhere", "samples"] | None = None,
     step: float | None = None,
     mode_lag: int | None = None,
     lost_samples: int | None = None,
@@ -214,6 +219,8 @@ def verify(
         The longest sojourns that it must cover; with a problem as `certify` takes them.
     chatter
         The chatter of an average dwell time that it must cover; with a problem as `certify` has it.
+    at
+        When modes may change in the signals that it must cover; with a problem anywhere by default.
     step
         The sampling period in seconds that it must have; by default that of the problem.
     mode_lag
@@ -232,7 +239,7 @@ def verify(
     from deadtime.problems.asked import one_or_all
     from deadtime.reports.tables.certificates import uncertain_plant
 
-    late: dict[str, Any] = {"mode_lag": mode_lag, "lost_samples": lost_samples}
+    late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
     late = {name: value for name, value in late.items() if value is not None}
     matches = None
     if problem is None:

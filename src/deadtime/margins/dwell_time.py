@@ -29,7 +29,8 @@ from deadtime.switching.signal_class import CLOCK_TOLERANCE, MOST_PERIODS, Signa
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
 
-SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described
+SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described,
+AT_SAMPLES = 1.0 - 1e-10  # and where modes change at samples only there are none
 SHORT = 1e-9  # periods
 CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
 DOUBLINGS = 6  # of that, before giving up
@@ -121,7 +122,8 @@ def least_dwell_time(
     Notes
     -----
     A few proofs and a few searches for growing signals: seconds for small loops, minutes for
-    N = 100. Dwell times of a period or less are not asked about.
+    N = 100. Dwell times of a period or less are not asked about, unless the mode changes at samples
+    only: then none below a period.
 
     Examples
     --------
@@ -158,7 +160,7 @@ def least_dwell_time(
         )
     least = SHORT * step if dwell_time is None else dwell_time  # any: only proportions count
     shape = DwellShape.of(plant.modes, SignalClass.of(least, **signals), mode)
-    shortest = SHORTEST * step
+    shortest = _shortest(shape, step)
     if shape.longest <= shortest:
         raise ArgumentError(
             f"maximum_dwell must leave room above a period of {step:g} s, and dwell times up to "
@@ -176,7 +178,7 @@ def _searched(
     shape: DwellShape,
 ) -> LeastDwellTime:
     """The bracket, of arguments that are checked."""
-    shortest = SHORTEST * step
+    shortest = _shortest(shape, step)
     worst = questions.falsify(1.0 / shortest)
     rates = {i: growth_rate(plant, law, i, step) for i in shape.limits.lasting}
     slowest, least = max(rates.values(), default=-math.inf), least_growth(plant)
@@ -196,6 +198,11 @@ def _searched(
         return _without_proof(questions, worst, shape)
     lowest = shape.admits(worst) if worst.grows and math.isfinite(shape.admits(worst)) else shortest
     return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions, shape)
+
+
+def _shortest(shape: DwellShape, step: float) -> float:
+    """The shortest dwell time that is asked about, seconds."""
+    return (SHORTEST if shape.signals.at == "anywhere" else AT_SAMPLES) * step
 
 
 def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) -> Questions:

@@ -17,6 +17,7 @@ from deadtime.switching import Rule, SemiMarkov, SignalClass, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint, one_or_each
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential
 from deadtime.switching.random import mean_or_twice
+from deadtime.switching.signal_class import Instants
 
 STEP = 0.01  # for problems whose loop is ideal, seconds
 AS_ASKED = "as asked"
@@ -90,6 +91,7 @@ def signals_of(
     dwell_time: Sequence[float] | None = None,
     maximum_dwell: Sequence[float] | None = None,
     chatter: int | None = None,
+    at: Instants = "anywhere",
     mode_lag: int = 0,
     lost_samples: int = 0,
 ) -> AskedSignals:
@@ -126,6 +128,7 @@ def signals_of(
         one_or_all(least),
         one_or_all(most),
         ways,
+        at,
         mode_lag=mode_lag,
         lost_samples=lost_samples,
         chatter=chatter,

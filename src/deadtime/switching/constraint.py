@@ -157,7 +157,7 @@ class SwitchingConstraint:
             tuple(j for j in after if reach[j, i]) for i, after in enumerate(self.following)
         )
 
-    def in_words(self) -> tuple[str, str]:
+    def in_words(self, when: str = "at any time") -> tuple[str, str]:
         """What signals do by it, after "that": how long they stay, and how they switch.
 
         Examples
@@ -179,8 +179,8 @@ class SwitchingConstraint:
         if len(set(times)) > 1:
             stays = "stays for " + ", ".join(f"{one} in mode {i}" for i, one in enumerate(each))
         if self.is_free:
-            return stays, "switches at any time"
-        return stays, f"switches at any time, but only so: {self.ways_in_words}"
+            return stays, f"switches {when}"
+        return stays, f"switches {when}, but only so: {self.ways_in_words}"
 
     @property
     def ways_in_words(self) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypedDict, Unpack
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, number
+from deadtime.base.checks import brief, count, number
 from deadtime.base.errors import ArgumentError
+from deadtime.plant.steps import snap
 from deadtime.switching.constraint import (
     PerMode,
     SwitchingConstraint,
@@ -23,6 +24,10 @@ CLOCK_TOLERANCE = 1e-5  # quartz, and far more than binary64 and the simulator r
 LEAST_TOLERANCE, MOST_TOLERANCE = 1e-8, 0.1  # switches within 1e-9 periods of a sample are on it
 MOST_PERIODS = 100_000  # of a dwell time: more is a slip of units
 MOST_LOST = 100
+INSTANTS = ("anywhere", "samples")
+
+
+Instants = Literal["anywhere", "samples"]
 
 
 class SignalOptions(TypedDict, total=False):
@@ -30,6 +35,7 @@ class SignalOptions(TypedDict, total=False):
 
     maximum_dwell: PerMode | None
     transitions: ArrayLike | None
+    at: Instants
     clock_tolerance: float
     mode_lag: int
     lost_samples: int
@@ -50,6 +56,9 @@ class SignalClass:
         Longest sojourn, seconds, inf for none; by default a mode may last without end.
     transitions : (modes, modes) of bool, optional
         Whether the signal may switch from mode i (row) to mode j (column); all by default.
+    at : "anywhere" or "samples"
+        When the mode may change: at any instant, or only where the law samples, as a computer
+        would switch it. Then every sojourn is a whole number of periods, one at least.
     clock_tolerance : float
         By what part a sojourn may be shorter than `dwell_time`, or longer than `maximum_dwell`, as
         the controller's clock counts it; from 1e-8 to 0.1, of a search for signals from 0. So a
@@ -83,6 +92,7 @@ class SignalClass:
     dwell_time: float | tuple[float, ...]
     maximum_dwell: float | tuple[float, ...]
     transitions: tuple[tuple[bool, ...], ...] | None
+    at: Instants
     clock_tolerance: float
     mode_lag: int
     lost_samples: int
@@ -93,6 +103,7 @@ class SignalClass:
         dwell_time: PerMode,
         maximum_dwell: PerMode | None = None,
         transitions: ArrayLike | tuple[tuple[bool, ...], ...] | None = None,
+        at: Instants = "anywhere",
         clock_tolerance: float = CLOCK_TOLERANCE,
         mode_lag: int = 0,
         lost_samples: int = 0,
@@ -105,6 +116,11 @@ class SignalClass:
         table = None
         if transitions is not None:
             table = tuple(map(tuple, switch_table(np.asarray(transitions)).tolist()))
+        if at not in INSTANTS:
+            raise ArgumentError(
+                f'at must be "anywhere" or "samples", got {brief(at)}: whether the mode may change '
+                "at any instant, or only where the law samples."
+            )
         if not 0.0 <= number("clock_tolerance", clock_tolerance) <= MOST_TOLERANCE:
             raise ArgumentError(_clock_off(clock_tolerance, 0.0))
         if count("lost_samples", lost_samples, 0) and count("mode_lag", mode_lag, 0):
@@ -121,7 +137,7 @@ class SignalClass:
                 if several
                 else "chatter > 1 and maximum_dwell exclude each other: give one of them."
             )
-        given = least, most, table, float(clock_tolerance), mode_lag, lost_samples, chatter
+        given = least, most, table, at, float(clock_tolerance), mode_lag, lost_samples, chatter
         vars(self).update(zip(type(self).__dataclass_fields__, given, strict=True))
 
     @classmethod
@@ -179,7 +195,21 @@ class SignalClass:
                 f"lost_samples must be at most {MOST_LOST} in a row, got {self.lost_samples:,}: "
                 "the Lyapunov function is another one after every number of them."
             )
+        for low, high in zip(limits.dwell_time, limits.maximum_dwell, strict=True):
+            if self.at == "samples" and modes > 1 and self._whole(low, high, step) is None:
+                raise ArgumentError(
+                    f"maximum_dwell must leave a sojourn of whole periods of {step:g} s with at = "
+                    f'"samples", got {high:g} s with a dwell time of {low:g} s: raise it, or '
+                    "shorten the step."
+                )
         return limits
+
+    def _whole(self, low: float, high: float, step: float) -> tuple[float, float] | None:
+        """The fewest and the most periods between two times, if there are any."""
+        least = max(1.0, math.ceil(snap(low / step) * (1.0 - self.clock_tolerance)))
+        most = snap(high / step) * (1.0 + self.clock_tolerance)
+        most = most if math.isinf(most) else float(math.floor(most))
+        return (least, most) if least <= most else None
 
     def require_clock(self) -> None:
         """Refuse a clock that is taken to be better than a proof can cover."""
@@ -188,15 +218,17 @@ class SignalClass:
 
     def is_plain(self, modes: int) -> bool:
         """Whether a dwell time that all modes share is all that limits sojourns and switches."""
-        return self.limits(modes).is_plain and self.chatter == 1
+        plain = self.at == "anywhere" and self.chatter == 1
+        return plain and self.limits(modes).is_plain
 
     def sentence(self, modes: int) -> str:
         """The signals of a plant with so many modes, with every digit, after "stable"."""
         limits = self.limits(modes)
+        only = [] if self.at == "anywhere" else ["at samples only"]
+        only += [] if limits.is_free else [f"only so: {limits.ways_in_words}"]
+        switches = f", and that switches {', and '.join(only)}" if only and modes > 1 else ""
         lost = f", and every loss of samples with at most {self.lost_samples} in a row"
-        only = f", and that switches only so: {limits.ways_in_words}"
-        parts = self._sojourns(limits), "" if limits.is_free else only
-        return "".join(parts) + lost * (self.lost_samples > 0)
+        return self._sojourns(limits) + switches + lost * (self.lost_samples > 0)
 
     def _sojourns(self, limits: SwitchingConstraint) -> str:
         """The signals by their sojourns."""
@@ -232,7 +264,8 @@ class SignalClass:
         >>> SignalClass(2.5, chatter=3).in_words(2)[0]
         'switches at most 3 + T/(2.5 s) times in any T seconds'
         """
-        stays, switches = self.limits(modes).in_words()
+        when = "at any time" if self.at == "anywhere" else "at samples only"
+        stays, switches = self.limits(modes).in_words(when)
         if self.chatter == 1:
             return stays, switches
         least = min(self.limits(modes).dwell_time)

@@ -227,7 +227,7 @@ class StretchSearch:
         for stretch in self.stretches:
             if stretch.step == failed:
                 self.known += self.leaps.of(stretch, (instant,))
-        return failed.switches
+        return failed.within != failed.mode
 
 
 def _unknown(setting: Setting) -> bool:

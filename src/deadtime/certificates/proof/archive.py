@@ -30,6 +30,7 @@ from deadtime.certificates.proof.statement import decay_rate
 from deadtime.certificates.proof.stretches import StretchEvidence
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import one_or_each
+from deadtime.switching.signal_class import Instants
 
 FORMAT = "deadtime certificate 2"
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
@@ -40,7 +41,7 @@ TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays axes",
     "law": "context ages step F G mode_lag memory lost_samples",
-    "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions",
+    "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions at",
 }
 LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P mu"}
 
@@ -94,7 +95,9 @@ def _signals(setting: Setting) -> dict[str, Any]:
     """The admissible signals; which mode may follow which, where not every one may."""
     limits = setting.limits
     longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
-    only = {} if limits.is_free else {"transitions": limits.transitions.astype(int).tolist()}
+    only = {} if setting.signals.at == "anywhere" else {"at": setting.signals.at}
+    if not limits.is_free:
+        only["transitions"] = limits.transitions.astype(int).tolist()
     return {
         "dwell_time": one_or_each(limits.dwell_time),
         "maximum_dwell": one_or_each(longest),
@@ -212,6 +215,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
             _each(signals["dwell_time"], _float),
             _each(signals["maximum_dwell"], lambda x: math.inf if x is None else _float(x)),
             _transitions(signals),
+            _at(signals),
             _float(signals["clock_tolerance"]),
             _count(law, "mode_lag"),
             _count(law, "lost_samples"),
@@ -261,6 +265,13 @@ def _each(value: Any, read: Callable[[Any], float]) -> float | tuple[float, ...]
     if len({*value}) < 2:
         raise ValueError("a time is neither one number nor several, one for each mode")
     return tuple(read(one) for one in value)
+
+
+def _at(signals: dict[str, Any]) -> Instants:
+    """When the mode may change; left out where it may anywhere."""
+    if signals.get("at", "samples") != "samples":
+        raise ValueError("signals.at must be 'samples', or left out")
+    return "samples" if "at" in signals else "anywhere"
 
 
 def _transitions(signals: dict[str, Any]) -> list[list[int]] | None:

@@ -9,6 +9,8 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
+from deadtime.switching.signal_class import Instants
+
 READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
 
 
@@ -21,6 +23,12 @@ def least_periods(dwell_time: float, step: float, tolerance: float) -> Fraction:
     """r: how many periods a dwell time has by the controller's clock, at the least."""
     part = (1 - decimal(tolerance)) * (1 - READINGS)
     return part * decimal(dwell_time) / decimal(step)
+
+
+def most_periods(maximum_dwell: float, step: float, tolerance: float) -> Fraction:
+    """R: how many periods a longest sojourn has by the controller's clock, at the most."""
+    part = (1 + decimal(tolerance)) * (1 + READINGS)
+    return part * decimal(maximum_dwell) / decimal(step)
 
 
 def shortest(dwell_time: float, step: float, tolerance: float) -> tuple[int, float]:
@@ -40,10 +48,25 @@ def shortest(dwell_time: float, step: float, tolerance: float) -> tuple[int, flo
 
 def longest(maximum_dwell: float, step: float, tolerance: float) -> tuple[int, float]:
     """(the most full steps of a sojourn with a longest one, the latest s'/h there), rounded up."""
-    part = (1 + decimal(tolerance)) * (1 + READINGS)
-    periods = part * decimal(maximum_dwell) / decimal(step)
+    periods = most_periods(maximum_dwell, step, tolerance)
     most = math.ceil(periods) - 1
     return most, min(1.0, math.nextafter(float(periods - most), 1.0))
+
+
+def whole_steps(
+    dwell_time: float, maximum_dwell: float, step: float, tolerance: float
+) -> tuple[int, float]:
+    """The fewest full steps of a sojourn that begins and ends at a sample, and the most.
+
+    Examples
+    --------
+    >>> whole_steps(0.2, 0.35, 0.1, 1e-5), whole_steps(0.03, math.inf, 0.1, 1e-5)
+    ((1, 2), (0, inf))
+    """
+    first = max(0, math.ceil(least_periods(dwell_time, step, tolerance)) - 1)
+    if math.isinf(maximum_dwell):
+        return first, math.inf
+    return first, math.floor(most_periods(maximum_dwell, step, tolerance)) - 1
 
 
 @dataclass(frozen=True)
@@ -60,7 +83,7 @@ class LeavingAges:
         Whether the mode must be left at the age `last` (a maximum dwell time).
     earliest, latest : float
         The first instant of a switch at the age `first`, and the last at `last` where the mode must
-        be left then: fractions of the period.
+        be left then: fractions of the period. An `earliest` of 1: every switch is at the end.
     """
 
     first: int
@@ -77,8 +100,13 @@ class LeavingAges:
         step: float,
         tolerance: float,
         told: int,
+        at: Instants = "anywhere",
     ) -> LeavingAges:
         """Of a dwell time and a maximum; `told` is the last age at which rows may change."""
+        if at == "samples":  # at the end of a period, whatever the age
+            first, most = whole_steps(dwell_time, maximum_dwell, step, tolerance)
+            last = max(first, told) if math.isinf(most) else int(most)
+            return cls(first, last, math.isfinite(most), 1.0)
         first, earliest = shortest(dwell_time, step, tolerance)
         if math.isfinite(maximum_dwell):
             last, latest = longest(maximum_dwell, step, tolerance)

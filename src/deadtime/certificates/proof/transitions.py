@@ -22,6 +22,10 @@ other is left out, and their range is closed: [0, h]. So the graph has every adm
 a few more. Where modes have dwell times of their own these numbers are the mode's `LeavingAges`; a
 mixed step leads to the modes that may follow, all others unless the class of signals says less.
 
+Where the mode changes at samples only, s = h: in a mixed step the plant is in i all along, and j is
+only what comes next. A sojourn of q full steps lasts (q + 1) h, so q ≥ ⌈r⌉ − 1, and q ≥ 0, and
+q ≤ ⌊R⌋ − 1. The graph then has these signals and no others.
+
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
 the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
 takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
@@ -51,7 +55,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal
+from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal, shortest
 from deadtime.feedback.table import Context, row_of
 from deadtime.switching import SignalClass
 
@@ -75,8 +79,13 @@ class Transition:
 
     @property
     def switches(self) -> bool:
-        """Whether the plant switches in this step."""
+        """Whether the plant switches in this step, or at its end."""
         return self.mode != self.after
+
+    @property
+    def within(self) -> int:
+        """The mode that the plant switches to within the period; `mode` where it does not."""
+        return self.mode if self.instants[0] == 1.0 else self.after
 
 
 @dataclass(frozen=True)
@@ -153,11 +162,14 @@ class SwitchGraph:
             return cls((own,), following, None, context, ages, 0, losses)
         told, tolerance = ages - 1 + lag + losses, signals.clock_tolerance
         each = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
-        clocks = tuple(LeavingAges.of(low, high, step, tolerance, told) for low, high in each)
+        own = told, signals.at
+        clocks = tuple(LeavingAges.of(low, high, step, tolerance, *own) for low, high in each)
         if signals.chatter > 1:
-            first, average = clocks[0].first, decimal(limits.dwell_time[0])
+            average, late = decimal(limits.dwell_time[0]), signals.at == "samples"
+            first = shortest(limits.dwell_time[0], step, tolerance)[0]
+            first = max(0, first) if late else first
             last = max(first, math.ceil(signals.chatter * average / decimal(step)))
-            clocks = (LeavingAges(first, last),) * modes
+            clocks = (LeavingAges(first, last, earliest=float(late)),) * modes
             return cls(clocks, following, first, context, ages, lag, losses)
         return cls(clocks, following, None, context, ages, lag, losses)
 
@@ -350,7 +362,7 @@ class SwitchGraph:
         if age < clock.first:
             return []
         after = 0 if self.bucket is None else age - self.bucket
-        low = clock.earliest if age == clock.first else 0.0
+        low = clock.earliest if age == clock.first or clock.earliest == 1.0 else 0.0
         high = clock.latest if age == clock.last else 1.0
         steps = self.following[mode]
         return [Transition(mode, age, row, j, after, (low, high)) for j in steps]

@@ -129,6 +129,8 @@ def _times(setting: Setting) -> str:
         return "the delays lie in no period"
     if setting.transitions.first < 0:
         return "the dwell time is below one period"
+    if any(own.last < own.first for own in setting.transitions.clocks):
+        return "maximum_dwell leaves no sojourn of whole periods"
     return ""
 
 

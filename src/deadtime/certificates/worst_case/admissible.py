@@ -36,6 +36,10 @@ class Dwell:
         part = tolerance * INSIDE
         return cls(snap(dwell_time / step) * (1.0 - part), longest * (1.0 + part))
 
+    def in_whole_periods(self) -> Dwell:
+        """Those that begin and end at samples: a period at least."""
+        return Dwell(max(1.0, float(self.shortest)), self.longest)
+
     @property
     def shortest(self) -> int:
         """The least whole number of periods."""
@@ -73,6 +77,7 @@ class Admissible:
     dwell: tuple[Dwell, ...]
     following: tuple[tuple[int, ...], ...]
     lasting: tuple[int, ...]
+    at_samples: bool = False
 
     @classmethod
     def of(cls, signals: SignalClass, modes: int, step: float) -> Admissible:
@@ -80,7 +85,9 @@ class Admissible:
         limits, off = signals.limits(modes), signals.clock_tolerance
         times = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
         dwell = tuple(Dwell.of(least, most, step, off) for least, most in times)
-        return cls(dwell, limits.recurring, limits.lasting)
+        whole = signals.at == "samples"
+        dwell = tuple(one.in_whole_periods() for one in dwell) if whole else dwell
+        return cls(dwell, limits.recurring, limits.lasting, whole)
 
     @property
     def modes(self) -> int:
@@ -151,7 +158,8 @@ class Admissible:
     ) -> Float[np.ndarray, " sojourn"]:
         """Admissible sojourns of this total near `gaps`: what is missing is shared out evenly.
 
-        The total must be one that `totals` allows.
+        The total must be one that `totals` allows. Where modes change at samples only all are whole
+        numbers, and what is missing goes to one sojourn after the other.
 
         Examples
         --------
@@ -160,6 +168,15 @@ class Admissible:
         array([2.5, 3.5])
         """
         least, most = self.least(word), self.most(word)
+        if self.at_samples:
+            result = np.clip(np.round(gaps), least, most)
+            for _ in range(round(abs(total - result.sum()))):
+                sign = math.copysign(1.0, total - result.sum())
+                ends = most if sign > 0.0 else least
+                result[
+                    int(np.argmin(np.where(result != ends, sign * (result - gaps), np.inf)))
+                ] += sign
+            return result
         result = np.clip(gaps, least, most)
         for _ in range(2 * gaps.size):
             missing = total - result.sum()

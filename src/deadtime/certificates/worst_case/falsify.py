@@ -52,8 +52,9 @@ def falsify(
         measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
         `OutputFeedback` of a table is one with its estimate and its sums, at a reference of 0.
     dwell_time : float, one per mode, or SignalClass
-        τ_d > 0, seconds, at least one period: the shortest sojourn; or all that is known of the
-        signals. With an average dwell time those are searched that keep it in every sojourn.
+        τ_d > 0, seconds, at least one period unless modes change at samples only: the shortest
+        sojourn; or all that is known of the signals. With an average dwell time those are searched
+        that keep it in every sojourn.
     step : float
         Sampling period h, seconds.
     budget : int
@@ -97,7 +98,8 @@ def falsify(
     step = positive("step", step)
     asked = SignalClass.of(dwell_time, **signals)
     least = asked.at_period(plant.modes, step, laid_out=False).dwell_time
-    _require_seen(plant, min(least), step)
+    if asked.at == "anywhere":
+        _require_seen(plant, min(least), step)
     count("budget", budget)
     cycles, mode_lag = Admissible.of(asked, plant.modes, step), asked.mode_lag
     feedback = None if mode_lag and not same_outputs(law) else _table(law, step)
