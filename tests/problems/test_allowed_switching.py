@@ -142,3 +142,56 @@ def test_certify_asks_about_what_the_file_and_the_options_say(load, capsys, monk
 def test_a_problem_without_limits_is_asked_about_as_before():
     paper = dataclasses.replace(dt.problems.paper(), dwell_time=None)
     assert signals_of(paper, paper.signal).signals == dt.SignalClass(0.2)
+
+
+# -- modes that change at samples only -------------------------------------------------------------
+
+
+SAMPLED = LIMITED.replace("[signal]", '[signal]\nat = "samples"')
+
+
+def test_signals_of_a_file_at_samples_last_whole_periods_and_it_is_asked_about_such(load):
+    problem = load(SAMPLED)
+    step, signal = problem.step, problem.signal
+    periods = signal.times / step
+    assert np.abs(periods - periods.round()).max() < 1e-9
+    assert kept(signal)
+    asked = signals_of(problem, signal).signals
+    assert asked == dt.SignalClass(LEAST, MOST, WAYS, "samples")
+    assert signals_of(problem, signal, at="anywhere").signals.at == "anywhere"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            'at = "samples"',
+            'at = "now"',
+            "line 14: signal.at: input should be 'anywhere' or 'samples'",
+        ),
+        (
+            "[0.3, 0.6, 0.4]\nmaximum_dwell = [0.5,",
+            "[0.31, 0.6, 0.4]\nmaximum_dwell = [0.39,",
+            r"\[signal\]: maximum_dwell must leave a sojourn of whole periods of 0.1 s",
+        ),
+    ],
+)
+def test_files_at_samples_that_cannot_be_are_refused(load, old, new, message):
+    with pytest.raises(dt.ProblemFileError, match=message):
+        load(SAMPLED.replace(old, new))
+
+
+def test_given_signals_at_samples_are_checked(load):
+    text = (
+        '[signal]\nkind = "switches"\nat = "samples"\ntimes = [0.0, 0.7, 1.25]\nmodes = [0, 1, 0]'
+    )
+    with pytest.raises(dt.ProblemFileError, match=r"got one at 1\.25 s with a period of 0\.1 s"):
+        load(text)
+    assert load(text.replace("1.25", "1.3")).switches_at == "samples"
+
+
+def test_monte_carlo_and_studies_draw_no_signals_at_samples(load, capsys):
+    load(SAMPLED)
+    with pytest.raises(SystemExit):
+        main(["monte-carlo", "p.toml", "--scenarios", "2"])
+    assert "change at samples only, and Monte Carlo draws instants" in capsys.readouterr().err

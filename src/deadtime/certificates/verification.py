@@ -83,7 +83,7 @@ class ExpectedClaim:
 
     def _asked(self, setting: Setting) -> SignalClass:
         """The signals that are asked about; those of the certificate where nothing is asked."""
-        own = vars(setting.signals) | {"chatter": 1, "lost_samples": 0}
+        own: dict[str, Any] = {**vars(setting.signals), "chatter": 1, "lost_samples": 0}
         if self._of_times:  # without a limit there is none
             own |= {"maximum_dwell": None, "transitions": None, "at": "anywhere"}
         if self._of_times or "chatter" in self.signals:

@@ -72,7 +72,7 @@ def kept_by_search(
     maximum_dwell: str | None,
     mode: int | None,
     chatter: int | None,
-    at: Instants,
+    at: Instants | None,
 ) -> SignalClass:
     """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
     from deadtime.margins.dwell_time import SHORT

@@ -50,7 +50,7 @@ def certify(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
-    at: Literal["anywhere", "samples"] = "anywhere",
+    at: Literal["anywhere", "samples"] | None = None,
     step: float | None = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
@@ -86,7 +86,7 @@ def certify(
         a dwell time of every sojourn. That of the problem's average dwell time by default, else 1.
     at
         When modes may change: anywhere, or samples: only where the law samples, so that a dwell
-        time of one period is meaningful.
+        time of one period is meaningful. That of the problem's [signal] by default, else anywhere.
     step
         Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     decay_rate
@@ -220,7 +220,7 @@ def verify(
     chatter
         The chatter of an average dwell time that it must cover; with a problem as `certify` has it.
     at
-        When modes may change in the signals that it must cover; with a problem anywhere by default.
+        When modes may change in the signals that it must cover; with a problem as `certify` has it.
     step
         The sampling period in seconds that it must have; by default that of the problem.
     mode_lag

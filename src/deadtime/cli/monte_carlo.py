@@ -213,6 +213,11 @@ def _require_signals(problem: Problem) -> None:
             f"the plant of the problem {problem.name!r} is switched by its state, not by random "
             "signals: use deadtime simulate, or give the file a [signal] instead of the rule."
         )
+    if problem.switches_at == "samples":
+        raise ArgumentError(
+            f"the modes of the problem {problem.name!r} change at samples only, and Monte Carlo "
+            "draws instants between them: leave at out of its [signal]."
+        )
     if np.any(problem.u0) or problem.predict != "applied":
         raise ArgumentError(
             f'the problem {problem.name!r} must have u0 = 0 and predict = "applied", as all Monte '

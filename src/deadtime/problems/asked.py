@@ -91,14 +91,15 @@ def signals_of(
     dwell_time: Sequence[float] | None = None,
     maximum_dwell: Sequence[float] | None = None,
     chatter: int | None = None,
-    at: Instants = "anywhere",
+    at: Instants | None = None,
     mode_lag: int = 0,
     lost_samples: int = 0,
 ) -> AskedSignals:
     """The signals that a problem is about: its dwell time, and what else it promises of them.
 
     `dwell_time` and `maximum_dwell` are what somebody wanted instead, seconds: one, or one per
-    mode. With a `chatter` above 1, the problem's by default, `dwell_time` is an average one.
+    mode. With a `chatter` above 1, the problem's by default, `dwell_time` is an average one. Modes
+    change `at` the instants that the problem says, by default.
     Lags and lost samples are no part of a problem.
 
     Examples
@@ -128,7 +129,7 @@ def signals_of(
         one_or_all(least),
         one_or_all(most),
         ways,
-        at,
+        problem.switches_at if at is None else at,
         mode_lag=mode_lag,
         lost_samples=lost_samples,
         chatter=chatter,

@@ -157,6 +157,10 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> Model:
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
         from scipy.stats import expon
 
+        if signal.at == "samples":
+            raise ArgumentError(
+                "a study draws switches between samples: leave at out of the file's [signal]."
+            )
         own = promise_of(file, None, modes)
         assert own is not None
         if not own.is_plain:
