@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.leaving_ages import shortest
+from deadtime.certificates.proof.leaving_ages import least_periods
 from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
@@ -28,7 +28,7 @@ def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, s
         )
     dwell_time, tolerance = float(np.min(signals.dwell_time)), signals.clock_tolerance
     several = plants[0].modes > 1 and signals.at == "anywhere"
-    if several and shortest(dwell_time, step, tolerance)[0] < 0:
+    if several and least_periods(dwell_time, step, tolerance) < 1:
         return (
             f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "
             f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step."

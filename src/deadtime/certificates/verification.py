@@ -76,17 +76,13 @@ class ExpectedClaim:
         asked = self._asked(setting)
         return self._loop(setting, asked) or self._signals(setting, asked)
 
-    @property
-    def _of_times(self) -> bool:
-        """Whether sojourns or switches are asked about."""
-        return any(name in self.signals for name in ("dwell_time", "maximum_dwell", "transitions"))
-
     def _asked(self, setting: Setting) -> SignalClass:
         """The signals that are asked about; those of the certificate where nothing is asked."""
         own: dict[str, Any] = {**vars(setting.signals), "chatter": 1, "lost_samples": 0}
-        if self._of_times:  # without a limit there is none
+        times = {"dwell_time", "maximum_dwell", "transitions"} & {*self.signals}
+        if times:  # without a limit there is none
             own |= {"maximum_dwell": None, "transitions": None, "at": "anywhere"}
-        if self._of_times or "chatter" in self.signals:
+        if times or "chatter" in self.signals:
             own["clock_tolerance"] = CLOCK_TOLERANCE
         if self.law is not None or "lost_samples" in self.signals:
             own["mode_lag"] = 0  # it is told the mode at once, unless it is said how late

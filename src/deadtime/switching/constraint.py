@@ -79,17 +79,7 @@ class SwitchingConstraint:
         maximum_dwell: PerMode | None = None,
         transitions: ArrayLike | None = None,
     ) -> SwitchingConstraint:
-        """From what users give: numbers in seconds or one per mode, and a matrix of 0 and 1.
-
-        Parameters
-        ----------
-        modes : int
-            Number of modes.
-        dwell_time, maximum_dwell : float, or one per mode
-            Seconds; a `maximum_dwell` of inf for a mode, or for all, that may last without end.
-        transitions : array_like of bool, shape (modes, modes)
-            Whether a signal may switch from mode i (row) to mode j (column); all by default. The
-            diagonal says nothing: how long a mode may last is said by `maximum_dwell`.
+        """From what users give, as `SignalClass` takes it; the diagonal says nothing.
 
         Raises
         ------

@@ -196,20 +196,15 @@ class SignalClass:
                 "the Lyapunov function is another one after every number of them."
             )
         for low, high in zip(limits.dwell_time, limits.maximum_dwell, strict=True):
-            if self.at == "samples" and modes > 1 and self._whole(low, high, step) is None:
+            least = max(1.0, math.ceil(snap(low / step) * (1.0 - self.clock_tolerance)))
+            most = high if math.isinf(high) else snap(high / step) * (1.0 + self.clock_tolerance)
+            if self.at == "samples" and modes > 1 and most < least:
                 raise ArgumentError(
                     f"maximum_dwell must leave a sojourn of whole periods of {step:g} s with at = "
                     f'"samples", got {high:g} s with a dwell time of {low:g} s: raise it, or '
                     "shorten the step."
                 )
         return limits
-
-    def _whole(self, low: float, high: float, step: float) -> tuple[float, float] | None:
-        """The fewest and the most periods between two times, if there are any."""
-        least = max(1.0, math.ceil(snap(low / step) * (1.0 - self.clock_tolerance)))
-        most = snap(high / step) * (1.0 + self.clock_tolerance)
-        most = most if math.isinf(most) else float(math.floor(most))
-        return (least, most) if least <= most else None
 
     def require_clock(self) -> None:
         """Refuse a clock that is taken to be better than a proof can cover."""

@@ -55,7 +55,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal, shortest
+from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal, least_periods
 from deadtime.feedback.table import Context, row_of
 from deadtime.switching import SignalClass
 
@@ -166,7 +166,7 @@ class SwitchGraph:
         clocks = tuple(LeavingAges.of(low, high, step, tolerance, *own) for low, high in each)
         if signals.chatter > 1:
             average, late = decimal(limits.dwell_time[0]), signals.at == "samples"
-            first = shortest(limits.dwell_time[0], step, tolerance)[0]
+            first = math.floor(least_periods(limits.dwell_time[0], step, tolerance)) - 1
             first = max(0, first) if late else first
             last = max(first, math.ceil(signals.chatter * average / decimal(step)))
             clocks = (LeavingAges(first, last, earliest=float(late)),) * modes

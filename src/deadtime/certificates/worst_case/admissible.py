@@ -36,10 +36,6 @@ class Dwell:
         part = tolerance * INSIDE
         return cls(snap(dwell_time / step) * (1.0 - part), longest * (1.0 + part))
 
-    def in_whole_periods(self) -> Dwell:
-        """Those that begin and end at samples: a period at least."""
-        return Dwell(max(1.0, float(self.shortest)), self.longest)
-
     @property
     def shortest(self) -> int:
         """The least whole number of periods."""
@@ -86,7 +82,8 @@ class Admissible:
         times = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
         dwell = tuple(Dwell.of(least, most, step, off) for least, most in times)
         whole = signals.at == "samples"
-        dwell = tuple(one.in_whole_periods() for one in dwell) if whole else dwell
+        if whole:
+            dwell = tuple(Dwell(max(1.0, float(one.shortest)), one.longest) for one in dwell)
         return cls(dwell, limits.recurring, limits.lasting, whole)
 
     @property
