@@ -150,6 +150,7 @@ def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
 
 def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
     """The signals that were asked about; nothing where there is no limit, null for none."""
+    from deadtime.switching import SignalClass
     from deadtime.switching.constraint import one_or_each
 
     limits = signals.limits(modes)
@@ -159,11 +160,9 @@ def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
         found["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
     if not limits.is_free:
         found["transitions"] = limits.transitions.astype(int)
-    if signals.at != "anywhere":
-        found["at"] = signals.at
-    counts = ("chatter", signals.chatter, 1), ("mode_lag", signals.mode_lag, 0)
-    more = (*counts, ("lost_samples", signals.lost_samples, 0))
-    return found | {name: value for name, value, none in more if value != none}
+    usual, names = SignalClass(1.0), ("at", "chatter", "mode_lag", "lost_samples")
+    more = {name: getattr(signals, name) for name in names}
+    return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
 
 
 def _lag(seconds: float | None) -> str:

@@ -99,8 +99,7 @@ def signals_of(
 
     `dwell_time` and `maximum_dwell` are what somebody wanted instead, seconds: one, or one per
     mode. With a `chatter` above 1, the problem's by default, `dwell_time` is an average one. Modes
-    change `at` the instants that the problem says, by default.
-    Lags and lost samples are no part of a problem.
+    change `at` the instants that the problem says, by default. Lags and losses are no part of it.
 
     Examples
     --------

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
-from deadtime.switching.signal_class import Instants
+from deadtime.switching import SignalClass
 
 READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
 
@@ -54,25 +54,25 @@ class LeavingAges:
         dwell_time: float,
         maximum_dwell: float,
         step: float,
-        tolerance: float,
+        signals: SignalClass,
         told: int,
-        at: Instants = "anywhere",
     ) -> LeavingAges:
-        """Of a dwell time and a maximum; `told` is the last age at which rows may change.
+        """Of a mode's dwell time and maximum; `told` is the last age at which rows may change.
 
         A `first` of −1: one period may hold two switches.
 
         Examples
         --------
-        >>> LeavingAges.of(0.25, math.inf, 0.1, 1e-5, 0)
+        >>> LeavingAges.of(0.25, math.inf, 0.1, SignalClass(0.25), 0)
         LeavingAges(first=1, last=2, ends=False, earliest=0.4999749999999977, latest=1.0)
-        >>> LeavingAges.of(0.2, 0.35, 0.1, 1e-5, 0, "samples")
+        >>> LeavingAges.of(0.2, 0.35, 0.1, SignalClass(0.2, 0.35, at="samples"), 0)
         LeavingAges(first=1, last=2, ends=True, earliest=1.0, latest=1.0)
         """
+        tolerance = signals.clock_tolerance
         r, R = least_periods(dwell_time, step, tolerance), None
         if math.isfinite(maximum_dwell):
             R = (1 + decimal(tolerance)) * (1 + READINGS) * decimal(maximum_dwell) / decimal(step)
-        if at == "samples":
+        if signals.at == "samples":
             first = max(0, math.ceil(r) - 1)
             last = max(first, told) if R is None else math.floor(R) - 1
             return cls(first, last, R is not None, 1.0)

@@ -95,18 +95,16 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     elif signals.lost_samples:
         kept = f" What decays does so where {_measured(setting)}."
     kind, parts = _how(evidence)
-    cover, anywhere = "", ""
-    if signals.at == "anywhere":
-        cover = " that cover every instant of a switch within a period"
-        anywhere = " switching at any instant,"
+    anywhere = signals.at == "anywhere"
+    cover = " that cover every instant of a switch within a period" * anywhere
     how = (
         f"Proved by machine: a {kind}, of order {setting.order}, {parts}{cells} inequalities in "
         f"ball arithmetic of 128 bits{cover}: {when} the Lyapunov function falls {falls}."
     )
     return (
-        f"{words[0].upper()}{words[1:]},{anywhere} and for every initial state{memory} and "
-        f"past input, the digital loop of {_plants(setting)} with this table"
-        f"{pace}. {_not_covered(setting)}",
+        f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
+        f"initial state{memory} and past input, the digital loop of {_plants(setting)} with this "
+        f"table{pace}. {_not_covered(setting)}",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",

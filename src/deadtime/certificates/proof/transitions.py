@@ -147,12 +147,7 @@ class SwitchGraph:
 
     @classmethod
     def of(
-        cls,
-        modes: int,
-        signals: SignalClass,
-        step: float,
-        context: Context,
-        ages: int,
+        cls, modes: int, signals: SignalClass, step: float, context: Context, ages: int
     ) -> SwitchGraph:
         """The graph of a class of signals at a period, in seconds."""
         limits, lag, losses = signals.limits(modes), signals.mode_lag, signals.lost_samples
@@ -160,14 +155,13 @@ class SwitchGraph:
         if modes == 1:
             own = LeavingAges(0, ages - 1 + losses)
             return cls((own,), following, None, context, ages, 0, losses)
-        told, tolerance = ages - 1 + lag + losses, signals.clock_tolerance
+        told = ages - 1 + lag + losses
         each = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
-        own = told, signals.at
-        clocks = tuple(LeavingAges.of(low, high, step, tolerance, *own) for low, high in each)
+        clocks = tuple(LeavingAges.of(low, high, step, signals, told) for low, high in each)
         if signals.chatter > 1:
             average, late = decimal(limits.dwell_time[0]), signals.at == "samples"
-            first = math.floor(least_periods(limits.dwell_time[0], step, tolerance)) - 1
-            first = max(0, first) if late else first
+            least = least_periods(limits.dwell_time[0], step, signals.clock_tolerance)
+            first = max(math.floor(least) - 1, late - 1)
             last = max(first, math.ceil(signals.chatter * average / decimal(step)))
             clocks = (LeavingAges(first, last, earliest=float(late)),) * modes
             return cls(clocks, following, first, context, ages, lag, losses)
