@@ -227,29 +227,27 @@ class SignalClass:
 
     def _sojourns(self, limits: SwitchingConstraint) -> str:
         """The signals by their sojourns."""
-        least, most = one_or_each(limits.dwell_time), one_or_each(limits.maximum_dwell)
         if limits.modes == 1:
             return "with the plant's one mode"
+        least, most = one_or_each(limits.dwell_time), one_or_each(limits.maximum_dwell)
+        every = "for every switching signal"
         if self.chatter > 1:
             return (
-                f"for every switching signal with an average dwell time of {least!r} s (at most "
+                f"{every} with an average dwell time of {least!r} s (at most "
                 f"{self.chatter} + T/{least!r} s switches in any T, at most one per period)"
             )
         if isinstance(least, tuple) or isinstance(most, tuple):
-            each = [
-                f"at least {low!r} s in mode {i}"
-                if math.isinf(high)
-                else f"between {low!r} and {high!r} s in mode {i}"
-                for i, (low, high) in enumerate(
-                    zip(limits.dwell_time, limits.maximum_dwell, strict=True)
-                )
-            ]
-            return f"for every switching signal whose sojourns last {', '.join(each)}"
-        if math.isfinite(most):
-            return (
-                f"for every switching signal whose sojourns last between {least!r} s and {most!r} s"
+            times = enumerate(zip(limits.dwell_time, limits.maximum_dwell, strict=True))
+            each = (
+                f"at least {x!r} s in mode {i}"
+                if math.isinf(y)
+                else f"between {x!r} and {y!r} s in mode {i}"
+                for i, (x, y) in times
             )
-        return f"for every switching signal with a dwell time of {least!r} s"
+            return f"{every} whose sojourns last {', '.join(each)}"
+        if math.isfinite(most):
+            return f"{every} whose sojourns last between {least!r} s and {most!r} s"
+        return f"{every} with a dwell time of {least!r} s"
 
     def in_words(self, modes: int) -> tuple[str, str]:
         """What signals do, after "that": how long they stay or how often they switch, and how.
