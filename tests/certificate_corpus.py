@@ -124,6 +124,8 @@ def tracking(disturbance=None):
 # Three modes, of which 0 and 2, which do not follow each other, would grow in turns.
 TURNS = np.array([[[0.0, 1], [-10, -1]], [[-2, 1], [-1, -2]], [[0, 1], [-0.1, -0.5]]])
 THROUGH = {"transitions": [[0, 1, 0], [1, 0, 1], [0, 1, 0]]}
+RISING = {"transitions": [[int(j <= i + 1) for j in range(4)] for i in range(4)]}
+SAMPLES = {"at": "samples"}
 
 
 def through(gain=0.1):
@@ -139,6 +141,19 @@ def aged_pair():
 
 
 OF_INPUTS = [0.15, 0.234]  # s
+
+
+def half_turns():
+    """Modes that turn by half in 0.1 s: at samples they only shrink, between them they may grow."""
+    turn = np.array([[-0.5, 10.0 * np.pi], [-10.0 * np.pi, -0.5]])
+    return free(np.array([S @ turn @ np.linalg.inv(S) for S in (np.eye(2), np.diag([3.0, 1.0]))]))
+
+
+def delays_in_turn():
+    """A mode for every delay of four to seven periods of 0.05 s."""
+    A, B = [[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]]
+    plant = dt.SwitchedSystem([A] * 4, [B] * 4, [[0.2], [0.25], [0.3], [0.35]])
+    return designed(plant, (-1.5, -2.0))
 
 
 def in_a_ring(delays=OF_INPUTS):
@@ -289,6 +304,15 @@ CASES: dict[str, Case] = {
         *(0.3, 0.1, {"delays": (0.135, 0.145), "decay_rate": 0.0, "lost_samples": 1}),
     ),
     "lost-tracking": (lambda: tracking(), 0.3, 0.1, {"lost_samples": 1}),
+    "samples": (lambda: designed(PAIR), 0.1, 0.1, SAMPLES),
+    "samples-turning": (half_turns, 0.1, 0.1, SAMPLES),
+    "samples-ring": (in_a_ring, [0.3, 0.7, 0.25], 0.1, {"decay_rate": 0.0, **RING, **SAMPLES}),
+    "samples-ways": (delays_in_turn, 0.05, 0.05, {"decay_rate": 1.2, **RISING, **SAMPLES}),
+    "samples-aged": (lambda: of("averaged, dwell-aware"), 0.2, 0.1, SAMPLES),
+    "samples-late": (lambda: (MILD, DELAYED), 0.2, 0.1, {"mode_lag": 3, **SAMPLES}),
+    "samples-lost": (lambda: (MILD, DELAYED), 0.1, 0.1, {"lost_samples": 2, **SAMPLES}),
+    "samples-average": (lambda: free(ellipses(4.0, 0.8)), 4.0, 0.1, {"chatter": 2, **SAMPLES}),
+    "samples-range": (lambda: (MILD, DELAYED), 0.1, 0.1, {"delays": (0.2, 0.29), **SAMPLES}),
 }
 
 

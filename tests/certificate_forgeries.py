@@ -193,6 +193,18 @@ FALSE = [
     ("lost-unseen", entries("lyapunov.P", turned)),
     ("lost-modes", entries("law.G", scaled(np.s_[-1, 0, :2, :2], 2.0))),  # a prediction that grows
     ("lost-tracking", put("signals.dwell_time", 0.2)),
+    *(("samples", without_inside("signals.at"), put("signals.dwell_time", T)) for T in (0.1, 0.05)),
+    ("samples-turning", without_inside("signals.at"), put("signals.dwell_time", 0.4)),
+    ("samples-turning", put("law.step", 0.05)),
+    ("samples-late", entries("law.F", scaled((0, 0, 0), 4.0))),
+    ("samples-ring", put("signals.transitions", FREER)),
+    ("samples-ring", put("signals.maximum_dwell", [9.0, None, 1.2])),
+    ("samples-ring", put("signals.maximum_dwell", [0.9, None, 0.29])),  # no whole period
+    ("samples-average", put("signals.dwell_time", 0.5)),
+    *(
+        (f"samples-{name}", put("rho", lambda rho: 0.97 * rho))
+        for name in ("ways", "lost", "range")
+    ),
 ]
 
 # malformed: no certificates at all
@@ -205,6 +217,10 @@ MALFORMED = [
         for name in ("rate", "late-mode", "observed", "free-rate-0")
     ),
     ("lost-state", put("law.mode_lag", 1)),
+    *(
+        ("samples", put("signals.at", at))
+        for at in ("anywhere", "Samples", True, None, ["samples"])
+    ),
     ("lost-state", entries("law.F", lambda F: F[:2])),
     *(("observed", put("law.memory", q)) for q in (0, -1, True, 2.0, 1, 3, 10**7)),
     ("observed", entries("law.G", lambda G: G + 1e-3)),  # reads what was remembered long ago

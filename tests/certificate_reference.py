@@ -361,14 +361,21 @@ class Inequalities:
         """The least of all: of K, and of every step with switches at these parts of their range."""
         setting = self.evidence.setting
         last = max(self.evidence.knots[-1], self.loop.table.ages - 1)
-        last = max(last, math.floor(decimal(setting.dwell_time) / self.loop.plant.h))
-        dwell_time, maximum, h = setting.dwell_time, setting.maximum_dwell, self.loop.plant.h
+        dwell_time, maximum = setting.signals.dwell_time, longest_of(setting)
+        h = self.loop.plant.h
+        last = max(last, math.floor(decimal(dwell_time) / h))
         found = [self.large()]
         for step in steps(self.loop.plant.modes, dwell_time, h, last, maximum):
             low, high = instants(step[1], dwell_time, h, maximum)
             at = low + (high - low) * parts if step[0] != step[2] else [1]
             found += [self.small(*step, s) for s in at]
         return min(found)
+
+
+def longest_of(setting) -> float | None:
+    """The longest sojourn in every mode, seconds; None for those without end."""
+    longest = setting.signals.maximum_dwell
+    return None if math.isinf(longest) else longest
 
 
 # -- files ---------------------------------------------------------------------------------

@@ -55,15 +55,15 @@ def still(evidence):
 def assert_steps_decrease(certificate, loop, instants, maximum=None, most=None):
     """P_{i,a} ≻ 0 and P_{i,a} − Mᵀ P_{j,b} M/ρ² ≻ 0 along all steps, or `most` of them."""
     rng, evidence = np.random.default_rng(1), certificate.evidence
-    setting = evidence.setting
-    last = max(evidence.knots[-1], setting.ages, math.ceil(setting.dwell_time / setting.step)) + 1
-    everything = list(steps(loop.plant.modes, setting.dwell_time, setting.step, last, maximum))
+    setting, dwell_time = evidence.setting, evidence.setting.signals.dwell_time
+    last = max(evidence.knots[-1], setting.ages, math.ceil(dwell_time / setting.step)) + 1
+    everything = list(steps(loop.plant.modes, dwell_time, setting.step, last, maximum))
     if most:
         everything = [everything[k] for k in rng.permutation(len(everything))[:most]]
     for i, a, j, b in everything:
         before, after = certificate.lyapunov(i, a), certificate.lyapunov(j, b)
         lag = still(evidence) * np.linalg.norm(before) * np.eye(len(before))
-        low, high = reference.instants(a, setting.dwell_time, setting.step, maximum)
+        low, high = reference.instants(a, dwell_time, setting.step, maximum)
         for s in (*rng.uniform(low, high, instants).tolist(), high) if j != i else (1,):
             M = loop.step(i, a, j, s)
             assert reference.decreases(before + lag, after, M, evidence.rho), (i, a, j, s)

@@ -173,14 +173,15 @@ def certificate(content):
     c.F, c.G = array(F, "F", rows, out, c.n), array(G, "G", rows, None, out, out)
     need(c.G[0], "G has no taps")
     need(not any(x for r in c.G for g in r[1:] for y in g for x in y[: c.q]), "G reads an old w")
-    ways = "transitions" in signals
-    keys = "dwell_time maximum_dwell chatter clock_tolerance" + " transitions" * ways
+    ways, c.samples = "transitions" in signals, "at" in signals
+    keys = "dwell_time maximum_dwell chatter clock_tolerance"
+    keys += " transitions" * ways + " at" * c.samples
     dwell, maximum, chatter, tolerance, *matrix = take(signals, "signals", keys)
+    need(signals.get("at", "samples") == "samples", "at is not 'samples', nor left out")
     c.dwell, c.maximum = per_mode(dwell, "dwell_time", c), per_mode(maximum, "maximum_dwell", c)
     c.chatter, c.tolerance = whole(chatter, "chatter", 1), real(tolerance, "clock_tolerance")
-    c.follow = (
-        following(matrix[0], c) if ways else [{*range(c.modes)} - {i} for i in range(c.modes)]
-    )
+    others = [{*range(c.modes)} - {i} for i in range(c.modes)]
+    c.follow = following(matrix[0], c) if ways else others
     fits = c.step > 0 and all(x and x > 0 for x in c.dwell) and 1e-8 <= c.tolerance <= 0.1
     fits = fits and all(0 < low <= high for row in c.D for low, high in row)
     need(fits and 0.01 <= c.rho <= 1, "delays, step, dwell_time, clock_tolerance or rho are off")
@@ -191,8 +192,9 @@ def certificate(content):
     fits = all(x is None or low <= x for low, x in pairs)
     fits = fits and (c.chatter == 1 or (maximum is None and type(dwell) is not list))
     need(fits, "maximum_dwell is below dwell_time, or chatter is not 1")
-    fits = all(c.follow[i] or c.maximum[i] is None or c.modes == 1 for i in range(c.modes))
-    need(fits, "transitions lead nowhere from a mode that has to be left")
+    entered = set().union(*c.follow)
+    fits = [c.follow[i] or (c.maximum[i] is None and i in entered) for i in range(c.modes)]
+    need(all(fits) or c.modes == 1, "transitions lead nowhere from a mode, or neither in nor out")
     c.linear = lyapunov["kind"] == "linear"
     c.averaged = not c.linear and c.chatter > 1 and c.modes > 1
     keys = "kind knots P" + " Psi S" * c.linear + " mu" * c.averaged
@@ -216,9 +218,8 @@ def certificate(content):
 def per_mode(value, name, c):
     """A number, or None, for each mode; a list only where they are not all one."""
     several = type(value) is list
-    need(
-        not several or (len(value) == c.modes and len({*value}) > 1), f"{name} is no time per mode"
-    )
+    fits = not several or (len(value) == c.modes and len({*value}) > 1)
+    need(fits, f"{name} is no time per mode")
     each = value if several else [value] * c.modes
     need(name != "dwell_time" or None not in each, "dwell_time is missing")
     return [None if x is None else real(x, name) for x in each]
@@ -477,15 +478,18 @@ class Loop:
         self.bucket = c.chatter > 1 and c.modes > 1
         if c.modes == 1:
             return [0], [None], [c.ages - 1 + c.lost]
-        first = [math.floor(x) - 1 for x in self.shortest]
+        # A sojourn from sample to sample has a full period less than it is long.
+        whole = math.ceil if c.samples and not self.bucket else math.floor
+        first = [max(whole(x) - 1, -1 + c.samples) for x in self.shortest]
         need(min(first) >= 0, "the dwell time is below one period")
-        ends = [math.ceil(x) - 1 for x in self.longest]
+        ends = [(math.floor if c.samples else math.ceil)(x) - 1 for x in self.longest]
         ends = [None if x is None else q for x, q in zip(c.maximum, ends, strict=True)]
         # Without a bucket the last age stands for all later ones.
-        lasts = [max(q + 1, c.ages - 1 + c.lag + c.lost) for q in first]
+        lasts = [max(q + (not c.samples), c.ages - 1 + c.lag + c.lost) for q in first]
         if self.bucket:
             lasts = [max(q, math.ceil(c.chatter * number(c.dwell[0]) / h)) for q in first]
         lasts = [q if end is None else end for q, end in zip(lasts, ends, strict=True)]
+        need(all(map(int.__le__, first, lasts)), "maximum_dwell leaves no sojourn of whole periods")
         return first, ends, lasts
 
     def rows(self, mode, age):
@@ -674,10 +678,8 @@ class Loop:
         J = arb_mat([*zip(*(D.entries() for D in moved.values()), strict=True)])
         axes = [[arb(axis[mode][a][b]) for axis in c.axes] for mode, a, b in moved]
         L = J * arb_mat(axes)
-        C, rest = (
-            L.mid() * L.mid().transpose(),
-            [sum((x.rad() ** 2 for x in r), arb(0)) for r in L.tolist()],
-        )
+        C = L.mid() * L.mid().transpose()
+        rest = [sum((x.rad() ** 2 for x in r), arb(0)) for r in L.tolist()]
         sizes = sum((C[a, a] for a in range(n * k)), arb(0)), sum(rest, arb(0)) * n * k
         share = (sizes[1] / sizes[0]).sqrt().mid() + arb(2) ** -30
         C = C * (1 + share)
@@ -942,6 +944,7 @@ def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=Non
         H = block([[F - W * mu, N], [N.transpose(), X.inv() * mu - G1]])
         return positive(H)[1] < 1
 
+    modes = (modes[0], modes[0]) if loop.c.samples else modes  # a switch is at the end, s = h
     cells = [(cell, 0) for cell in loop.roots(*modes, age)]
     while cells:
         cell, deep = cells.pop()
@@ -973,10 +976,10 @@ def summary(c):
     signals = "sojourns of " + (", ".join(each) if len({*each}) > 1 else each[0])
     if c.chatter > 1:
         signals = f"{c.chatter} + T/({c.dwell[0]!r} s) switches or fewer in any T, one in a period"
+    signals += " at samples" * c.samples
     if sum(map(len, c.follow)) < c.modes * (c.modes - 1):
-        signals += " that switch only " + ", ".join(
-            f"{i} to {sorted(x)}" for i, x in enumerate(c.follow)
-        )
+        only = ", ".join(f"{i} to {sorted(x)}" for i, x in enumerate(c.follow))
+        signals += f" that switch only {only}"
     (low, high), D = c.D[0][0], c.delays if type(c.delays[0]) is list else c.delays[0]
     low, high = c.delays if c.box else (low, high)
     D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"

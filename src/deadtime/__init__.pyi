@@ -96,6 +96,7 @@ from .switching import (
     Polyhedra as Polyhedra,
     QuadraticRegions as QuadraticRegions,
     SignalBatch as SignalBatch,
+    SignalClass as SignalClass,
     SwitchingSignal as SwitchingSignal,
 )
 from .switching.models.markov import Markov as Markov

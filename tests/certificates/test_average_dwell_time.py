@@ -202,11 +202,10 @@ def test_a_file_is_asked_about_by_its_class_and_not_by_the_signal_drawn(tmp_path
     path = tmp_path / "adt.toml"
     path.write_text(FILE.format(average=average, chatter=chatter))
     problem = dt.problems.load_problem(path)
-    asked = signals_of(problem, problem.signal)
-    assert asked.options.get("chatter", 1) == chatter
-    assert asked.options["dwell_time"] == average
-    assert signals_of(problem, problem.signal, chatter=1).options == {"dwell_time": average}
-    assert signals_of(problem, problem.signal, [3.0]).options.get("chatter", 1) == chatter
+    asked = signals_of(problem, problem.signal).signals
+    assert asked == dt.SignalClass(average, chatter=chatter)
+    assert signals_of(problem, problem.signal, chatter=1).signals == dt.SignalClass(average)
+    assert signals_of(problem, problem.signal, [3.0]).signals.chatter == chatter
 
 
 def of_command(capsys, *arguments):
@@ -247,8 +246,10 @@ def test_the_least_average_dwell_time_is_bracketed():
     assert 5.41 < found.certified < 5.42 * 1.1
     assert 2.6 < found.refuted < 2.8
     assert "with an average dwell time of" in found.message
-    with pytest.raises(dt.ArgumentError, match="chatter above 1 asks about one average"):
+    with pytest.raises(dt.ArgumentError, match="chatter > 1 and maximum_dwell exclude each other"):
         dt.margins.least_dwell_time(plant, law, STEP, chatter=2, maximum_dwell=3.0)
+    with pytest.raises(dt.ArgumentError, match="chatter above 1 asks about one average"):
+        dt.margins.least_dwell_time(plant, law, STEP, chatter=2, dwell_time=3.0, mode=0)
 
 
 def test_feedback_over_a_delay_line_is_certified_for_an_average_dwell_time():

@@ -123,7 +123,7 @@ def test_every_step_of_signals_in_real_time_is_in_the_graph(longest, dwell_time)
     seen = reference.ages(sampled)
     fractions = {math.floor(t / 0.1 - 1e-12): t / 0.1 % 1.0 for t in times[1:]}
     for context, rows in (("none", 1), ("mode", 1), ("mode_age", 7)):
-        graph = SwitchGraph.of(3, (dwell_time, longest), 1, 0.1, 1e-5, context, rows)
+        graph = SwitchGraph.of(3, dt.SignalClass(dwell_time, longest), 0.1, context, rows)
         for k, (age, later) in enumerate(itertools.pairwise(seen)):
             (low, high) = graph.switches(0, age, 0)[0].instants if not later and k else (0.0, 1.0)
             assert low <= fractions.get(k, low) <= high
@@ -139,7 +139,7 @@ def test_every_step_of_signals_in_real_time_is_in_the_graph(longest, dwell_time)
 @pytest.mark.parametrize("chatter", [2, 3])
 @pytest.mark.parametrize("average", [0.17, 0.3, 0.75])
 def test_every_step_of_bursts_within_an_average_dwell_time_is_in_the_graph(average, chatter):
-    graph = SwitchGraph.of(3, (average, None), chatter, 0.1, 1e-5, "mode", 1)
+    graph = SwitchGraph.of(3, dt.SignalClass(average, chatter=chatter), 0.1, "mode", 1)
     knots, level = tuple(sorted({0, graph.last // 2, graph.last})), graph.last
     found = reference.by_age(graph.all(knots))
     signal = reference.bursts(np.random.default_rng(1), 3, average, chatter, 60.0, 0.1)

@@ -39,7 +39,7 @@ def test_the_function_falls_at_every_step_of_the_loop_by_definition(name):
     plant, law, certificate = certified(name)
     loop = delayed_loops.Loop(plant, law.digital(certificate.evidence.setting.step))
     assert loop.order == certificate.evidence.setting.order
-    maximum = certificate.evidence.setting.maximum_dwell
+    maximum = reference.longest_of(certificate.evidence.setting)
     assert_steps_decrease(certificate, loop, 6, maximum, most=40)
 
 
@@ -56,9 +56,9 @@ def test_it_falls_along_runs(name):
     plant, law, certificate = certified(name)
     setting, rng = certificate.evidence.setting, np.random.default_rng(7)
     samples = 60
-    longest = setting.maximum_dwell or 2.0 * setting.dwell_time
+    longest = reference.longest_of(setting) or 2.0 * setting.signals.dwell_time
     times, modes = reference.random_signal(
-        rng, plant.modes, setting.dwell_time, samples * setting.step, longest
+        rng, plant.modes, setting.signals.dwell_time, samples * setting.step, longest
     )
     assert_runs_decrease(certificate, plant, law, dt.SwitchingSignal(times, modes), samples)
 
@@ -69,7 +69,7 @@ def test_it_falls_along_runs(name):
 def test_no_signal_is_found_that_decays_slower_than_certified(name):
     plant, law, certificate = certified(name)
     setting = certificate.evidence.setting
-    worst = dt.falsify(plant, law, setting.dwell_time, setting.step)
+    worst = dt.falsify(plant, law, setting.signals.dwell_time, setting.step)
     assert worst.growth_rate <= -certificate.decay_rate + 1e-9
 
 

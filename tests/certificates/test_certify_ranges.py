@@ -149,7 +149,7 @@ def test_it_falls_along_runs_at_delays_drawn_from_the_ranges(name):
         truth = plants[trial % len(plants)]
         truth = dt.SwitchedSystem(truth.A, truth.B, delays)
         times, modes = reference.random_signal(
-            rng, truth.modes, setting.dwell_time, 60 * setting.step, 2.0 * setting.dwell_time
+            rng, truth.modes, dwell := setting.signals.dwell_time, 60 * setting.step, 2.0 * dwell
         )
         signal = dt.SwitchingSignal(times, modes)
         assert_runs_decrease(certificate, truth, law, signal, 60)
@@ -160,7 +160,7 @@ def test_no_signal_at_delays_in_the_ranges_decays_slower_than_certified():
     setting, rng = certificate.evidence.setting, np.random.default_rng(1)
     for _ in range(2):
         truth = dt.SwitchedSystem(plant.A, plant.B, drawn(rng, *setting.delays))
-        worst = dt.falsify(truth, law, setting.dwell_time, setting.step, budget=20_000)
+        worst = dt.falsify(truth, law, setting.signals.dwell_time, setting.step, budget=20_000)
         assert worst.growth_rate <= -certificate.decay_rate + 1e-9
 
 

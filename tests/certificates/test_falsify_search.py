@@ -15,7 +15,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.products import compress
 from deadtime.certificates.worst_case.run_search import _drawn
-from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching import SignalClass
 from worst_case_laws import QUICK, TURNING, H, free
 
 # -- relations ---------------------------------------------------------------------------------
@@ -162,8 +162,7 @@ def test_words_are_as_far_apart_as_the_nearest_of_their_turns(seed):
 
 
 def ring(modes: int, dwell: float, longest: float | None) -> Admissible:
-    signals = SwitchingConstraint.of(modes, dwell, longest, np.roll(np.eye(modes), 1, 1))
-    return Admissible.of(signals, H, 1e-5)
+    return Admissible.of(SignalClass(dwell, longest, np.roll(np.eye(modes), 1, 1)), modes, H)
 
 
 @pytest.mark.parametrize("modes", [2, 3, 4])

@@ -124,7 +124,7 @@ def test_the_witness_grows_in_an_independent_simulation_of_another_plant(name):
 
 def test_a_dwell_time_is_kept_to_the_last_digit():
     for dwell in (0.3, 0.7 / 3.0, 0.41):
-        r = Dwell.of(dwell, None, H).least
+        r = Dwell.of(dwell, np.inf, H).least
         for offset in (0.0, 0.3, 0.999):
             gaps = (r, r, np.ceil(4 * r) - 2 * r)
             signal = repeat(Cycle((0, 1, 2), gaps, offset), 200, (dwell,) * 3, H)

@@ -4,8 +4,11 @@ Switches lie on a grid of a sixth of the period and the law is followed sample b
 runs of any length are walks through finitely many states, all of which are visited.
 """
 
+import math
+
 import pytest
 
+import deadtime as dt
 from deadtime.certificates.proof.transitions import SwitchGraph
 
 PARTS = 6  # of a period
@@ -68,9 +71,11 @@ def steps_of_all_runs(dwell, longest, following, context, ages, most):
 def test_each_step_that_any_signal_and_any_losses_bring_about_is_in_the_graph(case):
     dwell, longest, following, context, ages, most = case
     times = tuple(x * 0.1 / PARTS for x in dwell)
-    ends = tuple(x and x * 0.1 / PARTS for x in longest)
-    about = context, ages, 0, following, most
-    graph = SwitchGraph.of(len(dwell), (times, ends), 1, 0.1, 1e-5, *about)
+    ends = tuple(math.inf if x is None else x * 0.1 / PARTS for x in longest)
+    modes = len(dwell)
+    ways = None if following is None else [[j in row for j in range(modes)] for row in following]
+    signals = dt.SignalClass(times, ends, ways, lost_samples=most)
+    graph = SwitchGraph.of(modes, signals, 0.1, context, ages)
     known, last = {}, [clock.last for clock in graph.clocks]
     for one in graph.all(tuple(range(graph.last + 1))):
         key = one.mode, one.age, one.row, one.lost, one.next_lost, one.after, one.next_age

@@ -167,8 +167,9 @@ def test_runs_and_controllers_that_lose_samples_follow_the_same_equations(name):
      ("none", 1, 3, 1), ("mode_age", 3, 2, 2), ("mode", 1, 2, 3)],
 )  # fmt: skip
 def test_every_row_that_acts_in_a_run_is_in_the_graph(context, ages, most, chatter):
-    following = ((1, 2), (2,), (0, 1))
-    graph = SwitchGraph.of(3, (0.35, None), chatter, STEP, 1e-5, context, ages, 0, following, most)
+    ways = [[0, 1, 1], [0, 0, 1], [1, 1, 0]]
+    signals = dt.SignalClass(0.35, transitions=ways, lost_samples=most, chatter=chatter)
+    graph = SwitchGraph.of(3, signals, STEP, context, ages)
     if chatter > 1:
         told = {(i, lost, row, then) for i in range(3) for row, lost, then in graph._told(i, 1)}
     else:
@@ -183,7 +184,7 @@ def test_every_row_that_acts_in_a_run_is_in_the_graph(context, ages, most, chatt
         times, _, lost = drawn(rng, 3, 0.35, 80, most)
         path = [0]
         while len(path) < len(times):
-            path.append(int(rng.choice(following[path[-1]])))
+            path.append(int(rng.choice(graph.following[path[-1]])))
         for k, (mode, age, before, tells, counted) in enumerate(followed(times, path, lost)):
             if k < most + ages:
                 continue
@@ -290,7 +291,7 @@ def test_no_losses_are_no_other_certificate_and_what_does_not_fit_is_refused(tmp
     with pytest.raises(ArgumentError, match="lost_samples needs a law that is a table"):
         dt.falsify(corpus.MILD, ruled, 0.5, STEP, lost_samples=1)
     never = corpus.free(corpus.ellipses(2.0, 0.5))
-    assert dt.certify(*never, 0.25, STEP, lost_samples=2).evidence.setting.lost_samples == 0
+    assert dt.certify(*never, 0.25, STEP, lost_samples=2).evidence.setting.signals.lost_samples == 0
 
 
 @pytest.mark.long

@@ -72,8 +72,8 @@ def told_in_histories(modes, ages, shortest, lag):
 )  # fmt: skip
 def test_the_rows_that_may_act_are_those_of_all_histories(modes, ages, shortest, lag):
     context = "mode" if ages == 1 else "mode_age"
-    times = ((shortest + 1) * STEP, None)
-    graph = SwitchGraph.of(modes, times, 1, STEP, 1e-5, context, ages, lag)
+    signals = dt.SignalClass((shortest + 1) * STEP, mode_lag=lag)
+    graph = SwitchGraph.of(modes, signals, STEP, context, ages)
     assert graph.first + 1 == shortest
     found = told_in_histories(modes, ages, shortest, lag)
     assert len(found) == modes * (lag + ages)
@@ -122,7 +122,7 @@ def test_v_falls_as_certified_along_runs_with_late_modes(seed):
     assert found.stable, found.message
     whole = not isinstance(found.evidence, StretchEvidence)  # along stretches V is known at nodes
     evidence, ages = found.evidence, law.digital(STEP).ages
-    assert evidence.setting.mode_lag == lag
+    assert evidence.setting.signals.mode_lag == lag
     samples = 60
     signal = a_signal(rng, plant.modes, dwell, samples * STEP)
     states, modes = run_late(plant, law, signal, lag, evidence.setting.past, samples, rng)

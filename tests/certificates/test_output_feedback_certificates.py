@@ -64,7 +64,7 @@ def setting_of(plant, law, dwell_time=0.35):
     delays = (plant.delay,) * 2 if plant.has_one_delay else plant.delays
     return Setting(
         plant.A[None], plant.B[None], delays, table.state_gain, table.input_gain, table.context,
-        table.ages, STEP, dwell_time, memory=table.memory,
+        table.ages, STEP, dt.SignalClass(dwell_time), table.memory,
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """The check rejects whatever is no proof: perturbed, malformed, or for another question."""
 
+import contextlib
 import math
 from dataclasses import replace
 from operator import attrgetter
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import certificate_reference as reference
+import deadtime as dt
 from deadtime.certificates.proof import check
 from evidence import ALPHA, ARRAYS, PAPER, TIMES, made
 
@@ -23,6 +25,15 @@ def assert_rejected(evidence, reason=""):
     assert reason in outcome.reason
 
 
+def assert_refused(evidence, part, value):
+    """Such evidence is rejected, unless it cannot be made."""
+    with contextlib.suppress(dt.ArgumentError):
+        assert_rejected(with_part(evidence, part, value))
+        return
+    with pytest.raises(dt.ArgumentError, match=f"{part.rpartition('.')[2]} must be"):
+        with_part(evidence, part, value)
+
+
 def least(evidence, loop):
     """The least eigenvalue of all inequalities of the evidence, by the second method."""
     return reference.Inequalities(evidence, loop).least(np.linspace(0.0, 1.0, 21))
@@ -30,10 +41,9 @@ def least(evidence, loop):
 
 def with_part(evidence, part, value):
     """The evidence with a part of it, of its centre or of its setting replaced."""
-    owner, _, name = part.rpartition(".")
-    if owner:
-        name, value = owner, replace(getattr(evidence, owner), **{name: value})
-    return replace(evidence, **{name: value})
+    name, _, inner = part.partition(".")
+    whole = with_part(getattr(evidence, name), inner, value) if inner else value
+    return replace(evidence, **{name: whole})
 
 
 @pytest.mark.few(1)
@@ -88,9 +98,10 @@ def test_evidence_is_rejected_for_another_delay_dwell_time_or_rate():
     evidence = evidence_of("common")
     for delay, reason in ((0.9, "K ≻ 0 fails"), (0.98, "has the shape"), (1.1, "has the shape")):
         assert_rejected(with_part(evidence, "setting.delays", (delay, delay)), reason)
-    assert check(with_part(evidence, "setting.dwell_time", 0.11)).proven  # P is for any dwell time
-    assert_rejected(with_part(evidence, "setting.dwell_time", 0.1), "below one period")
-    mutant = with_part(evidence_of("eigenvectors"), "setting.dwell_time", 0.11)
+    dwell = "setting.signals.dwell_time"
+    assert check(with_part(evidence, dwell, 0.11)).proven  # P is for any dwell time
+    assert_rejected(with_part(evidence, dwell, 0.1), "below one period")
+    mutant = with_part(evidence_of("eigenvectors"), dwell, 0.11)
     assert least(mutant, made("eigenvectors")[3]) < 0.0
     assert_rejected(mutant, "the inequality of the step")
     for name in ALPHA:
@@ -125,7 +136,8 @@ def test_numbers_that_are_none_are_rejected_wherever_they_stand(name, value):
             spoiled.flat[-1] = value
             assert_rejected(with_part(evidence, part, spoiled))
     for part in ("rho", *(f"setting.{name}" for name in TIMES)):
-        assert_rejected(with_part(evidence, part, value))
+        if (part, value) != ("setting.signals.maximum_dwell", math.inf):  # without end
+            assert_refused(evidence, part, value)
     assert_rejected(with_part(evidence, "setting.delays", (1.0, value)))
 
 
@@ -147,8 +159,8 @@ def test_shapes_layout_knots_and_symmetry_are_checked():
         assert_rejected(replace(evidence, rho=rho), "rho is not in")
     for delays in ((-1.0, -1.0), (0.5, 1.0), (1.0, 0.95)):
         assert_rejected(with_part(evidence, "setting.delays", delays))
-    for part, value in (("step", 0.0), ("step", -0.1), ("ages", 0), ("chatter", 0)):
-        assert_rejected(with_part(evidence, f"setting.{part}", value))
+    for part, value in (("step", 0.0), ("step", -0.1), ("ages", 0), ("signals.chatter", 0)):
+        assert_refused(evidence, f"setting.{part}", value)
     # Rows that no step would read, if what is said of the table's layout were believed.
     for part, value in (("ages", 1), ("context", "mode"), ("context", "none")):
         assert_rejected(with_part(aged, f"setting.{part}", value))

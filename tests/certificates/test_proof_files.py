@@ -27,7 +27,7 @@ def test_files_hold_the_evidence_bit_by_bit_and_prove_it_again(name, tmp_path):
     for part in ARRAYS:
         one, two = (attrgetter(part)(e) for e in (loaded, certificate.evidence))
         assert (one.shape, one.tobytes()) == (two.shape, two.tobytes())
-    setting = (f"setting.{key}" for key in ("delays", "chatter", "context", "ages", *TIMES))
+    setting = (f"setting.{key}" for key in ("delays", "signals", "context", "ages", *TIMES))
     for part in ("rho", "knots", *setting):
         assert attrgetter(part)(loaded) == attrgetter(part)(certificate.evidence)
     verified = dt.verify(path, plant, law)
@@ -133,7 +133,7 @@ FORGED = [  # what an attacker writes, who makes the digest fit again
     *(("plant", {"A": [FAR.A.tolist()], "B": [FAR.B.tolist()]}), ("", {"rho": 0.5})),
     *(("signals", {"dwell_time": 0.11}), ("lyapunov", {"knots": [0, 2]})),
     *(("plant", {"delays": [0.95, 1.0]}), ("", {"decay_rate": 1.0})),
-    *(("signals", {"clock_tolerance": 0.5}), ("signals", {"chatter": 2})),
+    *(("signals", {"chatter": 2}), ("signals", {"clock_tolerance": 0.5})),
     *(("", {"claim": "Stable for every delay."}), ("signals", {"note": "all of them"})),
     *(("plant", {"A": [1.0, 2.0]}), ("plant", {"A": FAR.A.tolist()}), ("law", {"step": 0})),
     *(("plant", {"delays": [math.nan] * 2}), ("signals", {"dwell_time": 1e308})),
@@ -170,6 +170,6 @@ def test_whoever_makes_the_digest_fit_gains_nothing_and_no_solver_is_needed(tmp_
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.stderr == ""
     answers = run.stdout.split()
-    assert answers[:10] == ["True"] + ["False"] * 9
+    assert answers[:9] == ["True"] + ["False"] * 8
     assert len(answers) == len(paths)
-    assert set(answers[10:]) == {"False", "refused"}
+    assert set(answers[9:]) == {"False", "refused"}

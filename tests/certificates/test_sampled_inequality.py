@@ -29,6 +29,7 @@ class Sampled:
     def __init__(self, content, rng) -> None:
         self.law, self.signals = content["law"], content["signals"]
         V, plant = content["lyapunov"], content["plant"]
+        self.at_samples = self.signals.get("at") == "samples"
         self.knots, self.linear = V["knots"], V["kind"] == "linear"
         self.rho, self.mu = content["rho"], V.get("mu")
         self.P = forgeries.unpacked(V["P"])
@@ -81,6 +82,8 @@ class Sampled:
 
     def instants(self, mode, age, count, rng):
         """Fractions of a period at which the mode may be left, the ends among them."""
+        if self.at_samples:
+            return [1.0]
         h, (shortest, longest) = self.law["step"], self.times(mode)
         low, high, tolerance = 0.0, 1.0, self.signals["clock_tolerance"]
         if self.signals["chatter"] == 1:
@@ -97,6 +100,10 @@ class Sampled:
         least = int(shortest / h * (1.0 - tolerance))
         if self.signals["chatter"] > 1:
             return least, max(least, self.knots[-1])
+        if self.at_samples:
+            least = max(1, int(np.ceil(shortest / h * (1.0 - tolerance))))
+            own = max(least, self.law["ages"] + self.law.get("lost_samples", 0))
+            return least, (own if longest is None else int(longest / h * (1.0 + tolerance))) - 1
         if longest is not None:
             return least, int(np.ceil(longest / h * (1.0 + tolerance))) - 1
         if not self.linear:
@@ -176,6 +183,8 @@ def test_the_inequality_of_every_step_holds_at_sampled_instants(name):
         ("average-turning", forgeries.put("lyapunov.mu", lambda mu: 0.5 * mu)),
         ("average-turning", forgeries.put("signals.dwell_time", 4.0)),
         ("ways", forgeries.put("signals.dwell_time", [0.3, 0.31, 0.3])),
+        ("samples-turning", forgeries.without_inside("signals.at")),
+        ("samples-ring", forgeries.put("signals.maximum_dwell", [9.0, None, 1.2])),
         *(
             (name, forgeries.put("signals.transitions", forgeries.FREER))
             for name in ("ways", "ways-ring", "stretches-ways")

@@ -1,6 +1,7 @@
 """Lyapunov functions along stretches: back in their inequalities, and as far as LMIs reach."""
 
 import dataclasses
+import math
 
 import cvxpy as cp
 import numpy as np
@@ -70,13 +71,16 @@ def setting_of(plant, law, dwell_time, longest, step):
     table = law.digital(step)
     numbers = (table.state_gain, table.input_gain, table.context, table.ages, step)
     delays = (plant.delay, plant.delay)
-    return Setting(plant.A[None], plant.B[None], delays, *numbers, dwell_time, longest)
+    signals = dt.SignalClass(dwell_time, longest)
+    return Setting(plant.A[None], plant.B[None], delays, *numbers, signals)
 
 
 def assert_stretches_decrease(evidence, loop):
     """P_here − Mᵀ P_there M/ρ^{2L} ≻ 0, period by period from node to node."""
     setting, knots, modes = evidence.setting, evidence.knots, evidence.P.shape[0]
-    times = setting.dwell_time, setting.step
+    signals = setting.signals
+    longest = None if math.isinf(signals.maximum_dwell) else signals.maximum_dwell
+    times = signals.dwell_time, setting.step
     arrivals = {j: np.eye(setting.order) for j in range(modes)}
     for j in range(modes):
         for a in range(knots[0]):
@@ -94,18 +98,18 @@ def assert_stretches_decrease(evidence, loop):
             M, a = np.eye(setting.order), start
             while True:
                 if reference.may_leave(a, *times):
-                    low, high = reference.instants(a, *times, setting.maximum_dwell)
+                    low, high = reference.instants(a, *times, longest)
                     for s in np.linspace(low, high, 5) if high > 0.0 else ():
                         for j in set(range(modes)) - {i}:
                             mixed = arrivals[j] @ loop.step(i, a, j, s) @ M
                             falls((i, k), (j, 0), mixed, a - start + 1 + knots[0])
-                if not reference.may_stay(a, setting.maximum_dwell, setting.step):
+                if not reference.may_stay(a, longest, setting.step):
                     break
                 M, a = loop.step(i, a, i, 1) @ M, a + 1
                 if a in knots:
                     falls((i, k), (i, knots.index(a)), M, a - start)
                     break
-                if start == knots[-1] and setting.maximum_dwell is None:
+                if start == knots[-1] and longest is None:
                     falls((i, k), (i, k), M, 1)
                     break
     assert count >= modes * (5 * (modes - 1) + 1)
@@ -211,7 +215,8 @@ def along_stretches(name):
 @pytest.mark.parametrize("longest", [7.0, 30.0, 100.0, 240.0])
 def test_sojourns_claimed_far_too_long_are_refused_after_few_of_their_steps(longest):
     evidence = along_stretches("stretches-maximum")
-    claimed = dataclasses.replace(evidence.setting, maximum_dwell=longest)
+    signals = dataclasses.replace(evidence.setting.signals, maximum_dwell=longest)
+    claimed = dataclasses.replace(evidence.setting, signals=signals)
     outcome = check(dataclasses.replace(evidence, setting=claimed))
     assert not outcome.proven
     assert outcome.cells < 100
@@ -232,7 +237,7 @@ def test_long_products_of_equal_steps_cost_a_few_multiplications():
 
 def test_more_knots_than_stretches_may_be_are_refused_before_any_is_looked_at():
     evidence = along_stretches("stretches-maximum-free")
-    setting = dataclasses.replace(evidence.setting, dwell_time=600.0, maximum_dwell=600.2)
+    setting = dataclasses.replace(evidence.setting, signals=dt.SignalClass(600.0, 600.2))
     knots = tuple(range(5_990))
     P = np.repeat(evidence.P[:, :1], len(knots), axis=1)
     claimed = dataclasses.replace(evidence, setting=setting, knots=knots, P=P)

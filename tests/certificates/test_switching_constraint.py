@@ -85,6 +85,12 @@ def by_the_second_verifier(path):
     return found.returncode == 0
 
 
+def without_ways(setting):
+    """The same for all switches."""
+    free = dataclasses.replace(setting.signals, transitions=None)
+    return dataclasses.replace(setting, signals=free)
+
+
 # -- what is proved ------------------------------------------------------------------------------
 
 
@@ -96,7 +102,7 @@ def test_a_coarse_loop_is_proved_for_its_graph_by_both_verifiers_and_for_no_othe
     free = dt.falsify(plant, law, DWELL, 0.15, budget=500)
     assert free.proven
     assert set(free.modes) == {0, 2}
-    setting = dataclasses.replace(found.evidence.setting, following=None)
+    setting = without_ways(found.evidence.setting)
     assert not check(dataclasses.replace(found.evidence, setting=setting)).proven
     path = found.save(tmp_path / "cert.json")
     assert dt.verify(path, dwell_time=DWELL, transitions=THROUGH).proven
@@ -146,6 +152,7 @@ def test_v_falls_along_admissible_runs_as_it_claims(certificate):
 
 FORGERIES = [
     {"transitions": [[0, 1, 1], [1, 0, 1], [0, 1, 0]]},
+    {"dwell_time": 0.3},
     {"dwell_time": [0.3, 0.3, 0.3]},
     # The file of a loop is one: left out where it allows all.
     {"transitions": (np.ones((3, 3), int) - np.eye(3, dtype=int)).tolist()},
@@ -189,7 +196,7 @@ def test_both_verifiers_prove_the_file_for_what_it_allows(certificate, tmp_path)
 
 @pytest.mark.long
 def test_a_proof_for_one_graph_is_none_for_another(certificate):
-    setting = dataclasses.replace(certificate.evidence.setting, following=None)
+    setting = without_ways(certificate.evidence.setting)
     assert not check(dataclasses.replace(certificate.evidence, setting=setting)).proven
 
 
@@ -257,9 +264,9 @@ def test_a_law_that_is_run_is_run_along_admissible_cycles_only():
 
 def test_the_graph_has_the_steps_of_every_mode_s_own_sojourns():
     h, least, most = Fraction(1, 10), (0.23, 0.3, 0.52), (0.5, None, 0.6)
-    graph = SwitchGraph.of(
-        3, (least, most), 1, 0.1, 1e-5, "mode", 1, following=((1,), (0, 2), (0,))
-    )
+    ways = [[0, 1, 0], [1, 0, 1], [1, 0, 0]]
+    signals = dt.SignalClass(least, [x or math.inf for x in most], ways)
+    graph = SwitchGraph.of(3, signals, 0.1, "mode", 1)
     seen = {(t.mode, t.age, t.after): t.instants for t in graph.all((0,))}
     slack = Fraction(1, 10**5)
     for mode, (low, high) in enumerate(zip(least, most, strict=True)):

@@ -29,6 +29,7 @@ NAMES = (
     *("rate", "delayed", "maximum-free", "average-free", "lost-one-mode", "observed-late", "ways"),
     *("delays-short", "one-mode", "free-rate-0", "polytope-mode", "tracking", "late-mode"),
     *("ways-ring", "stretches-maximum-free", "stretches-late", "stretches-late-dwell"),
+    *("samples", "samples-turning", "samples-ring", "samples-aged", "samples-late", "samples-lost"),
 )
 CHANGED = ("plant", "law", "signals", "rho", "decay_rate")
 FACTORS = (0.5, 0.9, 0.99, 1.001, 1.01, 1.1, 2, 5, 100, -1)
@@ -96,8 +97,9 @@ TWO = {"A": -np.ones((1, 2, 1, 1)), "B": np.full((1, 2, 1, 1), 1e-3), "delays": 
 def setting(plant, rows=1, context="none", **options):
     m = plant["B"].shape[3]
     F, G = np.full((rows, m, 1), 1e-3), np.zeros((rows, 1, m, m))
-    return Setting(**plant, F=F, G=G, context=context, step=0.1, dwell_time=0.3,
-                   **{"ages": 1, **options})  # fmt: skip
+    ages = options.pop("ages", 1)
+    signals = dt.SignalClass(0.3, **options)
+    return Setting(**plant, F=F, G=G, context=context, ages=ages, step=0.1, signals=signals)
 
 
 def ranges(modes, m):
@@ -190,7 +192,8 @@ def test_work_is_bounded_while_cells_are_halved(monkeypatch):
 
 def test_V_at_ages_to_which_a_mode_does_not_come_is_not_used(tmp_path):
     evidence = load_evidence(CORPUS / "maximum-free.json").evidence
-    about = dataclasses.replace(evidence.setting, maximum_dwell=(1.8, 1.2))
+    signals = dataclasses.replace(evidence.setting.signals, maximum_dwell=(1.8, 1.2))
+    about = dataclasses.replace(evidence.setting, signals=signals)
     assert [own.last for own in about.transitions.clocks] == [18, 12]
     P = np.array([[evidence.lyapunov(mode, age) for age in (5, 15)] for mode in range(2)])
     P = 0.5 * (P + P.swapaxes(-1, -2))

@@ -88,7 +88,7 @@ def test_certify_tabulates_every_law_and_says_why_one_has_no_answer(capsys, made
     assert "mode 0 only no answer – – – –" in text
     assert "• mode 0 only: this law cannot be asked about." in text
     assert "at least 0.2 s" in text
-    assert {(dwell, step) for _, dwell, step, _ in made_up} == {(0.2, 0.01)}
+    assert {asked[1:3] for asked in made_up} == {(dt.SignalClass(0.2), 0.01)}
 
 
 def test_certify_of_one_law_tells_what_is_proved_and_saves_it(capsys, made_up, tmp_path):
@@ -96,7 +96,7 @@ def test_certify_of_one_law_tells_what_is_proved_and_saves_it(capsys, made_up, t
     arguments = ("--law", "mean", *numbers, "--out", "cert.json")
     code, out, err = run(capsys, "certify", "paper", *arguments)
     assert (code, err) == (0, "")
-    assert made_up == [("mean", 0.5, 0.05, 0.1)]
+    assert made_up == [("mean", dt.SignalClass(0.5), 0.05, 0.1)]
     assert "– The loop is the sampled one." in out
     assert "• Delay: between 0.99 s and 1.012 s." in out
     assert out.rstrip().endswith("Certificates: cert.json")
@@ -333,7 +333,7 @@ def test_ranges_that_do_not_fit_the_plant_are_a_wrong_request(capsys):
 def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, monkeypatch):
     asked = []
 
-    def judge(problem, dwell_time, step, laws, *, delays, **others):
+    def judge(problem, signals, step, laws, *, delays, **others):
         asked.append(delays)
         return []
 

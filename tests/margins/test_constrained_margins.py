@@ -46,9 +46,9 @@ def test_the_least_dwell_times_of_a_ring_hold_the_limit_between_them(mode):
     worst = dict(zip(found.witness.modes, found.witness.sojourns, strict=True))
     assert turn(RATES, [worst[i] for i in range(3)]) > 0.0
     SwitchingConstraint.of(3, found.refuted_each, **LIMITS).require(found.witness.signal, 1.1e-5)
-    setting = found.certificate.evidence.setting
-    assert setting.following == ((1,), (2,), (0,))
-    assert setting.dwell_time == pytest.approx(found.certified_each, rel=1e-12)
+    limits = found.certificate.evidence.setting.limits
+    assert limits.following == ((1,), (2,), (0,))
+    assert limits.dwell_time == pytest.approx(found.certified_each, rel=1e-12)
 
 
 @pytest.mark.long
@@ -123,7 +123,7 @@ BAD = {
         lambda: dt.least_dwell_time(*loop(), H, maximum_dwell=[1.0, 0.05, 1.0])
     ),
     r"transitions must have shape": lambda: dt.least_dwell_time(*loop(), H, transitions=[[0, 1]]),
-    "dwell_time must be given with maximum_dwell and transitions": lambda: dt.delay_margin(
+    "dwell_time must be given with transitions": lambda: dt.delay_margin(
         *loop(), H, transitions=RING
     ),
     r"maximum_dwell\[0\] must be at least dwell_time\[0\]": lambda: dt.delay_margin(

@@ -31,7 +31,7 @@ def test_the_least_dwell_time_of_two_modes_that_turn_lies_in_a_narrow_bracket():
     assert 2.69 <= found.refuted <= limit <= found.certified <= 2.77
     assert found.ratio == found.certified / found.refuted
     assert (found.proven, found.certificate.stable) == (True, True)
-    assert found.certificate.evidence.setting.dwell_time == pytest.approx(found.certified)
+    assert found.certificate.evidence.setting.signals.dwell_time == pytest.approx(found.certified)
     cycle = list(zip(found.witness.modes, found.witness.sojourns, strict=True))
     assert products.multiplier(TURNING, cycle) > 1.0
     assert min(found.witness.sojourns) == found.refuted
@@ -196,8 +196,8 @@ transitions = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
 def test_the_command_line_keeps_what_the_problem_says_of_its_signals(capsys, tmp_path, monkeypatch):
     asked = []
 
-    def answer(plant, law, step, **signals):
-        asked.append(signals)
+    def answer(plant, law, step, dwell_time, mode):
+        asked.append((dwell_time, mode))
         each = (0.2, 0.4, 0.8 / 3)
         return SimpleNamespace(
             certified=0.2, refuted=None, message="so.", certified_each=each, refuted_each=None
@@ -209,20 +209,18 @@ def test_the_command_line_keeps_what_the_problem_says_of_its_signals(capsys, tmp
     about = "certify", str(path), "--law", "averaged", "--least-dwell-time"
     code, out, _ = run(capsys, *about)
     assert code == 0
-    assert asked[0]["dwell_time"] == (0.3, 0.6, 0.4)
-    assert asked[0]["maximum_dwell"] == (0.8, math.inf, 0.9)
-    assert asked[0]["transitions"].tolist() == [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    ways = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    assert asked[0] == (dt.SignalClass([0.3, 0.6, 0.4], [0.8, math.inf, 0.9], ways), None)
     assert "0.2, 0.4, 0.26667 s" in out
     assert "Dwell times of the modes stay in proportion to 0.3, 0.6, 0.4 s." in out
     code, out, _ = run(capsys, *about, "--mode", "1", "--maximum-dwell", "2.0,3.0,2.5", "--json")
-    assert (asked[1]["mode"], asked[1]["maximum_dwell"]) == (1, (2.0, 3.0, 2.5))
+    assert asked[1] == (dt.SignalClass([0.3, 0.6, 0.4], [2.0, 3.0, 2.5], ways), 1)
     record = json.loads(out)
     assert record["least_dwell_times"]["averaged"]["certified_each"] == [0.2, 0.4, 0.8 / 3]
     assert (record["mode"], record["maximum_dwell"]) == (1, [2.0, 3.0, 2.5])
-    assert record["transitions"] == [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    assert record["transitions"] == ways
     code, out, _ = run(capsys, *about, "--dwell-time", "0.3,0.3,0.9", "--maximum-dwell", "inf")
-    assert asked[2]["dwell_time"] == (0.3, 0.3, 0.9)
-    assert "maximum_dwell" not in asked[2]
+    assert asked[2] == (dt.SignalClass([0.3, 0.3, 0.9], transitions=ways), None)
     code, _, error = run(capsys, "certify", str(path), "--mode", "1")
     assert code == 2
     assert "--mode must come with --least-dwell-time" in error

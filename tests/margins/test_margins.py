@@ -171,8 +171,7 @@ def made_up(monkeypatch):
 
         def of(function):
             def called(plant, law, *given, **options):
-                about = given or (options["dwell_time"], options["step"])
-                assert about in ((0.2, 0.01), (0, 0.01))
+                assert given in ((dt.SignalClass(0.2), 0.01), (0, 0.01))
                 return function(plant.A[0, 0, 0])
 
             return called

@@ -75,16 +75,12 @@ def test_signals_of_the_file_are_those_it_allows_and_it_is_asked_about_them(load
     assert kept(problem.signal)
     assert problem.dwell_time == 0.3
     asked = signals_of(problem, problem.signal)
-    options = asked.options
-    assert options["dwell_time"] == tuple(LEAST)
-    assert options["maximum_dwell"] == tuple(MOST)
-    assert options["transitions"].astype(int).tolist() == WAYS
-    problem.signal.require_admissible(**options)
-    assert kept(random_model(asked.constraint).sample(60.0, seed=2))
+    assert asked.signals == dt.SignalClass(LEAST, MOST, WAYS)
+    limits = asked.signals.limits(3)
+    limits.require(problem.signal)
+    assert kept(random_model(limits).sample(60.0, seed=2))
     longer = signals_of(problem, problem.signal, [0.5], [2.0])
-    assert longer.options["dwell_time"] == 0.5
-    assert longer.options["maximum_dwell"] == 2.0
-    assert longer.options["transitions"].astype(int).tolist() == WAYS
+    assert longer.signals == dt.SignalClass(0.5, 2.0, WAYS)
 
 
 def test_what_certificates_take_is_the_signal_s_else_the_model_s(load):
@@ -93,8 +89,7 @@ def test_what_certificates_take_is_the_signal_s_else_the_model_s(load):
     assert drawn.dwell_time is None
     assert drawn.constraint.transitions.astype(int).tolist() == WAYS
     own = load(rates + '[signal]\nkind = "random"\ndwell_time = 0.3\n')
-    assert own.constraint.is_plain
-    assert signals_of(own, own.signal).options == {"dwell_time": 0.3}
+    assert signals_of(own, own.signal).signals == dt.SignalClass(0.3)
 
 
 def test_a_dead_end_draws_no_random_signals(load):
@@ -125,8 +120,8 @@ def test_certify_asks_about_what_the_file_and_the_options_say(load, capsys, monk
     load(LIMITED)
     asked = []
 
-    def certify(plant, law, dwell_time, step, **options):
-        asked.append({"dwell_time": dwell_time, **options})
+    def certify(plant, law, signals, step, **options):
+        asked.append(signals)
         return dt.Certificate(None, "made up")
 
     monkeypatch.setattr("deadtime.certificates.certify", certify)
@@ -140,10 +135,63 @@ def test_certify_asks_about_what_the_file_and_the_options_say(load, capsys, monk
             assert "0.3 to 0.5 s in mode 0, at least 0.6 s in mode 1, 0.4 to 0.9 s" in text
     assert json.loads(out)["transitions"] == WAYS
     assert json.loads(out)["maximum_dwell"] == [0.5, None, 0.9]
-    assert [one["dwell_time"] for one in asked[:2]] == [tuple(LEAST), (0.4, 0.6, 0.5)]
-    assert [one["maximum_dwell"] for one in asked[:2]] == [tuple(MOST), 2.0]
+    given = dt.SignalClass(LEAST, MOST, WAYS), dt.SignalClass([0.4, 0.6, 0.5], 2.0, WAYS)
+    assert asked[:2] == list(given)
 
 
 def test_a_problem_without_limits_is_asked_about_as_before():
     paper = dataclasses.replace(dt.problems.paper(), dwell_time=None)
-    assert signals_of(paper, paper.signal).options == {"dwell_time": 0.2}
+    assert signals_of(paper, paper.signal).signals == dt.SignalClass(0.2)
+
+
+# -- modes that change at samples only -------------------------------------------------------------
+
+
+SAMPLED = LIMITED.replace("[signal]", '[signal]\nat = "samples"')
+
+
+def test_signals_of_a_file_at_samples_last_whole_periods_and_it_is_asked_about_such(load):
+    problem = load(SAMPLED)
+    step, signal = problem.step, problem.signal
+    periods = signal.times / step
+    assert np.abs(periods - periods.round()).max() < 1e-9
+    assert kept(signal)
+    asked = signals_of(problem, signal).signals
+    assert asked == dt.SignalClass(LEAST, MOST, WAYS, "samples")
+    assert signals_of(problem, signal, at="anywhere").signals.at == "anywhere"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            'at = "samples"',
+            'at = "now"',
+            "line 14: signal.at: input should be 'anywhere' or 'samples'",
+        ),
+        (
+            "[0.3, 0.6, 0.4]\nmaximum_dwell = [0.5,",
+            "[0.31, 0.6, 0.4]\nmaximum_dwell = [0.39,",
+            r"\[signal\]: maximum_dwell must leave a sojourn of whole periods of 0.1 s",
+        ),
+    ],
+)
+def test_files_at_samples_that_cannot_be_are_refused(load, old, new, message):
+    with pytest.raises(dt.ProblemFileError, match=message):
+        load(SAMPLED.replace(old, new))
+
+
+def test_given_signals_at_samples_are_checked(load):
+    text = (
+        '[signal]\nkind = "switches"\nat = "samples"\ntimes = [0.0, 0.7, 1.25]\nmodes = [0, 1, 0]'
+    )
+    with pytest.raises(dt.ProblemFileError, match=r"got one at 1\.25 s with a period of 0\.1 s"):
+        load(text)
+    assert load(text.replace("1.25", "1.3")).switches_at == "samples"
+
+
+def test_monte_carlo_and_studies_draw_no_signals_at_samples(load, capsys):
+    load(SAMPLED)
+    with pytest.raises(SystemExit):
+        main(["monte-carlo", "p.toml", "--scenarios", "2"])
+    assert "change at samples only, and Monte Carlo draws instants" in capsys.readouterr().err

@@ -84,7 +84,7 @@ def test_certificates_of_a_delay_beyond_reach_come_without_a_margin():
     problem = dataclasses.replace(
         PAPER, plant=plant, gains=law.gains, laws={"mean": law}, x0=np.ones(1), states=(), modes=()
     )
-    [judged] = judge(problem, 0.5, 0.01)
+    [judged] = judge(problem, dt.SignalClass(0.5), 0.01)
     assert judged.margin is None
     assert judged.reason.startswith("The delay margin was left out")
 

@@ -100,7 +100,7 @@ class Certificate:
             raise ArgumentError(f"certificate has no Lyapunov function: {self.message}")
         mode = index("mode", mode, evidence.setting.A.shape[1])
         last = evidence.setting.transitions.clocks[mode].last
-        most = evidence.setting.lost_samples
+        most = evidence.setting.signals.lost_samples
         if count("lost", lost, 0) > most:
             raise ArgumentError(f"lost must be at most {most}, the certificate's, got {lost}.")
         return evidence.lyapunov(mode, min(count("age", age, 0), last), lost)

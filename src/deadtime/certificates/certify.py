@@ -10,20 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, number, positive, reporter
+from deadtime.base.checks import instance, number, positive, reporter
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates.certificate import Certificate
-from deadtime.certificates.clock import (
-    CLOCK_TOLERANCE,
-    clock_tolerance_in_range,
-    lag_in_range,
-    losses_in_range,
-)
 from deadtime.certificates.dwell.evidence_search import EvidenceSearch, Freedom
 from deadtime.certificates.dwell.frame import whole
 from deadtime.certificates.dwell.stretch_search import StretchSearch
@@ -37,14 +32,15 @@ from deadtime.certificates.reach import (
     too_many_told,
     why_no_table,
 )
-from deadtime.certificates.signals import admissible_signals, of_setting, times_and_ways
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
 from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
-from deadtime.switching.constraint import PerMode as Times
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import PerMode
+from deadtime.switching.signal_class import SignalOptions
 
 LEVELS = (Freedom(0), Freedom(2), None, Freedom(4))  # None: along stretches
 # Where filters of left eigenvectors are rounded, or the levels of a bucket are many.
@@ -59,19 +55,14 @@ SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
 def certify(
     plant: SwitchedSystem | UncertainPlant | Sequence[SwitchedSystem],
     law: Law,
-    dwell_time: Times,
+    dwell_time: PerMode | SignalClass,
     step: float = 0.01,
     *,
-    maximum_dwell: Times | None = None,
-    transitions: ArrayLike | None = None,
-    chatter: int = 1,
     delays: tuple[ArrayLike, ArrayLike] | None = None,
     decay_rate: float | None = None,
-    clock_tolerance: float = CLOCK_TOLERANCE,
-    mode_lag: int = 0,
-    lost_samples: int = 0,
     search_signals: bool = True,
     progress: Callable[[str], None] | None = None,
+    **signals: Unpack[SignalOptions],
 ) -> Certificate:
     """Whether the digital loop is stable for every switching signal with a dwell time.
 
@@ -89,17 +80,10 @@ def certify(
         A law that is a table with rows by nothing, by mode, or by mode and age; or an
         `OutputFeedback` of one. Of that the whole loop is certified: the state, the estimate, the
         sums of errors and the inputs on their way, at a reference and a disturbance of 0.
-    dwell_time : float, or one per mode
-        Shortest sojourn τ_d, in seconds, more than one period.
+    dwell_time : float, one per mode, or SignalClass
+        Shortest sojourn τ_d, in seconds, more than one period; or all that is known of the signals.
     step : float
         Sampling period h, in seconds.
-    maximum_dwell : float, or one per mode, optional
-        Longest sojourn, in seconds; without it, or where it is inf, a mode may be held without end.
-    transitions : (modes, modes) of bool, optional
-        Whether the signal may switch from mode i (row) to mode j (column); all by default.
-    chatter : int
-        N₀: above 1, `dwell_time` is an average dwell time τ_a, and any window of T s may hold
-        N₀ + T/τ_a switches, at most one per period.
     delays : (low, high), optional
         A range of the plant's true delay, in seconds, within which it is constant; by default the
         plant's delay, or delays, and of an uncertain plant their intervals. The law's table stays
@@ -109,21 +93,14 @@ def certify(
     decay_rate : float, optional
         The rate to certify, 1/s; by default one close to the slowest mode's, or with
         `maximum_dwell` the best tried.
-    clock_tolerance : float
-        By what part a sojourn may be shorter than `dwell_time`, or longer than `maximum_dwell`, as
-        the controller's clock counts it; from 1e-8 to 0.1.
-    mode_lag : int
-        L, in periods: the law is told the mode of L samples ago, as in a run with
-        `imperfections.ModeDelay(L)`. For a law that does not read the mode it changes nothing.
-    lost_samples : int
-        L, at most that many samples in a row may be lost, whichever: at a lost one the law learns
-        neither x or y nor the mode, as in a run with `imperfections.Dropout`. A law of the state
-        holds its input, an observer predicts.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
     progress : callable, optional
         Called with a few words whenever something else is tried, in the thread that `certify` runs
         in.
+    **signals
+        Of the signals besides `dwell_time`: `maximum_dwell`, `transitions`, `clock_tolerance`,
+        `mode_lag`, `lost_samples` and `chatter`, as `SignalClass` takes them.
 
     Returns
     -------
@@ -154,25 +131,24 @@ def certify(
     for corner in plants:
         require_match(corner, law)
     step = positive("step", step)
-    chatter, modes = count("chatter", chatter), plants[0].modes
-    signals = admissible_signals(modes, dwell_time, maximum_dwell, transitions, step, chatter)
+    asked, modes = SignalClass.of(dwell_time, **signals), plants[0].modes
+    asked.require_clock()
+    asked.at_period(modes, step)
     if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
-    tolerance = clock_tolerance_in_range(clock_tolerance)
-    mode_lag = lag_in_range(mode_lag)
-    lost_samples = losses_in_range(lost_samples, mode_lag)
-    reason = out_of_reach(plants, law, min(signals.dwell_time), step, tolerance)
+    reason = out_of_reach(plants, law, asked, step)
     reason = reason or why_unmoved(plants)
     table = None if reason else recurrence_of(law, step)
     if table is None:
         return Certificate(None, reason or why_no_table(law))
-    late = told_late(law, mode_lag)
+    late = told_late(law, asked.mode_lag)
     if late:
         return Certificate(None, late)
-    least, most, following = times_and_ways(signals)
-    reads = bool(np.any(table.state_gain) or np.any(table.input_gain))
-    lost_samples = lost_samples if reads else 0
-    table = with_lost_rows(law, table) if lost_samples else table
+    if modes == 1 or table.context == "none":
+        asked = replace(asked, mode_lag=0)
+    if not (np.any(table.state_gain) or np.any(table.input_gain)):
+        asked = replace(asked, lost_samples=0)
+    table = with_lost_rows(law, table) if asked.lost_samples else table
     setting = Setting(
         np.stack([corner.A for corner in plants]),
         np.stack([corner.B for corner in plants]),
@@ -182,14 +158,8 @@ def certify(
         table.context,
         table.ages,
         step,
-        least,
-        most,
-        chatter,
-        tolerance,
-        mode_lag if table.context != "none" and plants[0].modes > 1 else 0,
+        asked,
         table.memory,
-        following,
-        lost_samples,
         axes,
     )
     reason = too_many_told(setting) or too_large(setting.order)
@@ -214,7 +184,7 @@ def _decide(
         for one in corners
         for mode in range(one.modes)
     ]
-    lasting = of_setting(setting).lasting
+    lasting = setting.limits.lasting
     if lasting:
         constant = (rate for rate in rates if rate[1] in lasting)
         slowest, mode, corner = max(constant, key=lambda item: item[0])
@@ -239,7 +209,8 @@ def _decide(
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
         fastest = max(0.0, *(-rate for rate, _, _ in rates))
-    early = search_signals and setting.lost_samples > 0  # the search is quick, functions are not
+    # Of lost samples the search is quick, functions are not.
+    early = search_signals and setting.signals.lost_samples > 0
     searched = _searched(corners, law, setting, progress) if early else []
     if searched and searched[-1].stable is False:
         return searched[-1]
@@ -303,18 +274,19 @@ def _rate(rho: float, setting: Setting) -> str:
 
 def _levels(setting: Setting) -> list[Freedom | None]:
     """What to try, quickest first; None: along stretches."""
-    remembers = setting.memory or setting.lost_samples
-    early = remembers or setting.chatter > 1
+    remembers = setting.memory or setting.signals.lost_samples
+    early = remembers or setting.signals.chatter > 1
     levels: tuple[Freedom | None, ...] = EARLY_LEVELS if early else LEVELS
     if setting.context == "mode_age":
         last = setting.transitions.last
         every = (Freedom(4, last, setting.order),) if last <= FEW_AGES else ()
         levels = AGE_LEVELS + every
     along = StretchSearch.suits(setting)
-    if along and setting.order <= whole(setting) and setting.chatter == 1:  # V of others is there
+    small = setting.order <= whole(setting) and setting.signals.chatter == 1
+    if along and small:  # V of others is there
         quick = setting.inputs and not remembers
         levels = (*levels[: levels.index(None)], None) if quick else (None,)
-    many = setting.order > LARGE or setting.family.ranges or setting.lost_samples
+    many = setting.order > LARGE or setting.family.ranges or setting.signals.lost_samples
     most = 2 if many else 4
     return [level for level in levels if (along if level is None else level.eigenvectors <= most)]
 
@@ -330,19 +302,8 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
     """The worst signal: False if the loop provably grows under it, else None with the signal."""
     from deadtime.certificates.worst_case import falsify
 
-    signals = of_setting(setting)
     try:
-        worst = falsify(
-            plant,
-            law,
-            signals.dwell_time,
-            setting.step,
-            maximum_dwell=signals.maximum_dwell,
-            transitions=signals.transitions,
-            clock_tolerance=setting.clock_tolerance,
-            mode_lag=setting.mode_lag,
-            lost_samples=setting.lost_samples,
-        )
+        worst = falsify(plant, law, setting.signals, setting.step)
     except DeadtimeError as error:
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
     if worst.grows:

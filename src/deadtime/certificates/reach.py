@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.leaving_ages import shortest
+from deadtime.certificates.proof.leaving_ages import least_periods
 from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.memory import WithMemory
 from deadtime.feedback.recurrence import same_outputs
 from deadtime.plant import SwitchedSystem
+from deadtime.switching import SignalClass
 
 LARGEST = 3000  # order that memory allows
 
 
-def out_of_reach(
-    plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float, tolerance: float
-) -> str:
+def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, step: float) -> str:
     """Why there can be no certificate, if so."""
     if not isinstance(law, TableLaw | WithMemory):
         return why_no_table(law)
@@ -25,7 +26,9 @@ def out_of_reach(
             f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
             "is no one loop to certify."
         )
-    if plants[0].modes > 1 and shortest(dwell_time, step, tolerance)[0] < 0:
+    dwell_time, tolerance = float(np.min(signals.dwell_time)), signals.clock_tolerance
+    several = plants[0].modes > 1 and signals.at == "anywhere"
+    if several and least_periods(dwell_time, step, tolerance) < 1:
         return (
             f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "
             f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step."
@@ -64,11 +67,11 @@ def told_late(law: Law, mode_lag: int) -> str:
 
 def too_many_told(setting: Setting) -> str:
     """Why a mode told late, or not told, has no certificate with so many rows, if so."""
-    late, rows = setting.mode_lag or setting.lost_samples, len(setting.F)
+    late, rows = setting.signals.mode_lag or setting.signals.lost_samples, len(setting.F)
     if late * rows <= MOST_TOLD:
         return ""
-    name = "mode_lag" if setting.mode_lag else "lost_samples"
-    periods = " periods" if setting.mode_lag else ""
+    name = "mode_lag" if setting.signals.mode_lag else "lost_samples"
+    periods = " periods" if setting.signals.mode_lag else ""
     return (
         f"{name} = {late}{periods} with a table of {rows:,} rows leaves too many rows that may be "
         "told: lengthen the step."

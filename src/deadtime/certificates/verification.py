@@ -7,27 +7,27 @@ import math
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, number, positive
+from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.wording import number_of
-from deadtime.certificates.clock import CLOCK_TOLERANCE, lag_in_range, losses_in_range
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Delays
-from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
+from deadtime.certificates.proof.statement import decay_rate, statement
 from deadtime.certificates.proof.validate import why_malformed
-from deadtime.certificates.signals import of_setting
 from deadtime.feedback import Law
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
 from deadtime.plant import SwitchedSystem, UncertainPlant
-from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching.signal_class import CLOCK_TOLERANCE, SignalOptions
 
 SHOWN = 12  # digits of a digest
 FIRST = 4  # numbers of an array
@@ -64,25 +64,32 @@ class Verification:
 
 @dataclass(frozen=True)
 class ExpectedClaim:
-    """What a certificate is wanted for (immutable); None where nothing is asked."""
+    """What a certificate is wanted for (immutable); None, or no entry, where nothing is asked."""
 
     plant: SwitchedSystem | UncertainPlant | None = None
     law: Law | None = None
     step: float | None = None
-    dwell_time: Times | None = None
-    maximum_dwell: Times | None = None
-    transitions: ArrayLike | None = None
-    chatter: int | None = None
-    clock_tolerance: float | None = None
-    mode_lag: int | None = None
-    lost_samples: int | None = None
+    signals: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def missing_from(self, setting: Setting) -> str:
         """How a certificate falls short of it, if it does."""
-        return self._loop(setting) or self._signals(setting)
+        asked = self._asked(setting)
+        return self._loop(setting, asked) or self._signals(setting, asked)
 
-    def _loop(self, setting: Setting) -> str:
-        law, step = self.law, self.step
+    def _asked(self, setting: Setting) -> SignalClass:
+        """The signals that are asked about; those of the certificate where nothing is asked."""
+        own: dict[str, Any] = {**vars(setting.signals), "chatter": 1, "lost_samples": 0}
+        times = {"dwell_time", "maximum_dwell", "transitions"} & {*self.signals}
+        if times:  # without a limit there is none
+            own |= {"maximum_dwell": None, "transitions": None, "at": "anywhere"}
+        if times or "chatter" in self.signals:
+            own["clock_tolerance"] = CLOCK_TOLERANCE
+        if self.law is not None or "lost_samples" in self.signals:
+            own["mode_lag"] = 0  # it is told the mode at once, unless it is said how late
+        return SignalClass(**(own | self.signals))
+
+    def _loop(self, setting: Setting, asked: SignalClass) -> str:
+        law, step, signals = self.law, self.step, setting.signals
         other = _other_plant(setting, self.plant)
         if other:
             return f"the certificate is about {other}."
@@ -91,19 +98,16 @@ class ExpectedClaim:
                 f"the certificate is about a period of {setting.step!r} s, not {step!r} s: if the "
                 f"loop's is that of the certificate, ask with a step of {setting.step!r} (--step)."
             )
-        lag = self.mode_lag
-        # A law that is asked about is told the mode at once, unless it is said how late.
-        lag = 0 if law is not None and lag is None else lag
         reads_mode = setting.context != "none" and setting.A.shape[1] > 1
-        if lag is not None and reads_mode and lag != setting.mode_lag:
+        if reads_mode and asked.mode_lag != signals.mode_lag:
             return (
-                f"the certificate is about a law that is told the mode {setting.mode_lag} periods "
-                f"late, not {lag} (mode_lag=, --mode-lag)."
+                f"the certificate is about a law that is told the mode {signals.mode_lag} periods "
+                f"late, not {asked.mode_lag} (mode_lag=, --mode-lag)."
             )
-        lost = self.lost_samples or 0
-        if lost > setting.lost_samples and (setting.F.any() or setting.G.any()):
+        lost = asked.lost_samples
+        if lost > signals.lost_samples and (setting.F.any() or setting.G.any()):
             return (
-                f"the certificate is about a loop of which at most {setting.lost_samples} samples "
+                f"the certificate is about a loop of which at most {signals.lost_samples} samples "
                 f"in a row are lost, not {lost} (lost_samples=, --lost-samples)."
             )
         if law is None:
@@ -114,7 +118,7 @@ class ExpectedClaim:
             return f"the certificate is about another period than the law's: {error}"
         if table is None:
             return f"the certificate is about a table, and {type(law).__name__} is none."
-        table = with_lost_rows(law, table) if setting.lost_samples else table
+        table = with_lost_rows(law, table) if signals.lost_samples else table
         kinds = (table.context, table.ages, table.memory)
         kinds = kinds == (setting.context, setting.ages, setting.memory)
         F, G = table.state_gain, table.input_gain
@@ -122,50 +126,44 @@ class ExpectedClaim:
             return "the certificate is about another table than that of the given law."
         return ""
 
-    def _signals(self, setting: Setting) -> str:
+    def _signals(self, setting: Setting, asked: SignalClass) -> str:
         """The class that was asked for has to lie in that of the certificate."""
-        if setting.A.shape[1] == 1:
+        modes, signals = setting.A.shape[1], setting.signals
+        if modes == 1:
             return ""
-        proved, chatter = f"the certificate is {signals_in_words(setting)}", self.chatter
-        beyond = self._beyond(of_setting(setting))
+        proved = f"the certificate is {signals.sentence(modes)}"
+        beyond = _beyond(asked.limits(modes), setting.limits)
         if beyond:
             return f"{proved}, not {beyond}."
-        if chatter is not None and chatter > setting.chatter:
-            return f"{proved}, not for a chatter of {chatter}."
-        tolerance = self.clock_tolerance
-        if tolerance is None and any(one is not None for one in (*self._times, chatter)):
-            tolerance = CLOCK_TOLERANCE
-        if tolerance is not None and tolerance > setting.clock_tolerance:
+        if asked.at != signals.at == "samples":
+            return f"{proved}, not at any instant (at=, --at)."
+        if asked.chatter > signals.chatter:
+            return f"{proved}, not for a chatter of {asked.chatter}."
+        if asked.clock_tolerance > signals.clock_tolerance:
             return (
                 "the certificate allows for a clock that is off by "
-                f"{setting.clock_tolerance!r}, not by {tolerance!r} (clock_tolerance=)."
+                f"{signals.clock_tolerance!r}, not by {asked.clock_tolerance!r} (clock_tolerance=)."
             )
         return ""
 
-    @property
-    def _times(self) -> tuple[Times | None, Times | None, ArrayLike | None]:
-        """The dwell time, the maximum and the switches that are asked about."""
-        return self.dwell_time, self.maximum_dwell, self.transitions
 
-    def _beyond(self, proved: SwitchingConstraint) -> str:
-        """What is asked for and not among the signals proved, if anything."""
-        if all(value is None for value in self._times):
-            return ""
-        asked, modes = SwitchingConstraint.of(proved.modes, *self._times), range(proved.modes)
-        several = len(set(proved.dwell_time)) > 1 or len(set(asked.dwell_time)) > 1
-        several = several or len(set(proved.maximum_dwell)) > 1
-        for i in modes:
-            where = f" in mode {i}" if several else ""
-            if self.dwell_time is not None and asked.dwell_time[i] < proved.dwell_time[i]:
-                return f"{asked.dwell_time[i]!r} s{where}"
-            longest = asked.maximum_dwell[i]
-            if longest > proved.maximum_dwell[i]:
-                endless = math.isinf(longest)
-                return f"for sojourns of any length{where}" if endless else f"{longest!r} s{where}"
-            more = set(asked.following[i]) - set(proved.following[i])
-            if more:
-                return f"for a switch from mode {i} to mode {min(more)}"
-        return ""
+def _beyond(asked: SwitchingConstraint, proved: SwitchingConstraint) -> str:
+    """What is asked for and not among the signals proved, if anything."""
+    several = any(
+        len(set(times)) > 1 for times in (proved.dwell_time, asked.dwell_time, proved.maximum_dwell)
+    )
+    for i in range(proved.modes):
+        where = f" in mode {i}" if several else ""
+        if asked.dwell_time[i] < proved.dwell_time[i]:
+            return f"{asked.dwell_time[i]!r} s{where}"
+        longest = asked.maximum_dwell[i]
+        if longest > proved.maximum_dwell[i]:
+            endless = math.isinf(longest)
+            return f"for sojourns of any length{where}" if endless else f"{longest!r} s{where}"
+        more = set(asked.following[i]) - set(proved.following[i])
+        if more:
+            return f"for a switch from mode {i} to mode {min(more)}"
+    return ""
 
 
 def verify(
@@ -174,14 +172,9 @@ def verify(
     law: Law | None = None,
     *,
     step: float | None = None,
-    dwell_time: Times | None = None,
-    maximum_dwell: Times | None = None,
-    transitions: ArrayLike | None = None,
-    chatter: int | None = None,
-    clock_tolerance: float | None = None,
-    mode_lag: int | None = None,
-    lost_samples: int | None = None,
+    dwell_time: PerMode | SignalClass | None = None,
     limit: float = 1.0,
+    **signals: Unpack[SignalOptions],
 ) -> Verification:
     """Verify a certificate from its file: no solver, nothing believed but the numbers.
 
@@ -199,20 +192,16 @@ def verify(
         The law whose table it is.
     step : float, optional
         The period, in seconds.
-    dwell_time, maximum_dwell, transitions : optional
+    dwell_time : float, one per mode, or SignalClass, optional
         The signals, as `certify` takes them. A dwell time without a maximum asks for sojourns of
         any length, and without transitions for all switches.
-    chatter : int, optional
-        N₀ of an average dwell time.
-    clock_tolerance : float, optional
-        The part by which the clock may be off; where signals are asked about 1e-5, as of `certify`.
-    mode_lag : int, optional
-        How many periods late the law is told the mode; 0 where a law is given.
-    lost_samples : int, optional
-        How many samples in a row may be lost; a certificate for more of them will do.
     limit : float
         How many times as much work may be done as is usual for a file of its size: a few seconds
         of a short one before it is refused, some minutes of one that is no proof after all.
+    **signals
+        Of the signals besides `dwell_time`, as `certify` takes them. Nothing is asked of what is
+        left out, but that the clock may be off by 1e-5 where signals are asked about, and that a
+        law that is given is told the mode at once. A certificate for more lost samples will do.
 
     Raises
     ------
@@ -234,23 +223,20 @@ def verify(
     (True, False)
     """
     began = time.perf_counter()
-    times = {"step": step, "dwell_time": dwell_time, "maximum_dwell": maximum_dwell}
-    for name, value in times.items():
-        if value is not None and not np.iterable(value):
-            positive(name, value)
     step = None if step is None else positive("step", step)
     middle = plant.plant if isinstance(plant, UncertainPlant) else plant
     for name, value, kind in (("plant", middle, SwitchedSystem), ("law", law, Law)):
         if value is not None:
             instance(name, value, kind)
-    chatter = None if chatter is None else count("chatter", chatter)
-    tolerance = None if clock_tolerance is None else number("clock_tolerance", clock_tolerance)
-    lag = None if mode_lag is None else lag_in_range(mode_lag)
-    lost = None if lost_samples is None else losses_in_range(lost_samples)
     limit = positive("limit", limit)
-    asked = ExpectedClaim(
-        plant, law, step, dwell_time, maximum_dwell, transitions, chatter, tolerance, lag, lost
-    )
+    given: dict[str, Any] = {k: value for k, value in signals.items() if value is not None}
+    # Whatever the file is about, what is asked has to make sense.
+    whole = SignalClass.of(1.0 if dwell_time is None else dwell_time, **given)
+    if isinstance(dwell_time, SignalClass):
+        given = vars(whole)
+    elif dwell_time is not None:
+        given["dwell_time"] = dwell_time
+    asked = ExpectedClaim(plant, law, step, given)
     archived = load_evidence(Path(path))
     evidence, setting = archived.evidence, archived.evidence.setting
 
@@ -288,7 +274,8 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
     matching = []
     for name, law in laws.items():
         with suppress(DeadtimeError):  # a law without a table of its own at this period
-            if not ExpectedClaim(law=law, mode_lag=setting.mode_lag).missing_from(setting):
+            asked = ExpectedClaim(law=law, signals={"mode_lag": setting.signals.mode_lag})
+            if not asked.missing_from(setting):
                 matching.append(name)
     return matching
 
@@ -301,7 +288,8 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     if setting.axes is not None:
         polytope, known = f", an ellipsoid of {len(setting.axes)} axes", (*known, setting.axes)
     rows, taps = setting.G.shape[:2]
-    late = f" of {number_of(setting.mode_lag, 'period')} ago" if setting.mode_lag else ""
+    signals = setting.signals
+    late = f" of {number_of(signals.mode_lag, 'period')} ago" if signals.mode_lag else ""
     kept = f", {number_of(setting.memory, 'number')} remembered" if setting.memory else ""
     return (
         f"Plant {_digest(*known)}: "
@@ -311,7 +299,7 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
         f"{setting.context}{late}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}"
         f"{kept}; state gain {_first(setting.F[0])}",
-        f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
+        f"Signals: {signals.sentence(modes)}; clock tolerance {signals.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",
     )
 

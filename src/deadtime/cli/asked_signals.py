@@ -10,7 +10,9 @@ from deadtime.cli.problems import numbers_of
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
-    from deadtime.problems.asked import Signals
+    from deadtime.problems.asked import AskedSignals
+    from deadtime.switching import SignalClass
+    from deadtime.switching.signal_class import Instants
 
 
 def with_step(problem: Problem, step: float | None) -> Problem:
@@ -41,9 +43,16 @@ def times_from(name: str, text: str | None) -> list[float] | None:
 
 
 def signals_and_step(
-    problem: Problem, dwell_time: str | None, maximum_dwell: str | None, chatter: int | None
-) -> tuple[Signals, float]:
-    """The signals and the period, in seconds, that a problem asks about."""
+    problem: Problem,
+    dwell_time: str | None,
+    maximum_dwell: str | None,
+    chatter: int | None,
+    **others: Any,
+) -> tuple[AskedSignals, float]:
+    """The signals and the period, in seconds, that a problem asks about.
+
+    `others`: what problems do not know of signals, as `signals_of` takes it.
+    """
     from deadtime.problems.asked import signals_of, step_of
 
     promised = problem.dwell_time is not None or problem.average_dwell_time is not None
@@ -54,7 +63,7 @@ def signals_and_step(
             "nothing of others. Give --dwell-time."
         )
     times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
-    return signals_of(problem, problem.signal, *times, chatter), step_of(problem)
+    return signals_of(problem, problem.signal, *times, chatter, **others), step_of(problem)
 
 
 def kept_by_search(
@@ -63,22 +72,14 @@ def kept_by_search(
     maximum_dwell: str | None,
     mode: int | None,
     chatter: int | None,
-) -> dict[str, Any]:
+    at: Instants | None,
+) -> SignalClass:
     """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
-    from deadtime.problems.asked import one_or_all, signals_of
+    from deadtime.margins.dwell_time import SHORT
+    from deadtime.problems.asked import signals_of, step_of
 
     times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
-    if mode is not None or dwell_time is not None:
-        found = signals_of(problem, problem.signal, *times, chatter).options
-        return found if mode is None else found | {"mode": mode}
-    found = {} if problem.constraint is None else problem.constraint.options
-    if not isinstance(found.get("dwell_time"), tuple):
-        found.pop("dwell_time", None)  # one for all modes says nothing of their proportions
-    if times[1] is not None:
-        found["maximum_dwell"] = one_or_all(times[1])
-    average = problem.average_dwell_time
-    if chatter is None and average is not None:
-        chatter = average[1]
-    if chatter is not None:
-        found["chatter"] = chatter
-    return found
+    least, own = times[0], problem.constraint
+    if least is None and mode is None and (own is None or len(set(own.dwell_time)) == 1):
+        least = [SHORT * step_of(problem)]  # one for all modes says nothing of their proportions
+    return signals_of(problem, problem.signal, least, times[1], chatter, at).signals

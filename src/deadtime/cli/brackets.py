@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import with_names
@@ -12,7 +12,8 @@ from deadtime.cli.printing import print_json, print_table, progress_bar
 if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.problems import Problem
-    from deadtime.problems.asked import Signals
+    from deadtime.problems.asked import AskedSignals
+    from deadtime.switching import SignalClass
 
 
 class ProvedBracket(NamedTuple):
@@ -33,12 +34,9 @@ class ProvedBracket(NamedTuple):
 
 
 def least_dwell_times(
-    problem: Problem, law: str | None, signals: Mapping[str, Any], json_output: bool
+    problem: Problem, law: str | None, signals: SignalClass, mode: int | None, json_output: bool
 ) -> int:
-    """The bracket of every law, or of one; 1 if that one has none.
-
-    `signals`: what `least_dwell_time` takes of them.
-    """
+    """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
     from deadtime.problems.asked import step_of
     from deadtime.reports.tables.certificates import left_out
@@ -46,16 +44,24 @@ def least_dwell_times(
     period = step_of(problem)
 
     def bracket(one: Law) -> ProvedBracket:
-        margin = least_dwell_time(problem.plant, one, period, **signals)
+        margin = least_dwell_time(problem.plant, one, period, dwell_time=signals, mode=mode)
         return ProvedBracket(*(getattr(margin, field) for field in ProvedBracket._fields))
 
     brackets = _brackets(problem, law, bracket, json_output)
     if json_output:
-        record = about(problem, period) | for_json(signals)
+        record = about(problem, period) | for_json(signals, problem.plant.modes)
+        if mode is not None:
+            record["mode"] = mode
+        elif not isinstance(record["dwell_time"], tuple):
+            del record["dwell_time"]
         each = {name: one.record() for name, one in brackets.items()}
         print_json(record | {"least_dwell_times": each})
     else:
-        said = [f"Sampling period {period:g} s.", *_limits(signals), *left_out(problem)]
+        said = [
+            f"Sampling period {period:g} s.",
+            *_limits(signals, problem.plant.modes, mode),
+            *left_out(problem),
+        ]
         print("\n".join((problem.title, *(with_names(one, problem.modes) for one in said), "")))
         rows = [
             (
@@ -72,32 +78,32 @@ def least_dwell_times(
 
 
 def longest_mode_lags(
-    problem: Problem, law: str | None, asked: Signals, period: float, json_output: bool
+    problem: Problem, law: str | None, asked: AskedSignals, period: float, json_output: bool
 ) -> int:
     """The bracket of every law, or of one, in periods; 1 if that one has none."""
     from deadtime.margins import longest_mode_lag
     from deadtime.reports.tables.certificates import left_out
 
-    if asked.chatter > 1:
+    (dwell, source), signals = asked
+    if signals.chatter > 1:
         raise ArgumentError(
             "--longest-mode-lag is asked of a dwell time, not of an average one: give "
             "--dwell-time and --chatter 1."
         )
 
     def bracket(one: Law) -> ProvedBracket:
-        found = longest_mode_lag(problem.plant, one, step=period, **asked.options)
+        found = longest_mode_lag(problem.plant, one, signals, period)
         return ProvedBracket(found.certified_seconds, found.refuted_seconds, found.message)
 
     brackets = _brackets(problem, law, bracket, json_output)
     if json_output:
-        record = about(problem, period) | for_json(asked.options)
+        record = about(problem, period) | for_json(signals, problem.plant.modes)
         each = {name: one.record() for name, one in brackets.items()}
         print_json(record | {"longest_mode_lags": each})
     else:
-        dwell = asked.dwell
-        said = f"Sampling period {period:g} s, dwell time {dwell.value:.4g} s ({dwell.source})."
-        if not asked.constraint.is_plain:
-            stays, switches = asked.constraint.in_words()
+        said = f"Sampling period {period:g} s, dwell time {dwell:.4g} s ({source})."
+        if not signals.is_plain(problem.plant.modes):
+            stays, switches = signals.in_words(problem.plant.modes)
             said = f"Sampling period {period:g} s; every signal that {stays}, {switches}."
             said = with_names(said, problem.modes)
         print("\n".join((problem.title, said, *left_out(problem), "")))
@@ -126,36 +132,43 @@ def _brackets(
     return found
 
 
-def _limits(signals: Mapping[str, Any]) -> list[str]:
+def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
     """What the search keeps of the signals, where it keeps anything."""
-    found = []
-    if signals.get("dwell_time") is not None and signals.get("mode") is None:
-        times = ", ".join(f"{one:g}" for one in signals["dwell_time"])
+    limits, found = signals.limits(modes), []
+    if mode is not None:
+        found.append(f"The dwell time of mode {mode} moves; the others stay.")
+    elif len(set(limits.dwell_time)) > 1:
+        times = ", ".join(f"{one:g}" for one in limits.dwell_time)
         found.append(f"Dwell times of the modes stay in proportion to {times} s.")
-    elif signals.get("mode") is not None:
-        found.append(f"The dwell time of mode {signals['mode']} moves; the others stay.")
-    if signals.get("chatter", 1) > 1:
+    if signals.chatter > 1:
         found.append(
-            f"Dwell times τ are averages: {signals['chatter']} + T/τ switches in any T seconds at "
+            f"Dwell times τ are averages: {signals.chatter} + T/τ switches in any T seconds at "
             "most, one in a period."
         )
-    if signals.get("maximum_dwell") is not None:
+    if len(limits.lasting) < modes:
         found.append("No sojourn is longer than the maximum dwell time of its mode.")
-    if signals.get("transitions") is not None:
+    if signals.at == "samples":
+        found.append("Modes change at samples only.")
+    if not limits.is_free:
         found.append("Only those switches are taken to happen that the problem allows.")
     return found
 
 
-def for_json(signals: Mapping[str, Any]) -> dict[str, object]:
-    """The signals that were asked about; no limit as null."""
-    found = dict(signals)
-    if found.get("maximum_dwell") is not None:
-        longest = found["maximum_dwell"]
-        several = longest if isinstance(longest, (tuple, list)) else (longest,)
-        found["maximum_dwell"] = [None if one == float("inf") else one for one in several]
-    if found.get("transitions") is not None:
-        found["transitions"] = found["transitions"].astype(int)
-    return found
+def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
+    """The signals that were asked about; nothing where there is no limit, null for none."""
+    from deadtime.switching import SignalClass
+    from deadtime.switching.constraint import one_or_each
+
+    limits = signals.limits(modes)
+    found: dict[str, object] = {"dwell_time": one_or_each(limits.dwell_time)}
+    if len(limits.lasting) < modes:
+        longest = limits.maximum_dwell
+        found["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
+    if not limits.is_free:
+        found["transitions"] = limits.transitions.astype(int)
+    usual, names = SignalClass(1.0), ("at", "chatter", "mode_lag", "lost_samples")
+    more = {name: getattr(signals, name) for name in names}
+    return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
 
 
 def _lag(seconds: float | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import JUDGE, AllLaws, AsJson, File, ProblemFile, Step, app, lines
@@ -22,7 +22,7 @@ from deadtime.cli.problems import problem_of
 if TYPE_CHECKING:
     from deadtime.certificates import Verification
     from deadtime.problems import Problem
-    from deadtime.problems.asked import Signals
+    from deadtime.problems.asked import AskedSignals
     from deadtime.reports.tables.certificates import Judged
 
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml --law expected --longest-mode-lag",
         "deadtime certify problem.toml --lost-samples 2",
         "deadtime certify problem.toml --law averaged --dwell-time 2 --chatter 3",
+        "deadtime certify problem.toml --dwell-time 0.05 --step 0.05 --at samples",
         "deadtime certify identified.toml --uncertain",
     ),
 )
@@ -49,6 +50,7 @@ def certify(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
+    at: Literal["anywhere", "samples"] | None = None,
     step: Step = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
@@ -78,6 +80,9 @@ def certify(
     chatter
         N: any T seconds may hold N + T/τ switches, one in a period at most, τ the dwell time; 1 for
         a dwell time of every sojourn. That of the problem's average dwell time by default, else 1.
+    at
+        When modes may change: anywhere, or samples: only where the law samples, so that a dwell
+        time of one period is meaningful. That of the problem's [signal] by default, else anywhere.
     decay_rate
         The decay rate to certify, in 1/s; by default one close to that of the slowest mode.
     delays
@@ -117,8 +122,8 @@ def certify(
                 "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
-        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter)
-        return least_dwell_times(chosen, law, signals, json_output)
+        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
+        return least_dwell_times(chosen, law, signals, mode, json_output)
     if mode is not None:
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
     if longest_mode_lag:
@@ -128,7 +133,8 @@ def certify(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
-    asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
+    late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
+    asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
     if longest_mode_lag:
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
@@ -139,27 +145,23 @@ def certify(
         ranges = None if delays is None else (delays_from(delays[0]), delays_from(delays[1]))
         judged = judge(
             chosen,
-            step=period,
+            asked.signals,
+            period,
             laws=names,
             decay_rate=decay_rate,
             progress=advance,
             delays=ranges,
-            mode_lag=mode_lag,
-            lost_samples=lost_samples,
             uncertain=uncertain,
             trying=lambda what: advance(what, 0),
-            **asked.options,
         )
     saved = [] if out is None else _save(judged, out)
     if json_output:
-        record = about(chosen, period) | _recorded(asked) | {"delays": ranges}
-        record |= {"mode_lag": mode_lag} if mode_lag else {}
-        record |= {"lost_samples": lost_samples} if lost_samples else {}
+        record = about(chosen, period) | for_json(asked.signals, chosen.plant.modes)
+        record |= {"delays": ranges}
         record |= {"uncertain": uncertain} if chosen.uncertain is not None else {}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
-        sampled, left_open = (period, mode_lag, lost_samples), (uncertain, ranges)
-        _print_judged(chosen, judged, asked, sampled, law is not None, left_open)
+        _print_judged(chosen, judged, asked, period, law is not None, (uncertain, ranges))
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
     return 0 if law is None or judged[0].stable else 1
@@ -181,6 +183,7 @@ def verify(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
+    at: Literal["anywhere", "samples"] | None = None,
     step: float | None = None,
     mode_lag: int | None = None,
     lost_samples: int | None = None,
@@ -208,6 +211,8 @@ def verify(
         The longest sojourns that it must cover; with a problem as `certify` takes them.
     chatter
         The chatter of an average dwell time that it must cover; with a problem as `certify` has it.
+    at
+        When modes may change in the signals that it must cover; with a problem as `certify` has it.
     step
         The sampling period in seconds that it must have; by default that of the problem.
     mode_lag
@@ -224,6 +229,8 @@ def verify(
     from deadtime.problems.asked import one_or_all
     from deadtime.reports.tables.certificates import uncertain_plant
 
+    late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
+    late = {name: value for name, value in late.items() if value is not None}
     matches = None
     if problem is None:
         if law is not None:
@@ -232,29 +239,28 @@ def verify(
             raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
         times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
         least, most = (one_or_all(one) for one in times)
+        if chatter is not None:
+            late["chatter"] = chatter
         result = check(
             certificate,
             dwell_time=least,
             maximum_dwell=most,
-            chatter=chatter,
             step=step,
-            mode_lag=mode_lag,
-            lost_samples=lost_samples,
             limit=limit,
+            **late,
         )
     else:
         chosen = with_step(problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter)
-        dwell = asked.dwell.value
+        asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
+        dwell, chatter = asked.dwell.value, asked.signals.chatter
         only = None if law is None else laws[law]
-        late = {"mode_lag": mode_lag or 0, "lost_samples": lost_samples, "limit": limit}
         plant = uncertain_plant(chosen) if uncertain else chosen.plant
-        result = check(certificate, plant, only, step=period, **late, **asked.options)
+        result = check(certificate, plant, only, step=period, dwell_time=asked.signals, limit=limit)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
-            matches |= {"chatter": asked.chatter} if asked.chatter > 1 else {}
+            matches |= {"chatter": chatter} if chatter > 1 else {}
         elif result.proven:
             why = "Rejected: the certificate is about a table of none of the problem's laws."
             result = replace(result, proven=False, message=why)
@@ -273,14 +279,6 @@ def verify(
                 f"{' = '.join(matches['laws'])}."
             )
     return 0 if result.proven else 1
-
-
-def _recorded(asked: Signals) -> dict[str, object]:
-    """The signals that were asked about, for JSON; longest sojourns one per mode."""
-    limits = asked.options
-    if "maximum_dwell" in limits:
-        limits["maximum_dwell"] = asked.constraint.maximum_dwell
-    return for_json(limits)
 
 
 def _print_verification(result: Verification) -> None:
@@ -307,8 +305,8 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 def _print_judged(
     problem: Problem,
     judged: list[Judged],
-    asked: Signals,
-    sampled: tuple[float, int, int],
+    asked: AskedSignals,
+    step: float,
     in_full: bool,
     left_open: tuple[bool, object],
 ) -> None:
@@ -323,10 +321,11 @@ def _print_judged(
         plants_in_words,
     )
 
-    console, (step, lag, lost) = Terminal(), sampled
+    console, signals, modes = Terminal(), asked.signals, problem.plant.modes
+    lag, lost = signals.mode_lag, signals.lost_samples
     late = f"; laws are told the mode {number_of(lag, 'period')} late" if lag else ""
     late += f"; up to {number_of(lost, 'sample')} in a row may be lost" if lost else ""
-    stays, switches = asked.in_words()
+    stays, switches = signals.in_words(modes)
     console.print(problem.title, style="bold", markup=False)
     console.print(
         f"Every signal that {with_names(stays, problem.modes)} ({asked.dwell.source}), "

@@ -211,6 +211,11 @@ def _require_signals(problem: Problem) -> None:
             f"the plant of the problem {problem.name!r} is switched by its state, not by random "
             "signals: use deadtime simulate, or give the file a [signal] instead of the rule."
         )
+    if problem.switches_at == "samples":
+        raise ArgumentError(
+            f"the modes of the problem {problem.name!r} change at samples only, and Monte Carlo "
+            "draws instants between them: leave at out of its [signal]."
+        )
     if np.any(problem.u0) or problem.predict != "applied":
         raise ArgumentError(
             f'the problem {problem.name!r} must have u0 = 0 and predict = "applied", as all Monte '
@@ -259,7 +264,8 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Sw
     if _is_limited(problem):
         averaged = problem.average_dwell_time is not None  # whose own is no shortest sojourn
         asked = [sojourn.dwell.value] if averaged or sojourn.dwell.source == AS_ASKED else None
-        allowed = signals_of(problem, problem.signal, asked).constraint
+        signals = signals_of(problem, problem.signal, asked).signals
+        allowed = signals.limits(problem.plant.modes)
         mean = problem.mean_sojourn if mean_sojourn is None else mean_sojourn
         short = mean is not None and mean <= max(allowed.dwell_time)
         return random_model(allowed, None if short and mean_sojourn is None else mean)

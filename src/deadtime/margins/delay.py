@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import error_percent, inwards
-from deadtime.certificates import Certificate, certify
+from deadtime.certificates import certify
 from deadtime.feedback import Law
 from deadtime.margins.constant_modes import (
     DelayMargin,
@@ -30,7 +31,9 @@ from deadtime.margins.constant_modes import (
 )
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
-from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import PerMode
+from deadtime.switching.signal_class import SignalOptions
 
 FINEST = 0.04  # of the interval of constant modes
 MOST_PIECES = 16  # certificates tried on each side
@@ -41,12 +44,11 @@ def delay_margin(
     plant: SwitchedSystem,
     law: Law,
     step: float | None = 0.01,
-    dwell_time: PerMode | None = None,
+    dwell_time: PerMode | SignalClass | None = None,
     upto: float | None = None,
     *,
     input: int | None = None,
-    maximum_dwell: PerMode | None = None,
-    transitions: ArrayLike | None = None,
+    **signals: Unpack[SignalOptions],
 ) -> DelayMargin:
     """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
 
@@ -58,7 +60,7 @@ def delay_margin(
         A law that is a table.
     step : float or None
         Sampling period h, in seconds; None for the ideal loop (constant modes only).
-    dwell_time : float, or one per mode, optional
+    dwell_time : float, one per mode, or SignalClass, optional
         Without it, the mode is constant: exact, from the spectrum. With it, proved for every
         switching signal with this dwell time and every constant delay between `lower` and
         `upper`, in seconds; of several that move, with all of them wrong by the same time. That
@@ -72,12 +74,9 @@ def delay_margin(
         The input whose delay moves, in every mode by as many seconds, counted from 0; the other
         inputs keep theirs. By default those of all inputs move, by as many seconds. Inputs that
         share one delay have a margin each, too.
-    maximum_dwell : float, or one per mode, optional
-        With `dwell_time`: the longest sojourn, seconds, inf for none. A mode that has one is never
-        held, so that its own margin limits nothing.
-    transitions : (modes, modes) of bool, optional
-        With `dwell_time`: whether the signal may switch from mode i (row) to mode j (column); all
-        by default.
+    **signals
+        With `dwell_time`: of the signals besides it, as `certify` takes them. A mode with a
+        `maximum_dwell` is never held, so that its own margin limits nothing.
 
     Returns
     -------
@@ -89,9 +88,9 @@ def delay_margin(
     Raises
     ------
     ArgumentError
-        As by `growth_rate` and `certify`; if there is no such input; if `maximum_dwell` or
-        `transitions` is given without `dwell_time`; if `upto` is no longer than
-        the nominal delay, or the delay holds so many periods that the answer would take long.
+        As by `growth_rate` and `certify`; if there is no such input; if `signals` are given
+        without `dwell_time`; if `upto` is no longer than the nominal delay, or the delay holds so
+        many periods that the answer would take long.
 
     Examples
     --------
@@ -104,10 +103,10 @@ def delay_margin(
     True
     """
     if dwell_time is None:
-        if maximum_dwell is not None or transitions is not None:
+        if signals:
             raise ArgumentError(
-                "dwell_time must be given with maximum_dwell and transitions: without it the mode "
-                "is constant."
+                f"dwell_time must be given with {' and '.join(signals)}: without it the mode is "
+                "constant."
             )
         return constant_delay_margin(plant, law, step, upto, input)
     instance("plant", plant, SwitchedSystem)
@@ -115,11 +114,12 @@ def delay_margin(
         raise ArgumentError(
             "step must be given with dwell_time: certificates are of the digital loop."
         )
-    signals = SwitchingConstraint.of(plant.modes, dwell_time, maximum_dwell, transitions)
-    constant = constant_delay_margin(plant, law, step, upto, input, held=signals.lasting)
+    asked = SignalClass.of(dwell_time, **signals)
+    lasting = asked.limits(plant.modes).lasting
+    constant = constant_delay_margin(plant, law, step, upto, input, held=lasting)
     if constant.lower is None or constant.upper is None:
         return constant
-    nominal = certify(plant, law, step=step, decay_rate=0.0, **signals.options)
+    nominal = certify(plant, law, asked, step, decay_rate=0.0)
     if not nominal.stable:
         return replace(
             constant,
@@ -133,25 +133,27 @@ def delay_margin(
         ends: tuple[ArrayLike, ArrayLike] = low, high
         if input is not None or constant.differ:
             ends = _moved(plant, input, low - nominal), _moved(plant, input, high - nominal)
-        return _is_certified(plant, law, signals, step, ends)
+        options: dict[str, Any] = {"delays": ends, "decay_rate": 0.0, "search_signals": False}
+        return certify(plant, law, asked, step, **options).stable is True
 
     offsets = np.unique(moving - nominal).tolist()
-    known = bool(signals.lasting)
+    known = bool(lasting)
     lower = _reach(nominal, constant.lower, step, offsets, holds, known)
     upper = _reach(nominal, constant.upper, step, offsets, holds, known)
     message = (
-        f"Proved for every signal {_in_words(signals)}: stable for "
+        f"Proved for every signal {_in_words(asked, plant.modes)}: stable for "
         f"{_range(lower, upper, constant)}. Without switches: {constant.message}"
     )
     return replace(constant, lower=lower, upper=upper, certified=True, message=message)
 
 
-def _in_words(signals: SwitchingConstraint) -> str:
+def _in_words(signals: SignalClass, modes: int) -> str:
     """Which signals, after "every signal"."""
-    if signals.is_plain:
-        return f"with a dwell time of {signals.dwell_time[0]:g} s"
-    stays, switches = signals.in_words()
-    return f"that {stays}" + ("" if signals.is_free else f", and {switches}")
+    limits = signals.limits(modes)
+    if signals.is_plain(modes):
+        return f"with a dwell time of {limits.dwell_time[0]:g} s"
+    stays, switches = signals.in_words(modes)
+    return f"that {stays}" + ("" if limits.is_free else f", and {switches}")
 
 
 def _moved(plant: SwitchedSystem, input: int | None, shift: float) -> np.ndarray:
@@ -175,18 +177,6 @@ def _range(lower: float, upper: float, constant: DelayMargin) -> str:
         f"{inwards(upper, nominal)} s "
         f"({error_percent(lower, nominal)}, {error_percent(upper, nominal)})"
     )
-
-
-def _is_certified(
-    plant: SwitchedSystem,
-    law: Law,
-    signals: SwitchingConstraint,
-    step: float,
-    delays: tuple[ArrayLike, ArrayLike],
-) -> bool:
-    options = {"delays": delays, "decay_rate": 0.0, "search_signals": False, **signals.options}
-    certificate: Certificate = certify(plant, law, step=step, **options)
-    return bool(certificate.stable)
 
 
 def _reach(

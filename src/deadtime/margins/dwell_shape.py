@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from numpy.typing import ArrayLike
-
-from deadtime.base.checks import count, index
+from deadtime.base.checks import index
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import SwitchingConstraint, one_or_each
 
 if TYPE_CHECKING:
     from deadtime.certificates import WorstCase
@@ -24,55 +23,40 @@ class DwellShape:
     ----------
     weights : tuple of float, one per mode
         Dwell times over T, the least of them 1; 0 where the dwell time is fixed.
+    signals : SignalClass
+        What stays of the signals; with a chatter above 1 T is an average dwell time.
     limits : SwitchingConstraint
         The longest sojourns, the switches, and the dwell times that are fixed.
     mode : int or None
         The mode that moves alone.
-    chatter : int
-        Above 1, T is an average dwell time; then one for all modes.
 
     Examples
     --------
-    >>> shape = DwellShape.of(3, [0.25, 0.75, 0.5], maximum_dwell=[2.0, 3.0, 4.0])
+    >>> shape = DwellShape.of(3, SignalClass([0.25, 0.75, 0.5], maximum_dwell=[2.0, 3.0, 4.0]))
     >>> shape.dwell_times(0.5), shape.longest
     ((0.5, 1.5, 1.0), 1.0)
-    >>> DwellShape.of(3, [0.25, 0.75, 0.5], mode=1).dwell_times(0.125)
+    >>> DwellShape.of(3, SignalClass([0.25, 0.75, 0.5]), mode=1).dwell_times(0.125)
     (0.25, 0.125, 0.5)
     """
 
     weights: tuple[float, ...]
+    signals: SignalClass
     limits: SwitchingConstraint
     mode: int | None = None
-    chatter: int = 1
 
     @classmethod
-    def of(
-        cls,
-        modes: int,
-        dwell_time: PerMode | None = None,
-        maximum_dwell: PerMode | None = None,
-        transitions: ArrayLike | None = None,
-        mode: int | None = None,
-        chatter: int = 1,
-    ) -> DwellShape:
-        """From the arguments of `least_dwell_time`."""
-        limits = SwitchingConstraint.of(modes, dwell_time, maximum_dwell, transitions)
-        several = mode is not None or len(set(limits.dwell_time)) > 1
-        if count("chatter", chatter) > 1 and (several or len(limits.lasting) < modes):
+    def of(cls, modes: int, signals: SignalClass, mode: int | None = None) -> DwellShape:
+        """Of dwell times in proportion to those of a class of signals, or of one mode's alone."""
+        limits = signals.limits(modes)
+        if mode is not None and signals.chatter > 1:
             raise ArgumentError(
-                "chatter above 1 asks about one average dwell time for all modes: leave out mode, "
-                "maximum_dwell and dwell times of their own."
+                "chatter above 1 asks about one average dwell time for all modes: leave out mode."
             )
         if mode is None:
             least = min(limits.dwell_time)
-            each = (time / least if least else 1.0 for time in limits.dwell_time)
-            return cls(tuple(each), limits, None, chatter)
+            return cls(tuple(time / least for time in limits.dwell_time), signals, limits)
         mode = index("mode", mode, modes)
-        if dwell_time is None:
-            raise ArgumentError(
-                "dwell_time must be given with mode: the dwell times that the other modes keep."
-            )
-        return cls(tuple(float(i == mode) for i in range(modes)), limits, mode)
+        return cls(tuple(float(i == mode) for i in range(modes)), signals, limits, mode)
 
     @property
     def longest(self) -> float:
@@ -89,11 +73,9 @@ class DwellShape:
             )
         )
 
-    def signals(self, time: float) -> SwitchingConstraint:
+    def at(self, time: float) -> SignalClass:
         """The admissible signals at T."""
-        return SwitchingConstraint(
-            self.dwell_times(time), self.limits.maximum_dwell, self.limits.following
-        )
+        return replace(self.signals, dwell_time=one_or_each(self.dwell_times(time)))
 
     def admits(self, worst: WorstCase) -> float:
         """The longest T with which a signal is admissible, seconds; inf where it always is."""

@@ -11,13 +11,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
-
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, Unpack
 
 from deadtime.base.checks import instance, number, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.clock import CLOCK_TOLERANCE, MOST_PERIODS
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of
@@ -25,12 +22,16 @@ from deadtime.margins.bracket import Bracket, Questions, bracket
 from deadtime.margins.dwell_shape import DwellShape
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_bounds, growth_rate, least_growth
+from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode
+from deadtime.switching.signal_class import CLOCK_TOLERANCE, MOST_PERIODS, SignalOptions
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
 
-SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described
+SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described,
+AT_SAMPLES = 1.0 - 1e-10  # and where modes change at samples only there are none
+SHORT = 1e-9  # periods
 CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
 DOUBLINGS = 6  # of that, before giving up
 SAME = 1e-12  # of a dwell time, in 1/τ_d and back
@@ -84,11 +85,9 @@ def least_dwell_time(
     step: float = 0.01,
     ratio: float = 1.01,
     *,
-    dwell_time: PerMode | None = None,
-    maximum_dwell: PerMode | None = None,
-    transitions: ArrayLike | None = None,
+    dwell_time: PerMode | SignalClass | None = None,
     mode: int | None = None,
-    chatter: int = 1,
+    **signals: Unpack[SignalOptions],
 ) -> LeastDwellTime:
     """Bracket the least dwell time with which a loop is stable under every admissible signal.
 
@@ -104,18 +103,15 @@ def least_dwell_time(
     ratio : float
         How close is close enough: the search ends when certified / refuted ≤ ratio, or when there
         is no answer between them.
-    dwell_time : float, or one per mode, optional
+    dwell_time : float, one per mode, or SignalClass, optional
         The dwell times of the modes, seconds, of which the search keeps the proportions: by how
         much may they all shrink, or must they grow? By default all modes have the same.
-    maximum_dwell : float, or one per mode, optional
-        The longest sojourn, seconds, inf for none. It stays; a mode that has one is never held.
-    transitions : (modes, modes) of bool, optional
-        Whether the signal may switch from mode i (row) to mode j (column); all by default.
     mode : int, optional
         Search the dwell time of this mode alone; the others keep theirs of `dwell_time`.
-    chatter : int
-        N₀: above 1 the least *average* dwell time τ_a is sought, with N₀ + T/τ_a switches in any
-        T s at most, one in a period. Signals that keep τ_a in every sojourn refute it.
+    **signals
+        Of the signals besides `dwell_time`, as `certify` takes them. They stay. A mode with a
+        `maximum_dwell` is never held; with `chatter` above 1 the least *average* dwell time is
+        sought, and signals that keep it in every sojourn refute it.
 
     Raises
     ------
@@ -126,7 +122,8 @@ def least_dwell_time(
     Notes
     -----
     A few proofs and a few searches for growing signals: seconds for small loops, minutes for
-    N = 100. Dwell times of a period or less are not asked about.
+    N = 100. Dwell times of a period or less are not asked about, unless the mode changes at samples
+    only: then none below a period.
 
     Examples
     --------
@@ -157,8 +154,13 @@ def least_dwell_time(
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")
-    shape = DwellShape.of(plant.modes, dwell_time, maximum_dwell, transitions, mode, chatter)
-    shortest = SHORTEST * step
+    if mode is not None and dwell_time is None:
+        raise ArgumentError(
+            "dwell_time must be given with mode: the dwell times that the other modes keep."
+        )
+    least = SHORT * step if dwell_time is None else dwell_time  # any: only proportions count
+    shape = DwellShape.of(plant.modes, SignalClass.of(least, **signals), mode)
+    shortest = _shortest(shape, step)
     if shape.longest <= shortest:
         raise ArgumentError(
             f"maximum_dwell must leave room above a period of {step:g} s, and dwell times up to "
@@ -176,7 +178,7 @@ def _searched(
     shape: DwellShape,
 ) -> LeastDwellTime:
     """The bracket, of arguments that are checked."""
-    shortest = SHORTEST * step
+    shortest = _shortest(shape, step)
     worst = questions.falsify(1.0 / shortest)
     rates = {i: growth_rate(plant, law, i, step) for i in shape.limits.lasting}
     slowest, least = max(rates.values(), default=-math.inf), least_growth(plant)
@@ -189,7 +191,7 @@ def _searched(
     if worst.grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    most = min(shape.longest, LAID_OUT * step / max(shape.weights) / shape.chatter)
+    most = min(shape.longest, LAID_OUT * step / max(shape.weights) / shape.signals.chatter)
     first = min(_calm(step, slowest) if rates else 0.5 * most, most)
     longest = _certified_dwell_time(questions, first, most)
     if longest is None:
@@ -198,15 +200,19 @@ def _searched(
     return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions, shape)
 
 
+def _shortest(shape: DwellShape, step: float) -> float:
+    """The shortest dwell time that is asked about, seconds."""
+    return (SHORTEST if shape.signals.at == "anywhere" else AT_SAMPLES) * step
+
+
 def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) -> Questions:
     """The questions of `bracket` about 1/T; answers are remembered."""
     from deadtime.certificates import certify, falsify
 
     @cache
     def proof(frequency: float) -> Certificate:
-        options: dict[str, Any] = shape.signals(1.0 / frequency).options
-        options["chatter"] = shape.chatter
-        return certify(plant, law, step=step, decay_rate=0.0, search_signals=False, **options)
+        signals = shape.at(1.0 / frequency)
+        return certify(plant, law, signals, step, decay_rate=0.0, search_signals=False)
 
     known: list[WorstCase] = []
 
@@ -214,7 +220,7 @@ def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) 
         for found in known:
             if shape.admits(found) * frequency >= 1.0 - SAME:
                 return found
-        found = falsify(plant, law, step=step, **shape.signals(1.0 / frequency).options)
+        found = falsify(plant, law, shape.at(1.0 / frequency), step)
         if found.grows:
             known.append(found)
         return found
@@ -285,7 +291,7 @@ def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> Leas
 
 def _of(shape: DwellShape, article: str = "") -> str:
     """What moves, in words."""
-    if shape.chatter > 1:
+    if shape.signals.chatter > 1:
         return f"{article and article + 'n '}average dwell time"
     article = article and article + " "
     if shape.mode is not None:

@@ -7,11 +7,9 @@ is proved is proved lag by lag, and the bracket is about the lags that were aske
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
-
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, Unpack
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
@@ -21,7 +19,9 @@ from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
-from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import PerMode
+from deadtime.switching.signal_class import SignalOptions
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -78,12 +78,11 @@ class LongestModeLag:
 def longest_mode_lag(
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: PerMode,
+    dwell_time: PerMode | SignalClass,
     step: float = 0.01,
     *,
     upto: int | None = None,
-    maximum_dwell: PerMode | None = None,
-    transitions: ArrayLike | None = None,
+    **signals: Unpack[SignalOptions],
 ) -> LongestModeLag:
     """The longest lag with which the law may be told the mode, proved, and the shortest refuted.
 
@@ -93,17 +92,16 @@ def longest_mode_lag(
         The truth.
     law : Law
         A law that is a table, as `certify` takes it.
-    dwell_time : float, or one per mode
-        Shortest sojourn, seconds.
+    dwell_time : float, one per mode, or SignalClass
+        Shortest sojourn, seconds; or all that is known of the signals.
     step : float
         Sampling period h > 0, seconds.
     upto : int, optional
         The longest lag to ask about, in periods; by default twice the delay and twice the longest
         dwell time together.
-    maximum_dwell : float, or one per mode, optional
-        The longest sojourn, seconds, inf for none.
-    transitions : (modes, modes) of bool, optional
-        Whether the signal may switch from mode i (row) to mode j (column); all by default.
+    **signals
+        Of the signals besides `dwell_time`, as `certify` takes them; without `mode_lag`, which is
+        sought, and `lost_samples`.
 
     Raises
     ------
@@ -130,17 +128,23 @@ def longest_mode_lag(
     instance("law", law, Law)
     require_match(plant, law)
     step = positive("step", step)
-    signals = SwitchingConstraint.of(plant.modes, dwell_time, maximum_dwell, transitions)
+    sought = SignalClass.of(dwell_time, **signals)
+    limits = sought.limits(plant.modes)
+    if sought.mode_lag or sought.lost_samples:
+        raise ArgumentError(
+            "mode_lag is what is sought, and lost_samples tell the mode late by themselves: leave "
+            f"them out, got mode_lag = {sought.mode_lag}, lost_samples = {sought.lost_samples}."
+        )
     table = None if law.foresees else recurrence_of(law, step)
     if table is None:
         raise ArgumentError(
             "law must be a table whose rows do not depend on the future, got "
             f"{type(law).__name__}: no lag of its mode can be certified."
         )
-    ahead = max(plant.longest_delay, table.taps * step) + max(signals.dwell_time)
+    ahead = max(plant.longest_delay, table.taps * step) + max(limits.dwell_time)
     most = round(snap(DELAYS * ahead / step))
     most = most if upto is None else count("upto", upto)
-    asked = _LagQuestions.of(plant, law, signals, step)
+    asked = _LagQuestions.of(plant, law, sought, step)
     if plant.modes == 1 or table.context == "none":
         return _without_mode(asked, most, step)
     certified, beyond = _edge(lambda lag: asked.proof(lag).stable is True, most)
@@ -192,7 +196,7 @@ class _LagQuestions:
 
     @classmethod
     def of(
-        cls, plant: SwitchedSystem, law: Law, signals: SwitchingConstraint, step: float
+        cls, plant: SwitchedSystem, law: Law, signals: SignalClass, step: float
     ) -> _LagQuestions:
         from deadtime.certificates import certify, falsify
 
@@ -200,16 +204,14 @@ class _LagQuestions:
 
         @cache
         def proof(lag: int) -> Certificate:
-            found = certify(
-                plant, law, step=step,
-                decay_rate=0.0, mode_lag=lag, search_signals=False, **signals.options,
-            )  # fmt: skip
+            late = replace(signals, mode_lag=lag)
+            found = certify(plant, law, late, step, decay_rate=0.0, search_signals=False)
             answers[lag] = found.stable
             return found
 
         @cache
         def worst(lag: int) -> WorstCase:
-            found = falsify(plant, law, step=step, mode_lag=lag, **signals.options)
+            found = falsify(plant, law, replace(signals, mode_lag=lag), step)
             answers[lag] = False if found.grows else answers.get(lag)
             return found
 

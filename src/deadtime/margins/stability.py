@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, Unpack
 
 from deadtime.base.checks import number, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
@@ -14,7 +12,9 @@ from deadtime.feedback import Law
 from deadtime.margins.bracket import Bracket, Questions, bracket
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_bounds, growth_rate, least_growth
-from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import PerMode
+from deadtime.switching.signal_class import SignalOptions
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -61,12 +61,10 @@ class StabilityMargin:
 def stability_margin(
     problem: Callable[[float], Loop],
     bounds: Sequence[float],
-    dwell_time: PerMode,
+    dwell_time: PerMode | SignalClass,
     step: float = 0.01,
     ratio: float = 1.01,
-    *,
-    maximum_dwell: PerMode | None = None,
-    transitions: ArrayLike | None = None,
+    **signals: Unpack[SignalOptions],
 ) -> StabilityMargin:
     """Bracket the largest value for which a loop is stable under every admissible signal.
 
@@ -80,18 +78,17 @@ def stability_margin(
         From a value to (plant, law); the law's model may differ from the plant.
     bounds : (low, high)
         The values to search between; the loop must be certified at `low`.
-    dwell_time : float, or one per mode
-        τ_d > 0, seconds: the signals are all those that stay in each mode at least so long.
+    dwell_time : float, one per mode, or SignalClass
+        τ_d > 0, seconds: the signals are all those that stay in each mode at least so long; or all
+        that is known of them.
     step : float
         Sampling period h > 0, seconds.
     ratio : float
         How close is close enough: the search ends when refuted / certified ≤ ratio, or when
         there is no answer between them.
-    maximum_dwell : float, or one per mode, optional
-        The longest sojourn, seconds, inf for none. A mode that has one is never held, so that its
-        own growth refutes nothing.
-    transitions : (modes, modes) of bool, optional
-        Whether the signal may switch from mode i (row) to mode j (column); all by default.
+    **signals
+        Of the signals besides `dwell_time`, as `certify` takes them. A mode with a `maximum_dwell`
+        is never held, so that its own growth refutes nothing.
 
     Raises
     ------
@@ -134,13 +131,13 @@ def stability_margin(
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")
-    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions}
-    questions = _questions(problem, positive("step", step), {"dwell_time": dwell_time, **limits})
+    asked = SignalClass.of(dwell_time, **signals)
+    questions = _questions(problem, positive("step", step), asked)
     return _margin(bracket(questions, low, high, ratio), questions)
 
 
-def _questions(problem: Callable[[float], Loop], step: float, signals: dict[str, Any]) -> Questions:
-    """The questions of `bracket` about a value; `signals`: what `certify` takes of them."""
+def _questions(problem: Callable[[float], Loop], step: float, signals: SignalClass) -> Questions:
+    """The questions of `bracket` about a value."""
     from deadtime.certificates import certify, falsify
 
     def loop(value: float) -> Loop:
@@ -159,13 +156,13 @@ def _questions(problem: Callable[[float], Loop], step: float, signals: dict[str,
         return any(
             growth_rate(plant, law, mode, step) > least_growth(plant)
             and growth_bounds(plant, law, mode, step)[0] > 0.0
-            for mode in SwitchingConstraint.of(plant.modes, **signals).lasting
+            for mode in signals.limits(plant.modes).lasting
         )
 
     return Questions(
         grows,
-        lambda value: certify(*loop(value), step=step, decay_rate=0.0, **signals),
-        lambda value: falsify(*loop(value), step=step, **signals),
+        lambda value: certify(*loop(value), signals, step, decay_rate=0.0),
+        lambda value: falsify(*loop(value), signals, step),
     )
 
 

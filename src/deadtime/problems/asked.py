@@ -10,14 +10,15 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from deadtime.base.checks import count, number
+from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
-from deadtime.switching import Rule, SwitchingSignal
-from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching import Rule, SignalClass, SwitchingSignal
+from deadtime.switching.constraint import SwitchingConstraint, one_or_each
 from deadtime.switching.models.semi_markov import SemiMarkov
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential
 from deadtime.switching.random import mean_or_twice
+from deadtime.switching.signal_class import Instants
 
 STEP = 0.01  # for problems whose loop is ideal, seconds
 AS_ASKED = "as asked"
@@ -30,34 +31,11 @@ class SourcedTime(NamedTuple):
     source: str
 
 
-class Signals(NamedTuple):
-    """The signals that a problem is asked about; `dwell` is the shortest dwell time of a mode.
-
-    With a `chatter` N₀ above 1 it is an average dwell time: N₀ + T/τ_a switches in any T seconds.
-    """
+class AskedSignals(NamedTuple):
+    """The signals that a problem is asked about; `dwell` is the shortest dwell time of a mode."""
 
     dwell: SourcedTime
-    constraint: SwitchingConstraint
-    chatter: int = 1
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """What `certify` and `verify` take of them; nothing where there is no limit."""
-        return self.constraint.options | ({"chatter": self.chatter} if self.chatter > 1 else {})
-
-    def in_words(self) -> tuple[str, str]:
-        """What signals do, after "that": how long they stay or how often they switch, and how.
-
-        Examples
-        --------
-        >>> Signals(SourcedTime(2.5, AS_ASKED), SwitchingConstraint.of(2, 2.5), 3).in_words()[0]
-        'switches at most 3 + T/(2.5 s) times in any T seconds'
-        """
-        stays, switches = self.constraint.in_words()
-        if self.chatter == 1:
-            return stays, switches
-        often = f"switches at most {self.chatter} + T/({self.dwell.value:.4g} s) times in any T"
-        return f"{often} seconds", f"{switches}, once in a period at most"
+    signals: SignalClass
 
 
 def step_of(problem: Problem) -> float:
@@ -114,18 +92,22 @@ def signals_of(
     dwell_time: Sequence[float] | None = None,
     maximum_dwell: Sequence[float] | None = None,
     chatter: int | None = None,
-) -> Signals:
+    at: Instants | None = None,
+    mode_lag: int = 0,
+    lost_samples: int = 0,
+) -> AskedSignals:
     """The signals that a problem is about: its dwell time, and what else it promises of them.
 
     `dwell_time` and `maximum_dwell` are what somebody wanted instead, seconds: one, or one per
-    mode. With a `chatter` above 1, the problem's by default, `dwell_time` is an average one.
+    mode. With a `chatter` above 1, the problem's by default, `dwell_time` is an average one. Modes
+    change `at` the instants that the problem says, by default. Lags and losses are no part of it.
 
     Examples
     --------
     >>> import deadtime as dt
     >>> problem = dt.problems.paper()
-    >>> signals_of(problem, problem.signal, maximum_dwell=[1.5]).options
-    {'dwell_time': 0.2, 'maximum_dwell': 1.5}
+    >>> signals_of(problem, problem.signal, maximum_dwell=[1.5]).signals.sentence(2)
+    'for every switching signal whose sojourns last between 0.2 s and 1.5 s'
     """
     average, wanted = problem.average_dwell_time, min(dwell_time) if dwell_time else None
     if chatter is None:
@@ -138,13 +120,22 @@ def signals_of(
     least: object = dwell_time
     if least is None:
         promised = own is not None and min(own.dwell_time) > 0.0
-        least = own.dwell_time if own is not None and promised else [given.value]
+        least = [one_or_each(own.dwell_time)] if own is not None and promised else [given.value]
     most: object = maximum_dwell
     if most is None and own is not None and len(own.lasting) < modes:
-        most = own.maximum_dwell
-    ways = None if own is None else own.transitions
-    constraint = SwitchingConstraint.of(modes, one_or_all(least), one_or_all(most), ways)
-    return Signals(given, constraint, count("chatter", chatter))
+        most = [one_or_each(own.maximum_dwell)]
+    ways = None if own is None or own.is_free else own.transitions
+    asked = SignalClass(
+        one_or_all(least),
+        one_or_all(most),
+        ways,
+        problem.switches_at if at is None else at,
+        mode_lag=mode_lag,
+        lost_samples=lost_samples,
+        chatter=chatter,
+    )
+    asked.limits(modes)  # refuses what does not fit them
+    return AskedSignals(given, asked)
 
 
 def one_or_all(values: Any) -> Any:

@@ -24,6 +24,7 @@ from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant, Weigh
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Rule, SwitchingModel, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching.signal_class import Instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,8 @@ class Problem(Frozen):
     average_dwell_time : (float, int) or None
         An average dwell time τ_a, seconds, and N₀: any T seconds hold N₀ + T/τ_a switches at most,
         which certificates ask for; None where none is promised.
+    switches_at : "anywhere" or "samples"
+        When the modes of its signals change.
     mean_sojourn : float or None
         The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
     switching : switching model or None
@@ -118,6 +121,7 @@ class Problem(Frozen):
     uncertain: UncertainPlant | None = None
     operating_point: OperatingPoint | None = None
     average_dwell_time: tuple[float, int] | None = None
+    switches_at: Instants = "anywhere"
 
     @property
     def operating_sentences(self) -> tuple[str, ...]:

@@ -67,15 +67,15 @@ def certificates_section(
     problem's period, or at 0.01 s where the problem's loop is ideal.
     """
     progress, problem = reporter("progress", progress), result.problem
-    signals, step = signals_of(problem, result.signal), step_of(problem)
-    dwell, source = signals.dwell
-    judged = judge(problem, step=step, progress=progress, **signals.options)
+    ((dwell, source), signals), step = signals_of(problem, result.signal), step_of(problem)
+    judged = judge(problem, signals, step, progress=progress)
     sentences = [
         *left_out(problem),
         *(with_names(one, problem.modes) for one in certificate_sentences(judged)),
     ]
-    if signals.chatter > 1 or not signals.constraint.is_plain:
-        stays, switches = (with_names(one, problem.modes) for one in signals.in_words())
+    modes = problem.plant.modes
+    if not signals.is_plain(modes):
+        stays, switches = (with_names(one, problem.modes) for one in signals.in_words(modes))
         sentences.insert(0, f"Certificates are about every signal that {stays}, and {switches}.")
     figures = []
     reach = _tightness_figure(problem, dwell, step, progress)

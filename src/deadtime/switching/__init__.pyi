@@ -8,3 +8,4 @@ from .rules.rule import (
     Rule as Rule,
 )
 from .signal import SwitchingSignal as SwitchingSignal
+from .signal_class import SignalClass as SignalClass

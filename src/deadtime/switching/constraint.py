@@ -79,17 +79,7 @@ class SwitchingConstraint:
         maximum_dwell: PerMode | None = None,
         transitions: ArrayLike | None = None,
     ) -> SwitchingConstraint:
-        """From what users give: numbers in seconds or one per mode, and a matrix of 0 and 1.
-
-        Parameters
-        ----------
-        modes : int
-            Number of modes.
-        dwell_time, maximum_dwell : float, or one per mode
-            Seconds; a `maximum_dwell` of inf for a mode, or for all, that may last without end.
-        transitions : array_like of bool, shape (modes, modes)
-            Whether a signal may switch from mode i (row) to mode j (column); all by default. The
-            diagonal says nothing: how long a mode may last is said by `maximum_dwell`.
+        """From what users give, as `SignalClass` takes it; the diagonal says nothing.
 
         Raises
         ------
@@ -157,17 +147,7 @@ class SwitchingConstraint:
             tuple(j for j in after if reach[j, i]) for i, after in enumerate(self.following)
         )
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """What `certify` and `falsify` take of them; nothing where there is no limit."""
-        found: dict[str, Any] = {"dwell_time": one_or_each(self.dwell_time)}
-        if len(self.lasting) < self.modes:
-            found["maximum_dwell"] = one_or_each(self.maximum_dwell)
-        if not self.is_free:
-            found["transitions"] = self.transitions
-        return found
-
-    def in_words(self) -> tuple[str, str]:
+    def in_words(self, when: str = "at any time") -> tuple[str, str]:
         """What signals do by it, after "that": how long they stay, and how they switch.
 
         Examples
@@ -189,12 +169,16 @@ class SwitchingConstraint:
         if len(set(times)) > 1:
             stays = "stays for " + ", ".join(f"{one} in mode {i}" for i, one in enumerate(each))
         if self.is_free:
-            return stays, "switches at any time"
-        ways = [
+            return stays, f"switches {when}"
+        return stays, f"switches {when}, but only so: {self.ways_in_words}"
+
+    @property
+    def ways_in_words(self) -> str:
+        """Which mode each may switch to."""
+        return ", ".join(
             f"from mode {i} {'to ' + ' or '.join(map(str, after)) if after else 'never'}"
             for i, after in enumerate(self.following)
-        ]
-        return stays, f"switches at any time, but only so: {', '.join(ways)}"
+        )
 
     def require(self, signal: TimedModes, tolerance: float = ROUND_OFF) -> None:
         """Refuse a signal that is not admissible, by the first switch or sojourn that is not.
@@ -233,14 +217,22 @@ class SwitchingConstraint:
 
 def _per_mode(name: str, value: object, modes: int, unbounded: bool = False) -> tuple[float, ...]:
     """A positive time for every mode, infinite where that has a meaning."""
-    if not np.iterable(value) or isinstance(value, (str, bytes)):
-        return (_time(name, value, unbounded),) * modes
-    given = list(value)  # pyright: ignore[reportCallIssue, reportArgumentType]
-    if len(given) != modes:
+    times = time_or_each(name, value, unbounded)
+    if not isinstance(times, tuple):
+        return (times,) * modes
+    if len(times) != modes:
         raise ArgumentError(
             f"{name} must be a number of seconds, or one for each of the {modes} modes, got "
-            f"{len(given)} of them."
+            f"{len(times)} of them."
         )
+    return times
+
+
+def time_or_each(name: str, value: object, unbounded: bool = False) -> float | tuple[float, ...]:
+    """A positive time, or several; infinite where that has a meaning."""
+    if not np.iterable(value) or isinstance(value, (str, bytes)):
+        return _time(name, value, unbounded)
+    given = list(value)  # pyright: ignore[reportCallIssue, reportArgumentType]
     return tuple(_time(f"{name}[{i}]", time, unbounded) for i, time in enumerate(given))
 
 
@@ -254,10 +246,16 @@ def _allowed(modes: int, transitions: ArrayLike | None) -> Bool[np.ndarray, "mod
     others = ~np.eye(modes, dtype=bool)
     if transitions is None:
         return others
-    table = np.asarray(transitions)
-    if table.dtype != bool:
-        table = real_array("transitions", transitions, "(modes, modes)", 2)
+    table = switch_table(transitions)
     require_shape("transitions", table, (modes, modes), "(modes, modes)")
+    return table & others
+
+
+def switch_table(transitions: ArrayLike) -> Bool[np.ndarray, "mode after"]:
+    """A matrix of True and False, or of 1 and 0."""
+    table = np.asarray(transitions)
+    if table.dtype != bool or table.ndim != 2:
+        table = real_array("transitions", transitions, "(modes, modes)", 2)
     wrong = np.argwhere((table != 0) & (table != 1))
     if wrong.size:
         i, j = wrong[0].tolist()
@@ -265,7 +263,7 @@ def _allowed(modes: int, transitions: ArrayLike | None) -> Bool[np.ndarray, "mod
             f"transitions[{i}, {j}] must be True or False (1 or 0), got {float(table[i, j]):g}: of "
             "rates or probabilities give those that are above 0, as in rates > 0."
         )
-    return (table != 0) & others
+    return table != 0
 
 
 def _require_ways(allowed: Bool[np.ndarray, "mode mode"], most: tuple[float, ...]) -> None:

@@ -102,7 +102,7 @@ def _oldest(setting: Setting) -> list[tuple[int, int]]:
     """Every mode with that row, and where samples may be lost with that of a lost one, too."""
     modes = range(setting.transitions.modes)
     pairs = [(i, oldest_row(setting, i)) for i in modes]
-    if setting.lost_samples:
+    if setting.signals.lost_samples:
         count = setting.transitions.measured
         pairs += [(i, count + row) for i, row in pairs]
     return pairs

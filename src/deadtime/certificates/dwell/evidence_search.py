@@ -70,7 +70,7 @@ class EvidenceSearch:
         self.model = CentreFloats.of(setting, (level.eigenvectors,) * modes, level.rank)
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
-        late = max(setting.mode_lag, setting.lost_samples)
+        late = max(setting.signals.mode_lag, setting.signals.lost_samples)
         told = [late] if 0 < late < last else []
         knots = sorted({*(int(mark) for mark in marks), *told})
         self.knots = tuple(knots) if level.eigenvectors else (0,)
@@ -162,20 +162,20 @@ class EvidenceSearch:
         for transition in self.setting.transitions.all(self.knots):
             if kept is not None and transition.age not in kept:
                 continue
-            key = transition.mode, transition.after, transition.instants
+            key = transition.mode, transition.within, transition.instants
             if key not in steps:
                 steps[key] = self._points(transition)
             samples += [self._sample(transition, *point) for point in steps[key]]
-            if not transition.switches:
-                order = self.setting.family.orders(transition.mode, transition.after)[0]
+            if transition.within == transition.mode:
+                order = self.setting.family.orders(transition.mode, transition.mode)[0]
                 self.looked_at.add((transition, order, 0.0))
         return samples
 
     def _add(self, failed: Transition, u: float) -> bool:
         """Look at a step at the instant u of the period, too; False if that is done already."""
         family: Any = self.setting.family
-        order, inner = family.place(failed.mode, failed.after, u)
-        key = failed, order, inner if failed.switches else 0.0
+        order, inner = family.place(failed.mode, failed.within, u)
+        key = failed, order, inner if failed.within != failed.mode else 0.0
         if key in self.looked_at:
             return False
         self.looked_at.add(key)
@@ -190,7 +190,7 @@ class EvidenceSearch:
     def _points(self, step: Transition) -> list[tuple[np.ndarray, Sway | None]]:
         """The plant's rows E, and the ellipsoid there, at some instants of a step's switch."""
         family: Any = self.setting.family
-        orders, points = family.orders(step.mode, step.after), []
+        orders, points = family.orders(step.mode, step.within), []
         instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
         for order in orders:
             shares = family.shares(order, step.instants)

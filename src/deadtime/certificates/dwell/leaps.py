@@ -108,7 +108,7 @@ def plant_rows(setting: Setting, step: Transition, instants: tuple[float, ...]) 
     family: Any = setting.family
     rows = []
     for instant in sorted(set(instants)):
-        for order in family.orders(step.mode, step.after):
+        for order in family.orders(step.mode, step.within):
             share = family.shares(order, (instant, instant))
             if share is not None:
                 rows.append(family.corners(order, np.array([0.5 * sum(share)])))

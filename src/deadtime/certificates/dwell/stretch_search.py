@@ -227,9 +227,9 @@ class StretchSearch:
         for stretch in self.stretches:
             if stretch.step == failed:
                 self.known += self.leaps.of(stretch, (instant,))
-        return failed.switches
+        return failed.within != failed.mode
 
 
 def _unknown(setting: Setting) -> bool:
     """Whether the steps are not known: ranges of delays, a polytope of plants, lost samples."""
-    return setting.family.ranges or setting.family.vary or setting.lost_samples > 0
+    return setting.family.ranges or setting.family.vary or setting.signals.lost_samples > 0

@@ -16,11 +16,11 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from deadtime.base.errors import CertificateFileError
+from deadtime.base.errors import ArgumentError, CertificateFileError
 from deadtime.base.staging import replacing
 from deadtime.base.text_files import read_text
 from deadtime.base.version import __version__
@@ -28,12 +28,11 @@ from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.statement import decay_rate
 from deadtime.certificates.proof.stretches import StretchEvidence
-from deadtime.certificates.proof.transitions import Following
-
-T = TypeVar("T")
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import one_or_each
+from deadtime.switching.signal_class import Instants
 
 FORMAT = "deadtime certificate 2"
-COUNTS = ("mode_lag", "memory", "lost_samples")  # of the law
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
 MOST_BYTES = 2**30  # as the verifier that shares no code with this one
 DEEPEST = 20
@@ -42,7 +41,7 @@ TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays axes",
     "law": "context ages step F G mode_lag memory lost_samples",
-    "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions",
+    "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions at",
 }
 LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P mu"}
 
@@ -58,7 +57,12 @@ class Archived:
 
 def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
     """Write the evidence to `path`."""
-    setting = evidence.setting
+    setting, signals = evidence.setting, evidence.setting.signals
+    counts = {
+        "mode_lag": signals.mode_lag,
+        "memory": setting.memory,
+        "lost_samples": signals.lost_samples,
+    }
     content = {
         "format": FORMAT,
         "version": __version__,
@@ -75,15 +79,9 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "step": setting.step,
             "F": _pack(setting.F),
             "G": _pack(setting.G),
-            **{name: n for name in COUNTS if (n := getattr(setting, name))},
+            **{name: n for name, n in counts.items() if n},
         },
-        "signals": {
-            "dwell_time": setting.dwell_time,
-            "maximum_dwell": setting.maximum_dwell,
-            "chatter": setting.chatter,
-            "clock_tolerance": setting.clock_tolerance,
-            **_transitions(setting),
-        },
+        "signals": _signals(setting),
         "rho": evidence.rho,
         **_function(evidence),
     }
@@ -93,12 +91,20 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
     return path
 
 
-def _transitions(setting: Setting) -> dict[str, Any]:
-    """Which mode may follow which, where not every one may."""
-    if setting.following is None:
-        return {}
-    modes = range(len(setting.following))
-    return {"transitions": [[int(j in after) for j in modes] for after in setting.following]}
+def _signals(setting: Setting) -> dict[str, Any]:
+    """The admissible signals; which mode may follow which, where not every one may."""
+    limits = setting.limits
+    longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
+    only = {} if setting.signals.at == "anywhere" else {"at": setting.signals.at}
+    if not limits.is_free:
+        only["transitions"] = limits.transitions.astype(int).tolist()
+    return {
+        "dwell_time": one_or_each(limits.dwell_time),
+        "maximum_dwell": one_or_each(longest),
+        "chatter": setting.signals.chatter,
+        "clock_tolerance": setting.signals.clock_tolerance,
+        **only,
+    }
 
 
 def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
@@ -119,7 +125,8 @@ def _fault(error: Exception) -> str:
     """What is wrong with the content; an entry by its name, if one is missing or not known."""
     if isinstance(error, KeyError):
         return f"it lacks the entry {error.args[0]!r}"
-    return f"{error!s:.200}" if type(error) is ValueError else f"{error!r:.200}"
+    kinds = ValueError, ArgumentError
+    return f"{error!s:.200}".removesuffix(".") if type(error) in kinds else f"{error!r:.200}"
 
 
 def load_evidence(path: Path) -> Archived:
@@ -204,19 +211,22 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
         _text(law["context"]),
         law["ages"],
         _float(law["step"]),
-        _each(signals["dwell_time"], _float),
-        _each(signals["maximum_dwell"], lambda value: None if value is None else _float(value)),
-        signals["chatter"],
-        _float(signals["clock_tolerance"]),
-        _count(law, "mode_lag"),
+        SignalClass(
+            _each(signals["dwell_time"], _float),
+            _each(signals["maximum_dwell"], lambda x: math.inf if x is None else _float(x)),
+            _transitions(signals),
+            _at(signals),
+            _float(signals["clock_tolerance"]),
+            _count(law, "mode_lag"),
+            _count(law, "lost_samples"),
+            signals["chatter"],
+        ),
         _count(law, "memory"),
-        _following(signals),
-        _count(law, "lost_samples"),
         _array(plant["axes"]) if "axes" in plant else None,
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":
-        if ("mu" in V) != (setting.chatter > 1 and setting.A.shape[1] > 1):
+        if ("mu" in V) != (setting.signals.chatter > 1 and setting.A.shape[1] > 1):
             raise ValueError("lyapunov.mu goes with an average dwell time, and only with it")
         return StretchEvidence(setting, _array(V["P"]), knots, rho, _float(V.get("mu", 1.0)))
     hints = {name: _array(content["hints"][name]) for name in HINTS}
@@ -248,13 +258,24 @@ def _count(law: dict[str, Any], name: str) -> int:
     return count
 
 
-def _each(value: Any, read: Callable[[Any], T]) -> T | tuple[T, ...]:
-    """One value, or the tuple of a list of them; that they are not all one `validate` asks."""
-    return tuple(read(one) for one in value) if isinstance(value, list) else read(value)
+def _each(value: Any, read: Callable[[Any], float]) -> float | tuple[float, ...]:
+    """One value, or the tuple of a list of them, which are not all one."""
+    if not isinstance(value, list):
+        return read(value)
+    if len({*value}) < 2:
+        raise ValueError("a time is neither one number nor several, one for each mode")
+    return tuple(read(one) for one in value)
 
 
-def _following(signals: dict[str, Any]) -> Following | None:
-    """The modes that each may switch to, from a matrix of 0 and 1."""
+def _at(signals: dict[str, Any]) -> Instants:
+    """When the mode may change; left out where it may anywhere."""
+    if signals.get("at", "samples") != "samples":
+        raise ValueError("signals.at must be 'samples', or left out")
+    return "samples" if "at" in signals else "anywhere"
+
+
+def _transitions(signals: dict[str, Any]) -> list[list[int]] | None:
+    """Which mode may follow which, a matrix of 0 and 1; None for all."""
     if "transitions" not in signals:
         return None
     matrix = signals["transitions"]
@@ -263,7 +284,9 @@ def _following(signals: dict[str, Any]) -> Following | None:
             raise ValueError("signals.transitions is no square matrix of 0 and 1")
         if row[i]:
             raise ValueError("signals.transitions holds a 1 on its diagonal")
-    return tuple(tuple(j for j, x in enumerate(row) if x) for row in matrix)
+    if sum(map(sum, matrix)) == len(matrix) * (len(matrix) - 1):
+        raise ValueError("signals.transitions allows all: it must be left out")
+    return matrix
 
 
 def _text(value: Any) -> Any:
@@ -277,6 +300,8 @@ def _float(value: Any) -> float:
         raise TypeError(f"{value!r:.40} is no number")
     if isinstance(value, int) and float(value) != value:
         raise ValueError(f"{value!r:.40} is no binary64 number")
+    if not math.isfinite(value):
+        raise ValueError(f"{value!r} is not finite")
     return float(value)
 
 

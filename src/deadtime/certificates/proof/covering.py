@@ -99,7 +99,7 @@ class Covering:
         as a fraction of the period.
         """
         count = 0
-        for whole in cells_of(self.family, step.mode, step.after, step.instants):
+        for whole in cells_of(self.family, step.mode, step.within, step.instants):
             pending = [(whole, 0)]
             while pending:
                 cell, depth = pending.pop()

@@ -33,17 +33,12 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
-from deadtime.certificates.clock import CLOCK_TOLERANCE
 from deadtime.certificates.proof.box import Box, family_of
 from deadtime.certificates.proof.family import Delays, Family
 from deadtime.certificates.proof.leaving_ages import least_periods
-from deadtime.certificates.proof.transitions import (
-    Following,
-    PerMode,
-    SwitchGraph,
-    interpolation,
-    per_mode,
-)
+from deadtime.certificates.proof.transitions import SwitchGraph, interpolation
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import SwitchingConstraint
 
 if TYPE_CHECKING:
     from deadtime.feedback.table import Context
@@ -64,23 +59,13 @@ class Setting(Frozen):
         The law's table, of the outputs o = q + m: what it remembers, then the inputs.
     context, ages, step
         As in `Feedback`.
-    dwell_time, maximum_dwell, chatter
-        The admissible signals: seconds, seconds or None for sojourns without end, and N₀; above
-        1, dwell_time is an average dwell time. The first two may be tuples of one per mode.
-    clock_tolerance : float
-        δ: sojourns last from (1 − δ) dwell_time to (1 + δ) maximum_dwell.
-    mode_lag : int
-        L: the law is told the mode of L samples ago, and goes by its age there; 0 where no row
-        reads the mode, or there is one mode.
+    signals : SignalClass
+        The admissible signals. Their `mode_lag` is 0 where no row reads the mode, or there is one
+        mode. Where `lost_samples` is 1 or more the table has the rows of lost samples, as many
+        again, after those of measured ones.
     memory : int
         q, how many of the table's outputs, the first ones, the law remembers for one period; of
         these G has nothing beyond the first tap.
-    following : tuple of tuples of int, or None
-        The modes that each may switch to; None for all others.
-    lost_samples : int
-        How many samples in a row may be lost. Where it is 1 or more the table has the rows of lost
-        samples, as many again, after those of measured ones.
-
     axes : (d, modes, n, n + m), optional
         With one vertex: the plants are [A B] + Σ z_i axes_i of all modes, |z| ≤ 1.
 
@@ -95,14 +80,8 @@ class Setting(Frozen):
     context: Context
     ages: int
     step: float
-    dwell_time: PerMode[float]
-    maximum_dwell: PerMode[float | None] = None
-    chatter: int = 1
-    clock_tolerance: float = CLOCK_TOLERANCE
-    mode_lag: int = 0
+    signals: SignalClass
     memory: int = 0
-    following: Following | None = None
-    lost_samples: int = 0
     axes: Float[np.ndarray, "axis mode n nm"] | None = None
 
     @cached_property
@@ -115,35 +94,20 @@ class Setting(Frozen):
     @cached_property
     def transitions(self) -> SwitchGraph:
         """The graph of the admissible signals."""
-        return SwitchGraph.of(
-            self.A.shape[1],
-            (self.dwell_time, self.maximum_dwell),
-            self.chatter,
-            self.step,
-            self.clock_tolerance,
-            self.context,
-            self.ages,
-            self.mode_lag,
-            self.following,
-            self.lost_samples,
-        )
+        return SwitchGraph.of(self.A.shape[1], self.signals, self.step, self.context, self.ages)
 
-    @property
-    def shortest(self) -> tuple[float, ...]:
-        """The dwell time of every mode, seconds."""
-        return per_mode(self.dwell_time, self.A.shape[1])
-
-    @property
-    def longest(self) -> tuple[float | None, ...]:
-        """The longest sojourn in every mode, seconds; None for those without end."""
-        return per_mode(self.maximum_dwell, self.A.shape[1])
+    @cached_property
+    def limits(self) -> SwitchingConstraint:
+        """The sojourns and the switches of the signals."""
+        return self.signals.limits(self.A.shape[1])
 
     @cached_property
     def periods_per_switch(self) -> Fraction | None:
         """r of an average dwell time: k periods have N₀ + k/r switches at most; else None."""
         if self.transitions.bucket is None:
             return None
-        return least_periods(self.shortest[0], self.step, self.clock_tolerance)
+        tolerance = self.signals.clock_tolerance
+        return least_periods(self.limits.dwell_time[0], self.step, tolerance)
 
     @property
     def longest_delay(self) -> float:

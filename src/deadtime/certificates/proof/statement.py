@@ -24,59 +24,6 @@ def round_down(rate: float, digits: int = 4) -> str:
     return f"{math.floor(rate / unit) * unit:.{digits}g}"
 
 
-def signals_in_words(setting: Setting) -> str:
-    """The admissible signals."""
-    return _sojourns(setting) + _switches(setting) + _losses(setting)
-
-
-def _losses(setting: Setting) -> str:
-    """How many samples may be lost; nothing where none may."""
-    most = setting.lost_samples
-    return f", and every loss of samples with at most {most} in a row" if most else ""
-
-
-def _switches(setting: Setting) -> str:
-    """Which modes may follow, where not all may; nothing elsewhere."""
-    if setting.following is None:
-        return ""
-    each = [
-        f"from mode {i} {'to ' + ' or '.join(map(str, after)) if after else 'never'}"
-        for i, after in enumerate(setting.following)
-    ]
-    return f", and that switches only so: {', '.join(each)}"
-
-
-def _sojourns_in_words(setting: Setting) -> str:
-    """How long every mode may last."""
-    each = [
-        f"at least {least!r} s in mode {i}"
-        if most is None
-        else f"between {least!r} and {most!r} s in mode {i}"
-        for i, (least, most) in enumerate(zip(setting.shortest, setting.longest, strict=True))
-    ]
-    return ", ".join(each)
-
-
-def _sojourns(setting: Setting) -> str:
-    """The signals by their sojourns."""
-    dwell = f"{setting.dwell_time!r} s"
-    if setting.A.shape[1] == 1:
-        return "with the plant's one mode"
-    if setting.chatter > 1:
-        return (
-            f"for every switching signal with an average dwell time of {dwell} (at most "
-            f"{setting.chatter} + T/{dwell} switches in any T, at most one per period)"
-        )
-    if isinstance(setting.dwell_time, tuple) or isinstance(setting.maximum_dwell, tuple):
-        return f"for every switching signal whose sojourns last {_sojourns_in_words(setting)}"
-    if setting.maximum_dwell is not None:
-        return (
-            f"for every switching signal whose sojourns last between {dwell} and "
-            f"{setting.maximum_dwell!r} s"
-        )
-    return f"for every switching signal with a dwell time of {dwell}"
-
-
 def is_box(setting: Setting) -> bool:
     """Whether every delay has a range of its own."""
     return isinstance(setting.delays, np.ndarray) and setting.delays.ndim == 3
@@ -111,7 +58,8 @@ def _plants(setting: Setting) -> str:
 def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
-    words = signals_in_words(setting)
+    signals, words = setting.signals, setting.signals.sentence(setting.A.shape[1])
+    ends = any(map(math.isfinite, setting.limits.maximum_dwell))
     alike = ""
     if isinstance(setting.delays, np.ndarray) and not is_box(setting):
         alike = ", and parts of a period beyond one that differ by less count as the least of them"
@@ -121,7 +69,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     if isinstance(evidence, StretchEvidence) and setting.transitions.bucket is not None:
         when = "over any number of periods"
         falls = f"per period {falls}" if rate else falls
-        falls += f", but for one factor of at most {evidence.mu!r} to the power {setting.chatter}"
+        falls += f", but for one factor of at most {evidence.mu!r} to the power {signals.chatter}"
     elif isinstance(evidence, StretchEvidence):
         ages = ", ".join(map(str, evidence.knots))
         when = f"from one node (a mode at one of the ages {ages}) to the next"
@@ -133,8 +81,8 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         "mode_age": f"the sampled mode and its age in samples, {setting.ages} ages",
     }[setting.context]
     late = ""
-    if setting.mode_lag:
-        late = f", which it is told {number_of(setting.mode_lag, 'period')} late"
+    if signals.mode_lag:
+        late = f", which it is told {number_of(signals.mode_lag, 'period')} late"
     kept = memory = ""
     if setting.memory:
         memory = ", memory of the law"
@@ -144,18 +92,19 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
             "decays is these, too, where the reference is 0, no constant disturbance acts, and "
             f"{_measured(setting)}."
         )
-    elif setting.lost_samples:
+    elif signals.lost_samples:
         kept = f" What decays does so where {_measured(setting)}."
     kind, parts = _how(evidence)
+    anywhere = signals.at == "anywhere"
+    cover = " that cover every instant of a switch within a period" * anywhere
     how = (
         f"Proved by machine: a {kind}, of order {setting.order}, {parts}{cells} inequalities in "
-        "ball arithmetic of 128 bits that cover every instant of a switch within a period: "
-        f"{when} the Lyapunov function falls {falls}."
+        f"ball arithmetic of 128 bits{cover}: {when} the Lyapunov function falls {falls}."
     )
     return (
-        f"{words[0].upper()}{words[1:]}, switching at any instant, and for every initial "
-        f"state{memory} and past input, the digital loop of {_plants(setting)} with this table"
-        f"{pace}. {_not_covered(setting)}",
+        f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
+        f"initial state{memory} and past input, the digital loop of {_plants(setting)} with this "
+        f"table{pace}. {_not_covered(setting)}",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",
@@ -164,8 +113,8 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         "Plant entries, delay and period are all reals within half a unit in the last place of the "
         "stored ones: the decimals that were written and the binary64 numbers alike. By the "
         "controller's clock a sojourn may be shorter than the dwell time"
-        f"{' or longer than the maximum' * (setting.maximum_dwell is not None)} by the part "
-        f"{setting.clock_tolerance!r} of it. Arithmetic of the running loop is taken as exact.",
+        f"{' or longer than the maximum' * ends} by the part "
+        f"{signals.clock_tolerance!r} of it. Arithmetic of the running loop is taken as exact.",
         how,
     )
 
@@ -173,17 +122,18 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
 def _not_covered(setting: Setting) -> str:
     """What a run may have beside it, and the proof has not."""
     forces = "limits of the inputs (saturation, rates), constant forces (offsets)"
-    losses = " and noise" if setting.lost_samples else ", noise and lost samples"
+    losses = " and noise" if setting.signals.lost_samples else ", noise and lost samples"
     return f"Not covered: {forces}{losses}."
 
 
 def _measured(setting: Setting) -> str:
     """Which samples a law has, at the least."""
-    if not setting.lost_samples:
+    lost = setting.signals.lost_samples
+    if not lost:
         return "every sample is measured"
     return (
-        f"at most {number_of(setting.lost_samples, 'sample')} in a row "
-        f"{'is' if setting.lost_samples == 1 else 'are'} lost, whichever, by the table's rows of a "
+        f"at most {number_of(lost, 'sample')} in a row "
+        f"{'is' if lost == 1 else 'are'} lost, whichever, by the table's rows of a "
         "lost sample and with the mode that was told last"
     )
 

@@ -86,10 +86,11 @@ class StretchEvidence(Frozen):
             return self.P[place, 0]
         knots = self.setting.transitions.knots_of(mode, self.knots)
         knot = bisect_left(knots, age)
-        if age < self.setting.mode_lag:
+        lag = self.setting.signals.mode_lag
+        if age < lag:
             raise ArgumentError(
-                f"age must be at least the mode's lag, {self.setting.mode_lag}, got {age}: before "
-                "that the Lyapunov function depends on the mode before."
+                f"age must be at least the mode's lag, {lag}, got {age}: before that "
+                "the Lyapunov function depends on the mode before."
             )
         if knot == len(knots):
             raise ArgumentError(
@@ -199,7 +200,7 @@ class StretchInequalities:
         on at which the rows no longer change all steps are one, and a product is known by its
         length.
         """
-        same = self.setting.ages - 1 + self.setting.mode_lag
+        same = self.setting.ages - 1 + self.setting.signals.mode_lag
         late = max(0, start - same)
         key = mode, start - late, end - late
         if key not in self.known:

@@ -22,6 +22,10 @@ other is left out, and their range is closed: [0, h]. So the graph has every adm
 a few more. Where modes have dwell times of their own these numbers are the mode's `LeavingAges`; a
 mixed step leads to the modes that may follow, all others unless the class of signals says less.
 
+Where the mode changes at samples only, s = h: in a mixed step the plant is in i all along, and j is
+only what comes next. A sojourn of q full steps lasts (q + 1) h, so q ≥ ⌈r⌉ − 1, and q ≥ 0, and
+q ≤ ⌊R⌋ − 1. The graph then has these signals and no others.
+
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
 the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
 takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
@@ -48,16 +52,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TypeVar
 
 import numpy as np
 
-from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal
+from deadtime.certificates.proof.leaving_ages import LeavingAges, decimal, least_periods
 from deadtime.feedback.table import Context, row_of
-
-T = TypeVar("T")
-PerMode = T | tuple[T, ...]
-Following = tuple[tuple[int, ...], ...]
+from deadtime.switching import SignalClass
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,13 @@ class Transition:
 
     @property
     def switches(self) -> bool:
-        """Whether the plant switches in this step."""
+        """Whether the plant switches in this step, or at its end."""
         return self.mode != self.after
+
+    @property
+    def within(self) -> int:
+        """The mode that the plant switches to within the period; `mode` where it does not."""
+        return self.mode if self.instants[0] == 1.0 else self.after
 
 
 @dataclass(frozen=True)
@@ -142,34 +147,23 @@ class SwitchGraph:
 
     @classmethod
     def of(
-        cls,
-        modes: int,
-        times: tuple[PerMode[float], PerMode[float | None]],
-        chatter: int,
-        step: float,
-        tolerance: float,
-        context: Context,
-        ages: int,
-        lag: int = 0,
-        following: Following | None = None,
-        losses: int = 0,
+        cls, modes: int, signals: SignalClass, step: float, context: Context, ages: int
     ) -> SwitchGraph:
-        """The graph of a (dwell time, maximum dwell time) at a period, in seconds.
-
-        Either is one for all modes or a tuple of one per mode; every other mode may follow one
-        where `following` says nothing.
-        """
-        following = everywhere(modes) if following is None else following
+        """The graph of a class of signals at a period, in seconds."""
+        limits, lag, losses = signals.limits(modes), signals.mode_lag, signals.lost_samples
+        following = limits.following
         if modes == 1:
             own = LeavingAges(0, ages - 1 + losses)
             return cls((own,), following, None, context, ages, 0, losses)
-        each = zip(*(per_mode(time, modes) for time in times), strict=True)
         told = ages - 1 + lag + losses
-        clocks = tuple(LeavingAges.of(low, high, step, tolerance, told) for low, high in each)
-        if chatter > 1:
-            first, (dwell_time, *_) = clocks[0].first, per_mode(times[0], modes)
-            last = max(first, math.ceil(chatter * decimal(dwell_time) / decimal(step)))
-            clocks = (LeavingAges(first, last),) * modes
+        each = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
+        clocks = tuple(LeavingAges.of(low, high, step, signals, told) for low, high in each)
+        if signals.chatter > 1:
+            average, late = decimal(limits.dwell_time[0]), signals.at == "samples"
+            least = least_periods(limits.dwell_time[0], step, signals.clock_tolerance)
+            first = max(math.floor(least) - 1, late - 1)
+            last = max(first, math.ceil(signals.chatter * average / decimal(step)))
+            clocks = (LeavingAges(first, last, earliest=float(late)),) * modes
             return cls(clocks, following, first, context, ages, lag, losses)
         return cls(clocks, following, None, context, ages, lag, losses)
 
@@ -191,7 +185,7 @@ class SwitchGraph:
     @property
     def is_free(self) -> bool:
         """Whether every mode may follow every other one."""
-        return self.following == everywhere(self.modes)
+        return all(len(after) == self.modes - 1 for after in self.following)
 
     @property
     def switching(self) -> int:
@@ -362,20 +356,10 @@ class SwitchGraph:
         if age < clock.first:
             return []
         after = 0 if self.bucket is None else age - self.bucket
-        low = clock.earliest if age == clock.first else 0.0
+        low = clock.earliest if age == clock.first or clock.earliest == 1.0 else 0.0
         high = clock.latest if age == clock.last else 1.0
         steps = self.following[mode]
         return [Transition(mode, age, row, j, after, (low, high)) for j in steps]
-
-
-def everywhere(modes: int) -> Following:
-    """Every mode may follow every other one."""
-    return tuple(tuple(j for j in range(modes) if j != i) for i in range(modes))
-
-
-def per_mode(value: PerMode[T], modes: int) -> tuple[T, ...]:
-    """One value for all modes, or the tuple of one per mode that is given."""
-    return value if isinstance(value, tuple) else (value,) * modes
 
 
 def interpolation(knots: tuple[int, ...], age: int) -> list[tuple[int, Fraction]]:

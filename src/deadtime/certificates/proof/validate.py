@@ -6,12 +6,13 @@ arithmetic of the check neither overflows nor reads a row that the loop would no
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from deadtime.certificates import clock
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.stretches import StretchEvidence
 
@@ -44,26 +45,14 @@ def _numbers(setting: Setting) -> str:
         **{f"delays{list(at)}": delay.item() for at, delay in np.ndenumerate(setting.delays)},
         "step": setting.step,
     }
-    for name in ("dwell_time", "maximum_dwell"):
-        value = getattr(setting, name)
-        each = value if isinstance(value, tuple) else (value,)
-        times |= {f"{name}[{i}]" if each is value else name: t for i, t in enumerate(each)}
+    times |= {"dwell_time": min(np.ravel(setting.signals.dwell_time).tolist())}
     for name, value in times.items():
-        if value is None and name.startswith("maximum_dwell"):
-            continue
         if not (isinstance(value, float) and SMALLEST <= value <= LARGEST):
             return f"{name} is not a positive number, or beyond 1e±100"
-    for name in ("ages", "chatter"):
+    for name, least in (("ages", 1), ("memory", 0)):
         value = getattr(setting, name)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            return f"{name} is not a whole number of at least 1"
-    for name in ("mode_lag", "memory", "lost_samples"):
-        value = getattr(setting, name)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            return f"{name} is not a whole number of at least 0"
-    tolerance = setting.clock_tolerance
-    if not (isinstance(tolerance, float) and clock.LEAST <= tolerance <= clock.MOST):
-        return f"clock_tolerance is not in [{clock.LEAST:g}, {clock.MOST:g}]"
+        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            return f"{name} is not a whole number of at least {least}"
     return ""
 
 
@@ -105,47 +94,33 @@ def _context(setting: Setting) -> str:
         return "context is none of none, mode, mode_age"
     if setting.context != "mode_age" and setting.ages != 1:
         return "ages is not 1, though the rows do not depend on the age"
-    if setting.mode_lag and (setting.context == "none" or modes == 1):
+    if setting.signals.mode_lag and (setting.context == "none" or modes == 1):
         return "mode_lag is not 0, though the rows do not depend on the mode"
-    if (setting.mode_lag + setting.lost_samples) * len(setting.F) > MOST_TOLD:
+    if (setting.signals.mode_lag + setting.signals.lost_samples) * len(setting.F) > MOST_TOLD:
         return "mode_lag or lost_samples is too long for a table of so many rows"
-    if setting.lost_samples:
-        if setting.mode_lag or not setting.inputs:
-            return "lost_samples is not 0, though mode_lag is not, or F and G are all zero"
+    if setting.signals.lost_samples:
+        if not setting.inputs:
+            return "lost_samples is not 0, though F and G are all zero"
         rows = rows * 2
     return "" if len(setting.F) == rows else f"the table has {len(setting.F)} rows, not {rows}"
 
 
 def _times(setting: Setting) -> str:
     """Delays within one period; a class of signals that the graph describes."""
-    for name in ("dwell_time", "maximum_dwell"):
-        value = getattr(setting, name)
-        if isinstance(value, tuple) and (len(value) != setting.A.shape[1] or len({*value}) == 1):
-            return f"{name} is neither one number nor several, one for each mode"
+    signals = setting.signals
+    try:
+        signals.require_clock()
+        limits = setting.limits
+    except ArgumentError as error:
+        return str(error).removesuffix(".")
     ends = np.array(setting.delays)
     if (isinstance(setting.delays, tuple) or ends.ndim == 3) and np.any(ends[0] > ends[1]):
         return "delays do not ascend"
-    longest = max(setting.longest_delay, *setting.shortest)
-    if longest / setting.step > MOST_AGES:
+    chattering = min(signals.chatter, MOST_AGES + 1) * max(limits.dwell_time)
+    longest = [most for most in limits.maximum_dwell if math.isfinite(most)]
+    longest = max(setting.longest_delay, chattering, *longest)
+    if signals.chatter > MOST_AGES or longest / setting.step > MOST_AGES:
         return "the period is too short for these times"
-    if setting.chatter > 1:
-        if setting.maximum_dwell is not None:
-            return "chatter and maximum_dwell exclude each other"
-        if isinstance(setting.dwell_time, tuple):
-            return "an average dwell time is one for all modes"
-    for least, most in zip(setting.shortest, setting.longest, strict=True):
-        if most is not None and most < least:
-            return "maximum_dwell is below dwell_time"
-        if most is not None and most / setting.step > MOST_AGES:
-            return "the period is too short for these times"
-    if (
-        setting.chatter > MOST_AGES
-        or setting.chatter * max(setting.shortest) > MOST_AGES * setting.step
-    ):
-        return "the period is too short for these times"
-    reason = _ways(setting)
-    if reason:
-        return reason
     try:
         family = setting.family
     except ValueError as error:
@@ -154,24 +129,8 @@ def _times(setting: Setting) -> str:
         return "the delays lie in no period"
     if setting.transitions.first < 0:
         return "the dwell time is below one period"
-    return ""
-
-
-def _ways(setting: Setting) -> str:
-    """Which modes may follow: lists of other modes, and a way out of those that have to be left."""
-    modes, following = setting.A.shape[1], setting.following
-    if following is None:
-        return ""
-    others = [set(range(modes)) - {i} for i in range(modes)]
-    if len(following) != modes or all(
-        set(after) == rest for after, rest in zip(following, others, strict=True)
-    ):
-        return "transitions is no matrix of the modes, or allows all"
-    for after, rest, most in zip(following, others, setting.longest, strict=True):
-        if not set(after) <= rest or len(set(after)) != len(after):
-            return "transitions is no matrix of the modes"
-        if not after and most is not None:
-            return "a mode that has to be left leads nowhere"
+    if any(own.last < own.first for own in setting.transitions.clocks):
+        return "maximum_dwell leaves no sojourn of whole periods"
     return ""
 
 
@@ -220,14 +179,14 @@ def _stretches(evidence: StretchEvidence) -> str:
         return "there are too many rows" if many else ""
     if evidence.mu != 1.0:
         return "mu is not 1, without an average dwell time"
-    if setting.mode_lag > knots[0]:
-        return f"knots must begin at the lag of the mode, {setting.mode_lag}, or later"
+    if setting.signals.mode_lag > knots[0]:
+        return f"knots must begin at the lag of the mode, {setting.signals.mode_lag}, or later"
     if knots[0] > graph.first or knots[-1] > graph.last:
         return f"knots must begin at {graph.first} or before, and end at {graph.last}"
     for own in graph.clocks:
         if not own.ends and own.last not in knots:
             return f"knots must hold {own.last}, from where a mode may last"
-    varies = family.ranges or family.vary or setting.lost_samples
+    varies = family.ranges or family.vary or setting.signals.lost_samples
     if varies and knots != tuple(range(graph.last + 1)):
         return "knots must be all ages where the steps of a stretch are not known"
     if max(graph.switching, graph.places * len(knots)) > MOST_STRETCHES:

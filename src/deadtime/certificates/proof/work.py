@@ -74,8 +74,8 @@ def _cells(setting: Setting) -> tuple[int, int]:
 def _steps(setting: Setting, knots: int, along: bool) -> int:
     """Steps of the graph, or stretches, that are asked about, or a few more."""
     graph, total = setting.transitions, 0
-    most = 4 + 2 * knots + setting.ages + setting.lost_samples
-    most += min(setting.mode_lag, graph.modes * (setting.ages + 1))
+    most = 4 + 2 * knots + setting.ages + setting.signals.lost_samples
+    most += min(setting.signals.mode_lag, graph.modes * (setting.ages + 1))
     for clock, after in zip(graph.clocks, graph.following, strict=True):
         ages = 1 if along and graph.bucket is not None else clock.last + 1
         total += _told(setting, ages if along else min(ages, 2 * most)) * (1 + len(after))
@@ -84,7 +84,7 @@ def _steps(setting: Setting, knots: int, along: bool) -> int:
 
 def _told(setting: Setting, ages: int) -> int:
     """Rows that may act at so many ages of a mode, with what was lost before and is lost next."""
-    graph, lag, lost = setting.transitions, setting.mode_lag, setting.lost_samples
+    graph, lag, lost = setting.transitions, setting.signals.mode_lag, setting.signals.lost_samples
     free, rows, own = graph.bucket is not None, graph.measured, 1
     if setting.context == "mode_age" and (free or lost):
         own = setting.ages if free or lost > graph.first else min(setting.ages, lost + 1)

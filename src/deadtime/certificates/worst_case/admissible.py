@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.plant.steps import snap
-from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching import SignalClass
 
 INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
 LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
@@ -28,11 +28,11 @@ class Dwell:
 
     @classmethod
     def of(
-        cls, dwell_time: float, maximum_dwell: float | None, step: float, tolerance: float = 0.0
+        cls, dwell_time: float, maximum_dwell: float, step: float, tolerance: float = 0.0
     ) -> Dwell:
         """From seconds, and how wrong the clock may be; a ratio within 1e-9 of an integer is it."""
-        most = math.inf if maximum_dwell is None else maximum_dwell
-        longest = most if math.isinf(most) else snap(most / step)
+        endless = math.isinf(maximum_dwell)
+        longest = math.inf if endless else snap(maximum_dwell / step)
         part = tolerance * INSIDE
         return cls(snap(dwell_time / step) * (1.0 - part), longest * (1.0 + part))
 
@@ -63,8 +63,9 @@ class Admissible:
 
     Examples
     --------
-    >>> ring = SwitchingConstraint.of(3, [2.0, 2.0, 3.0], transitions=np.roll(np.eye(3), 1, 1))
-    >>> signals = Admissible.of(ring, step=1.0, tolerance=0.0)
+    >>> ways = np.roll(np.eye(3), 1, 1)
+    >>> ring = SignalClass([2.0, 2.0, 3.0], transitions=ways, clock_tolerance=0.0)
+    >>> signals = Admissible.of(ring, 3, step=1.0)
     >>> list(signals.cycles(3)), list(signals.cycles(2)), signals.totals((0, 1, 2))[0]
     ([(0, 1, 2)], [], 7)
     """
@@ -72,13 +73,18 @@ class Admissible:
     dwell: tuple[Dwell, ...]
     following: tuple[tuple[int, ...], ...]
     lasting: tuple[int, ...]
+    at_samples: bool = False
 
     @classmethod
-    def of(cls, signals: SwitchingConstraint, step: float, tolerance: float) -> Admissible:
-        """The cycles of a class of signals, by a clock of a tolerance."""
-        times = zip(signals.dwell_time, signals.maximum_dwell, strict=True)
-        dwell = tuple(Dwell.of(least, most, step, tolerance) for least, most in times)
-        return cls(dwell, signals.recurring, signals.lasting)
+    def of(cls, signals: SignalClass, modes: int, step: float) -> Admissible:
+        """The cycles of a class of signals, by its clock."""
+        limits, off = signals.limits(modes), signals.clock_tolerance
+        times = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
+        dwell = tuple(Dwell.of(least, most, step, off) for least, most in times)
+        whole = signals.at == "samples"
+        if whole:
+            dwell = tuple(Dwell(max(1.0, float(one.shortest)), one.longest) for one in dwell)
+        return cls(dwell, limits.recurring, limits.lasting, whole)
 
     @property
     def modes(self) -> int:
@@ -149,7 +155,8 @@ class Admissible:
     ) -> Float[np.ndarray, " sojourn"]:
         """Admissible sojourns of this total near `gaps`: what is missing is shared out evenly.
 
-        The total must be one that `totals` allows.
+        The total must be one that `totals` allows. Where modes change at samples only all are whole
+        numbers, and what is missing goes to one sojourn after the other.
 
         Examples
         --------
@@ -158,6 +165,15 @@ class Admissible:
         array([2.5, 3.5])
         """
         least, most = self.least(word), self.most(word)
+        if self.at_samples:
+            result = np.clip(np.round(gaps), least, most)
+            for _ in range(round(abs(total - result.sum()))):
+                sign = math.copysign(1.0, total - result.sum())
+                ends = most if sign > 0.0 else least
+                result[
+                    int(np.argmin(np.where(result != ends, sign * (result - gaps), np.inf)))
+                ] += sign
+            return result
         result = np.clip(gaps, least, most)
         for _ in range(2 * gaps.size):
             missing = total - result.sum()

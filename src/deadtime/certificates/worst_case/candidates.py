@@ -102,7 +102,7 @@ def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[tuple[Cycle, Gr
         if totals is None or totals[0] > LONGEST:
             continue
         gaps = tuple(signals.near(signals.least(modes), totals[0], modes).tolist())
-        for phase in PHASES:
+        for phase in (0.0,) if signals.at_samples else PHASES:
             cycle = Cycle(modes, gaps, phase).reduce()
             if cycle not in rated:
                 rated[cycle] = loop.growth(cycle, COARSE)

@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.clock import (
-    CLOCK_TOLERANCE,
-    clock_tolerance_in_range,
-    lag_in_range,
-    losses_in_range,
-)
-from deadtime.certificates.signals import admissible_signals
 from deadtime.certificates.worst_case.admissible import Admissible, Dwell
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
@@ -29,21 +22,19 @@ from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, same_outputs, with_lost_rows
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import aged_row, constant_growth, with_memory
-from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
+from deadtime.switching import SignalClass
+from deadtime.switching.constraint import PerMode
+from deadtime.switching.signal_class import SignalOptions
 
 
 def falsify(
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: Times,
+    dwell_time: PerMode | SignalClass,
     step: float = 0.01,
     *,
-    maximum_dwell: Times | None = None,
-    transitions: ArrayLike | None = None,
-    clock_tolerance: float = CLOCK_TOLERANCE,
-    mode_lag: int = 0,
-    lost_samples: int = 0,
     budget: int = 80_000,
+    **signals: Unpack[SignalOptions],
 ) -> WorstCase:
     """The worst admissible switching signal found for a digital loop, and its growth rate.
 
@@ -60,28 +51,19 @@ def falsify(
         A law that does not foresee the signal. One that is no table is run instead: growth is then
         measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
         `OutputFeedback` of a table is one with its estimate and its sums, at a reference of 0.
-    dwell_time : float, or one per mode
-        τ_d > 0, seconds, at least one period: the shortest sojourn.
+    dwell_time : float, one per mode, or SignalClass
+        τ_d > 0, seconds, at least one period unless modes change at samples only: the shortest
+        sojourn; or all that is known of the signals. With an average dwell time those are searched
+        that keep it in every sojourn.
     step : float
         Sampling period h, seconds.
-    maximum_dwell : float, or one per mode, optional
-        The longest sojourn, seconds, inf in a list for none; constant modes are not admissible
-        then (but for a plant of one mode).
-    transitions : (modes, modes) of bool, optional
-        Whether the signal may switch from mode i (row) to mode j (column); all by default.
-    clock_tolerance : float
-        How far the controller's clock may be off, relative, from 0 to 0.1: sojourns of
-        `dwell_time` (1 − tolerance) are admissible, and of `maximum_dwell` (1 + tolerance). So a
-        mode that begins just after a sample may end at the sample a dwell time later.
-    mode_lag : int
-        L, in periods: the law is told the mode of L samples ago, as in a run with
-        `imperfections.ModeDelay(L)`.
-    lost_samples : int
-        L, at most that many samples in a row may be lost, as `certify` has it: which ones along the
-        worst signals is chosen, too. For a law that is a table.
     budget : int
         How many cycles and beginnings of cycles may be looked at on the compressed loop, about; for
         a law that is no table, 400 times the number of runs.
+    **signals
+        Of the signals besides `dwell_time`, as `certify` takes them. A mode with a `maximum_dwell`
+        is never constant (but for a plant of one mode). `lost_samples` is for a law that is a
+        table: which samples are lost along the worst signals is chosen, too.
 
     Returns
     -------
@@ -114,36 +96,34 @@ def falsify(
     """
     _require(plant, law)
     step = positive("step", step)
-    given = admissible_signals(
-        plant.modes, dwell_time, maximum_dwell, transitions, step, laid_out=False
-    )
-    _require_seen(given, step)
+    asked = SignalClass.of(dwell_time, **signals)
+    least = asked.at_period(plant.modes, step, laid_out=False).dwell_time
+    if asked.at == "anywhere":
+        _require_seen(plant, min(least), step)
     count("budget", budget)
-    lost_samples = losses_in_range(lost_samples, mode_lag)
-    mode_lag, tolerance = lag_in_range(mode_lag), clock_tolerance_in_range(clock_tolerance, 0.0)
-    signals, least = Admissible.of(given, step, tolerance), given.dwell_time
+    cycles, mode_lag = Admissible.of(asked, plant.modes, step), asked.mode_lag
     feedback = None if mode_lag and not same_outputs(law) else _table(law, step)
-    if feedback is None and lost_samples:
+    if feedback is None and asked.lost_samples:
         raise ArgumentError(
             f"lost_samples needs a law that is a table, got {type(law).__name__}: run it with "
             "imperfections.Dropout, or leave lost_samples out."
         )
     if feedback is None:
         run = RunLoop(plant, law, step, mode_lag, least)
-        return worst_in_runs(run, signals, budget)
+        return worst_in_runs(run, cycles, budget)
     lag = mode_lag if plant.modes > 1 and feedback.context != "none" else 0
     constants, loop = _constants(with_memory(plant, feedback), feedback, lag)
-    known = [constants[mode] for mode in signals.lasting]
+    known = [constants[mode] for mode in cycles.lasting]
     evaluated, upper = len(constants), None
-    if signals.recurring:
-        tried = candidates(loop, constants, signals, budget)
+    if cycles.recurring:
+        tried = candidates(loop, constants, cycles, budget)
         floor = max((growth.rate for _, growth in known), default=-math.inf)
-        better, looked = improve(loop, signals, tried.cycles, tried.rings, floor)
+        better, looked = improve(loop, cycles, tried.cycles, tried.rings, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
         known = [*known, *better]
-    if lost_samples:
+    if asked.lost_samples:
         loop = SampledLoop.of(loop.plant, with_lost_rows(law, feedback), loop.shift)
-        better, looked = with_losses(loop, known, lost_samples)
+        better, looked = with_losses(loop, known, asked.lost_samples)
         known, evaluated = [*known, *better], evaluated + looked
     about = plant, law, least
     result = worst_case(loop, *about, *worst_of(known, loop), evaluated, upper)
@@ -170,10 +150,9 @@ def _require(plant: SwitchedSystem, law: Law) -> None:
         )
 
 
-def _require_seen(signals: SwitchingConstraint, step: float) -> None:
+def _require_seen(plant: SwitchedSystem, shortest: float, step: float) -> None:
     """Refuse sojourns of which the law might see nothing."""
-    shortest = min(signals.dwell_time)
-    if signals.modes > 1 and Dwell.of(shortest, None, step).least < 1.0:
+    if plant.modes > 1 and Dwell.of(shortest, math.inf, step).least < 1.0:
         raise ArgumentError(
             f"dwell_time must be at least one period, got {shortest:g} s with step = {step:g} "
             "s: shorten the step, so that the law sees every mode."

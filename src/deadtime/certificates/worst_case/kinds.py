@@ -52,8 +52,9 @@ class Kinds:
         mixed, recurring = signals.late[1], signals.recurring
         each = [(i, p) for i in recurring for p in recurring if i in signals.following[p]]
         found = [(i, -1, 0, 0) for i in recurring]
-        if feedback.context != "none":
-            found = [(i, p, lag, 0) for i, p in each] if lag else found
+        if feedback.context != "none" and lag:
+            found = [(i, p, lag, 0) for i, p in each]
+        if feedback.context != "none" and not signals.at_samples:
             found += [(i, p, lag + 1, 1) for i, p in each]
         mode, before, wait, late = np.array(found).T
         allowed = np.zeros((signals.modes, signals.modes), dtype=bool)

@@ -161,8 +161,8 @@ def _cycle(
     """About these sojourns; switches at samples or right after them, or anywhere in a period."""
     late, mixed = signals.late
     lengths = np.ceil(gaps)
-    if rng.random() < ON_GRID and (lengths <= signals.most(word)).all():
-        after = rng.random(len(word) if mixed else 1) < 0.5
+    if (signals.at_samples or rng.random() < ON_GRID) and (lengths <= signals.most(word)).all():
+        after = rng.random(len(word) if mixed else 1) < 0.5 * (not signals.at_samples)
         each = np.broadcast_to(after, len(word)).tolist()
         return Cycle.on_grid(list(zip(word, lengths.astype(int).tolist(), each, strict=True)), late)
     low, high = signals.totals(word) or (0, 0)

@@ -42,7 +42,7 @@ def polish(
     evaluated, scale = 0, 2.0 ** max(0, round(math.log2(max(cycle.gaps) * REACH)))
     gain = GAIN / loop.step
     seen = {_key(cycle)}
-    while scale >= FINEST:
+    while scale >= (1.0 if signals.at_samples else FINEST):
         better = False
         for trial in _neighbours(cycle, signals, scale):
             if evaluated >= most:
@@ -69,7 +69,7 @@ def refine(
     So its own length need be no whole number of periods, only a fraction with a small denominator.
     """
     best, evaluated = (cycle, growth), 0
-    if cycle.periods > LONG:
+    if cycle.periods > LONG or signals.at_samples:
         return cycle, growth, 0
     for times in range(2, MOST_TIMES + 1):
         for extra in range(1 - times, times):

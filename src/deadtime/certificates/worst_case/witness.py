@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from deadtime.base.checks import count
 from deadtime.base.frozen import Frozen
-from deadtime.certificates.proof.transitions import per_mode
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.lost_at import LostAt
@@ -23,7 +22,6 @@ from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.spectrum import least_growth
 from deadtime.switching import SwitchingSignal
-from deadtime.switching.constraint import one_or_each
 
 DELAYS = 20  # the signal is at least this long
 CYCLES = 10
@@ -75,7 +73,7 @@ class WorstCase(Frozen):
     proof: GrowthProof
     plant: SwitchedSystem = field(repr=False)
     law: Law = field(repr=False)
-    dwell_time: float | tuple[float, ...] = field(repr=False)
+    dwell_time: tuple[float, ...] = field(repr=False)
     step: float = field(repr=False)
     cycle: Cycle = field(repr=False)
     mode_lag: int = field(default=0, repr=False)
@@ -115,8 +113,7 @@ class WorstCase(Frozen):
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
-            least = per_mode(self.dwell_time, self.plant.modes)
-            signal = repeat(self.cycle, cycles, least, self.step)
+            signal = repeat(self.cycle, cycles, self.dwell_time, self.step)
         late: list[Imperfection] = [ModeDelay(self.mode_lag)] if self.mode_lag else []
         if self.lost:
             late.append(LostAt(self.lost, self.cycle.periods))
@@ -200,7 +197,7 @@ def of_cycle(
     message = _message(rate, proof, how)
     return WorstCase(
         signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
-        plant, law, one_or_each(dwell_time), step, cycle, lag,
+        plant, law, dwell_time, step, cycle, lag,
     )  # fmt: skip
 
 

@@ -42,7 +42,7 @@ def improve(
         evaluated += 1
         if growth is not None:
             rated.append((cycle, growth))
-    starts, more = _starts(rated, loop)
+    starts, more = _starts(rated, loop, signals)
     evaluated += more
     best: dict[tuple, Rated] = {}
     for ring in rings:
@@ -64,7 +64,7 @@ def improve(
     return rated, evaluated
 
 
-def _starts(rated: list[Rated], loop: SampledLoop) -> tuple[list[Rated], int]:
+def _starts(rated: list[Rated], loop: SampledLoop, signals: Admissible) -> tuple[list[Rated], int]:
     """The best few cycles, and for short ones, where it matters, the best other offset."""
     starts: dict[tuple, Rated] = {}
     for cycle, growth in sorted(rated, key=lambda pair: -pair[1].rate):
@@ -72,7 +72,7 @@ def _starts(rated: list[Rated], loop: SampledLoop) -> tuple[list[Rated], int]:
     best = list(starts.values())[:POLISHED]
     evaluated, others = 0, []
     for cycle, _ in best:
-        if cycle.periods <= SHORT:
+        if cycle.periods <= SHORT and not signals.at_samples:
             turned = [replace(cycle, offset=offset) for offset in OFFSETS]
             growths = [(turn, loop.growth(turn, COARSE)) for turn in turned]
             evaluated += len(growths)

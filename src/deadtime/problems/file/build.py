@@ -24,6 +24,7 @@ from deadtime.problems.file.switching import (
     average_of,
     build_rule,
     build_signal,
+    instants_of,
     promise_of,
 )
 from deadtime.problems.file.units import labels, require_units
@@ -66,7 +67,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     if signal is None:
         longest = max(truth.longest_delay, *(law.plant.longest_delay for law in laws.values()))
         end = horizon + longest + min(step or 0.0, horizon)
-        signal, promise = _signal(file, plant, end, source.parent, model)
+        signal, promise = _signal(file, plant, end, source.parent, model, step)
     return Problem(
         name=source.stem,
         title=file.title or source.stem,
@@ -93,6 +94,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
         constraint=promise,
         average_dwell_time=average_of(file.signal),
+        switches_at=instants_of(file.signal),
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
         uncertain=_uncertain(file, plant),
         operating_point=_operating_point(file, plant),
@@ -142,10 +144,11 @@ def _signal(
     end: float,
     folder: Path,
     model: SwitchingModel | None,
+    step: float | None,
 ) -> tuple[SwitchingSignal, SwitchingConstraint | None]:
     """The switching signal up to `end`, s, and what the file says of every one."""
     with _section("signal"):
-        signal = build_signal(file.signal, plant, end, folder, model)
+        signal = build_signal(file.signal, plant, end, folder, model, step)
         signal.require_modes(plant.modes)
         return signal, promise_of(file, model, plant.modes)
 

@@ -44,6 +44,8 @@ State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
 Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
 Allowed = Annotated[Matrix | None, Shape("(modes, modes)", [[0, 1], [1, 0]])]
 Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
+Instants = Literal["anywhere", "samples"]
+AT = "When modes may change: anywhere, or at the samples of the run."
 Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
 
 
@@ -131,6 +133,7 @@ class PeriodicSignal(Section):
     kind: Literal["periodic"]
     sojourns: Seconds = Field(description="Seconds in each mode.")
     modes: Modes
+    at: Instants = Field("anywhere", description=AT)
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 
 
@@ -147,6 +150,7 @@ class RandomSignal(Section):
     transitions: Allowed = Field(
         None, description="1 where a mode (row) may switch to a mode (column); all by default."
     )
+    at: Instants = Field("anywhere", description=AT)
     average_dwell_time: float | None = Field(None, description="Instead of dwell_time, s.")
     mean_sojourn: float | None = Field(None, description="Mean sojourn, s.")
     chatter: int = Field(2, description="Switches that an average dwell time allows at once.")
@@ -159,6 +163,7 @@ class SwitchesSignal(Section):
     kind: Literal["switches"]
     times: Seconds = Field(description="Starts of the sojourns, the first 0, seconds.")
     modes: Modes
+    at: Instants = Field("anywhere", description=AT)
     end: float | None = Field(None, description="Up to when the signal is known, seconds.")
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 

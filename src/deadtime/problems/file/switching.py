@@ -15,10 +15,12 @@ from deadtime.switching import (
     Polyhedra,
     QuadraticRegions,
     Rule,
+    SignalClass,
     SwitchingModel,
     SwitchingSignal,
 )
 from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching.signal_class import Instants
 
 
 def promise_of(
@@ -67,13 +69,18 @@ def build_signal(
     end: float,
     folder: Path,
     model: SwitchingModel | None,
+    step: float | None,
 ) -> SwitchingSignal:
     """The switching signal; made ones are long enough for the oracle's last prediction."""
+    if instants_of(section) == "samples":
+        if step is None:
+            raise ArgumentError('at = "samples" must come with a step, got run.step = "ideal".')
+        return _at_samples(section, plant, end, step)
     match section:
         case schema.ConstantSignal():
             return SwitchingSignal.constant(section.mode)
         case schema.RandomSignal():
-            return SwitchingSignal.random(plant.modes, end, **section.model_dump(exclude={"kind"}))
+            return _random(section, plant.modes, end)
         case schema.ModelSignal():
             if model is None:
                 raise ArgumentError('kind = "model" needs a [switching] section to draw from.')
@@ -96,3 +103,38 @@ def build_signal(
     if section.dwell_time is not None:
         signal.require_dwell_time(section.dwell_time)
     return signal
+
+
+def instants_of(section: schema.Signal) -> Instants:
+    """When modes change, as [signal] says."""
+    return getattr(section, "at", "anywhere")
+
+
+def _random(section: schema.RandomSignal, modes: int, end: float) -> SwitchingSignal:
+    return SwitchingSignal.random(modes, end, **section.model_dump(exclude={"kind", "at"}))
+
+
+def _at_samples(
+    section: schema.Signal, plant: SwitchedSystem, end: float, step: float
+) -> SwitchingSignal:
+    """A signal that switches at samples: drawn sojourns last whole periods, given ones have to."""
+    if not isinstance(section, schema.RandomSignal):
+        anywhere = section.model_copy(update={"at": "anywhere"})
+        signal = build_signal(anywhere, plant, end, Path(), None, step)
+        off = np.flatnonzero(np.abs(signal.times / step - np.round(signal.times / step)) > 1e-9)
+        if off.size:
+            raise ArgumentError(
+                f'at = "samples" must hold for every switch, got one at {signal.times[off[0]]:g} s '
+                f"with a period of {step:g} s: move it, or leave at out."
+            )
+        return signal
+    least = section.average_dwell_time if section.dwell_time is None else section.dwell_time
+    asked = SignalClass(
+        step if least is None else least, section.maximum_dwell, section.transitions, "samples"
+    )
+    limits = asked.at_period(plant.modes, step)
+    drawn = _random(section, plant.modes, 2.0 * end)  # no sojourn is cut to less than half
+    most = np.floor(np.array(limits.maximum_dwell) / step + 1e-9)[drawn.modes[:-1]]
+    counts = np.minimum(np.ceil(np.diff(drawn.times) / step - 1e-9), most)
+    times = step * np.append(0.0, np.cumsum(counts))
+    return SwitchingSignal(times[times < end], drawn.modes[times < end], end)

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, positive, reporter
+from deadtime.base.checks import positive, reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.base.json_records import record
 from deadtime.base.threads import in_order
 from deadtime.base.wording import as_rate, sentence_of, with_names
 from deadtime.plant.switched_system import check_delays
 from deadtime.problems import Problem
-from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
+from deadtime.switching import SignalClass
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -67,19 +67,14 @@ class Judged:
 
 def judge(
     problem: Problem,
-    dwell_time: Times,
+    signals: SignalClass,
     step: float,
     laws: Sequence[str] | None = None,
     decay_rate: float | None = None,
     progress: Callable[[str], None] | None = None,
     delays: tuple[ArrayLike, ArrayLike] | None = None,
-    mode_lag: int = 0,
     trying: Callable[[str], None] | None = None,
-    maximum_dwell: Times | None = None,
-    transitions: ArrayLike | None = None,
-    lost_samples: int = 0,
     uncertain: bool = False,
-    chatter: int = 1,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -87,8 +82,10 @@ def judge(
     ----------
     problem : Problem
         Its signal is not read.
-    dwell_time, step
-        As `certify` takes them, seconds.
+    signals : SignalClass
+        Worst signals keep an average dwell time in every sojourn.
+    step : float
+        Sampling period, seconds.
     laws : sequence of str, optional
         Names of laws; all by default.
     decay_rate : float, optional
@@ -97,15 +94,9 @@ def judge(
         Called with a few words after each law's certificate.
     delays : (low, high), optional
         Ranges of the true delays, as `certify` takes them.
-    mode_lag : int
-        How many periods late the laws are told the mode.
     trying : callable, optional
         Called with a few words whenever something else is tried for one of the laws, from the
         thread that tries it.
-    maximum_dwell, transitions, chatter
-        As `certify` takes them. Worst signals keep an average dwell time in every sojourn.
-    lost_samples : int
-        How many samples in a row may be lost.
     uncertain : bool
         Whether to certify all plants that the problem's [uncertainty] leaves open.
 
@@ -116,18 +107,11 @@ def judge(
         cannot be certified is a result with a reason.
     """
     from deadtime.certificates import certify
-    from deadtime.certificates.clock import losses_in_range
 
     plant = problem.plant if not uncertain else uncertain_plant(problem)
-    SwitchingConstraint.of(problem.plant.modes, dwell_time, maximum_dwell, transitions)
     step = positive("step", step)
-    lost = losses_in_range(lost_samples, mode_lag) or None
-    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions, "lost_samples": lost}
-    signals = {name: limit for name, limit in limits.items() if limit is not None}
-    count("mode_lag", mode_lag, 0)
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
-    averaged: dict[str, Any] = {"chatter": chatter} if count("chatter", chatter) > 1 else {}
     progress, trying = reporter("progress", progress), reporter("trying", trying)
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
@@ -140,13 +124,10 @@ def judge(
             found = certify(
                 plant,
                 law,
-                dwell_time,
+                signals,
                 step,
-                **signals,
-                **averaged,
                 decay_rate=decay_rate,
                 delays=delays,
-                mode_lag=mode_lag,
                 progress=lambda what: trying(f"{name}: {what}"),
             )
             certified[name].set_result(found)
@@ -154,7 +135,7 @@ def judge(
             certified[name].set_exception(error)
 
     def search(name: str) -> Judged:
-        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag), signals)
+        return _judge(problem, name, certified[name], signals, step)
 
     # A solver leaves Python to the other threads, a search for signals does not: the solver of the
     # law that takes longest works beside the searches of the others.
@@ -195,8 +176,8 @@ def _judge(
     problem: Problem,
     name: str,
     certified: Future[Certificate],
-    asked: tuple[Times, float, int],
-    signals: dict[str, Any],
+    signals: SignalClass,
+    step: float,
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify
@@ -204,7 +185,6 @@ def _judge(
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
-    dwell_time, step, lag = asked
     try:
         certificate = certified.result()
     except ArgumentError as error:
@@ -212,7 +192,7 @@ def _judge(
     worst, margin, reason = certificate.witness, None, ""
     try:
         if worst is None and certificate.stable:
-            worst = falsify(plant, law, dwell_time, step, mode_lag=lag, **signals)
+            worst = falsify(plant, law, signals, step)
         too_long = why_left_out("delay margin", plant, law, step)
         if too_long:
             return Judged(name, certificate, worst, None, sentence_of(too_long))

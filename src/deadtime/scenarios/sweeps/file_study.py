@@ -157,6 +157,10 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> SwitchingModel
             return file.switching.model(modes, folder)
     signal = file.signal
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
+        if signal.at == "samples":
+            raise ArgumentError(
+                "a study draws switches between samples: leave at out of the file's [signal]."
+            )
         own = promise_of(file, None, modes)
         assert own is not None
         return random_model(own, signal.mean_sojourn)
