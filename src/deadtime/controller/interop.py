@@ -21,6 +21,7 @@ from deadtime.estimation import OutputFeedback
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.table import age_after
 from deadtime.loop.running_observer import RunningObserver
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.sampled_plant import acting_inputs
@@ -86,8 +87,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     last = past * m + len(kept)
 
     def age_at(state: np.ndarray, mode: int) -> int:
-        before, age = round(state[last]), round(state[last + 1])
-        return age if before < 0 else age + 1 if before == mode else 0
+        return age_after(round(state[last]), round(state[last + 1]), mode)
 
     def seen(state: np.ndarray, given: np.ndarray, mode: int) -> tuple[np.ndarray, np.ndarray]:
         """What the rows are multiplied with, and what is kept of this sample."""

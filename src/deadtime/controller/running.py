@@ -22,6 +22,7 @@ from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.prediction_rows import PredictionTable, prediction_table
+from deadtime.feedback.table import age_after
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 if TYPE_CHECKING:
@@ -247,12 +248,9 @@ class RunningLaw(Stateful):
         if not self.reads_mode:
             return Status.OK
         number = int(mode) if isinstance(mode, (int, np.integer)) else -1
-        known = 0 <= number < self.law.plant.modes
-        if not known or number == self._mode:
-            self._age = min(self._age + 1, self.table.ages)
-        elif self._mode >= 0:
-            self._age = 0
-        if not known:
+        number = number if 0 <= number < self.law.plant.modes else -1
+        self._age = min(age_after(self._mode, self._age, number), self.table.ages)
+        if number < 0:
             return Status.BAD_MODE
         self._mode = number
         return Status.OK

@@ -86,6 +86,22 @@ def ages_along(modes: np.ndarray, initial_age: ArrayLike) -> np.ndarray:
     return samples - np.maximum.accumulate(began, axis=-1)
 
 
+def age_after(before: int, age: int, now: int) -> int:
+    """The age of the mode that a law goes by at a sample, from the mode and age at the one before.
+
+    Where it is told none, `now` is −1 and the last goes on; where none was known, `before` is −1,
+    and the first is as old as `age` says.
+
+    Examples
+    --------
+    >>> age_after(0, 3, 0), age_after(0, 3, -1), age_after(0, 3, 1), age_after(-1, 3, 1)
+    (4, 4, 0, 3)
+    """
+    if now < 0 or now == before:
+        return age + 1
+    return age if before < 0 else 0
+
+
 def follow(
     told: np.ndarray, sampled: np.ndarray, initial_age: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:

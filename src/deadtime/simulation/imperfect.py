@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.feedback.law import Remembering, Update, require_input
+from deadtime.feedback.table import age_after
 from deadtime.imperfections import (
     ActuatorImperfection,
     Imperfection,
@@ -93,12 +94,7 @@ class ImperfectLaw:
 
     def _follow(self, mode: int, age: int) -> None:
         """The sampled mode as the law sees it, and its age."""
-        if self._mode < 0:
-            self._age = age
-        elif mode not in (-1, self._mode):
-            self._age = 0
-        else:
-            self._age += 1
+        self._age = age if self._mode < 0 else age_after(self._mode, self._age, mode)
         self._mode = self._mode if mode < 0 else mode
 
     def record(self, kept: int) -> Told:

@@ -18,6 +18,7 @@ from deadtime.base.errors import ChatteringError
 from deadtime.feedback import Law
 from deadtime.feedback.belief import Believing
 from deadtime.feedback.law import Update, require_input
+from deadtime.feedback.table import age_after
 from deadtime.plant.steps import snap
 from deadtime.simulation.digital import Drawn, RunOutcome, initial_age
 from deadtime.simulation.digital_record import DigitalRecord
@@ -126,7 +127,7 @@ def _run(
                 return kept, path, stop
             path.append(truth.move(k, piece, path[-1], grid.acting(k, acting)))
             if piece == 0 and k < kept:
-                age = age if last is None else age + 1 if truth.mode == last else 0
+                age = age_after(-1 if last is None else last, age, truth.mode)
                 last = truth.mode
                 seen = x if lags is None else _before(truth, k, lags, path, first, grid)
                 try:
