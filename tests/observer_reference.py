@@ -64,7 +64,7 @@ def period(plant, loop, table, state, told, spans, lost=False):
     sample is `lost` the observer corrects nothing, and what it expects counts as measured.
     """
     x, w, past = state
-    (mode, row), observer, h = told, loop.observer_steps, loop.observer_steps.step
+    (mode, row), observer, h = told, loop.observer, loop.observer.step
     n_o = observer.plant.states
     x_bar, s = w[:n_o], w[n_o:]
     y = loop.outputs[spans[0][0]] @ x

@@ -92,8 +92,11 @@ def test_a_period_that_is_no_multiple_of_the_chains_is_refused_by_name(step):
     ("table", "message"),
     [
         ([[0.5, 0.5]], r"P must have shape \(modes, modes\)"),
-        ([[0.5, 0.4], [0.0, 1.0]], r"P\[0\] must be ≥ 0 and sum to 1, got .* with sum 0\.9"),
-        ([[1.0, 0.0], [1.1, -0.1]], r"P\[1\] must be ≥ 0 and sum to 1"),
+        (
+            [[0.5, 0.4], [0.0, 1.0]],
+            r"P\[0\] must be probabilities, ≥ 0 with sum 1, got .* with sum 0\.9",
+        ),
+        ([[1.0, 0.0], [1.1, -0.1]], r"P\[1\] must be probabilities, ≥ 0 with sum 1"),
     ],
 )
 def test_what_holds_no_probabilities_is_refused_by_its_row(table, message):
