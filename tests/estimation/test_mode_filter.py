@@ -268,3 +268,21 @@ def test_particles_with_switches_of_their_own_believe_the_same(switches, apart, 
     assert np.abs(found - reference).max() < apart + 4.0 * 0.5 * np.sqrt(2.0 / count)
     assert found.min() < 0.1
     assert found.max() > 0.8
+
+
+# The variance that a bend leaves is a square of the whole, that of round-off of 1e-12 of it.
+@pytest.mark.parametrize(("switches", "most"), [("samples", 2.0**540), ("anywhere", 2.0**500)])
+def test_a_belief_is_the_same_in_every_unit_whose_variances_are_numbers_else_it_is_the_chain(
+    switches, most
+):
+    plant, states, inputs = log_of_a_run()
+
+    def belief(unit, known=1.0):
+        own = dt.SwitchedSystem(plant.A, unit * plant.B, plant.delays)
+        exact = dt.ModeFilter(own, plants.markov(3), STEP, switches=switches)
+        return np.array(beliefs_of(exact, unit * known * states, inputs))
+
+    for unit in (2.0**-400, most):
+        np.testing.assert_allclose(belief(unit), belief(1.0), rtol=1e-9)
+    for unit in (2.0**-600, 2.0**600):
+        np.testing.assert_array_equal(belief(unit), belief(unit, known=np.nan))

@@ -14,6 +14,8 @@ from deadtime.imperfections import (
     Saturation,
     WhiteDisturbance,
 )
+from deadtime.imperfections.base import Sizes
+from deadtime.imperfections.received import Heard
 from deadtime.scenarios import scenario_seed
 from shares import mostly_long
 
@@ -48,6 +50,15 @@ def test_what_tracks_is_run_one_by_one_within_a_first_period_alone():
         run = dt.simulate(TRUTH, law, signal, START, horizon, H).metrics()
         found = {name: data[name][0, 1].item() for name in run}
         assert found == pytest.approx(run, rel=1e-10), horizon
+
+
+def test_runs_of_one_sample_are_each_told_their_own_wrong_mode():
+    names = np.array([[1, 2, 0], [2, 0, 1], [2, 0, 0]])
+    heard = Heard.perfect(1, Sizes(3, 3, 2, H))._replace(named=names[:, None])
+    true = np.array([[0], [0], [2]])
+    np.testing.assert_array_equal(heard.modes(true), [[1], [2], [0]])
+    for run, own in enumerate(heard.each(3)):
+        np.testing.assert_array_equal(own.modes(true[run]), heard.modes(true)[run])
 
 
 @pytest.mark.parametrize("horizon", [0.03, 0.1, 0.5, 1.17, 1.9])

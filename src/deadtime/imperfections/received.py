@@ -100,7 +100,7 @@ class Heard(NamedTuple):
     def modes(self, sampled: Int[np.ndarray, "*runs sample"]) -> Int[np.ndarray, "*runs sample"]:
         """The mode that the law is told at each sample, from σ(t_k); −1 where it is told none."""
         true = at_samples(sampled, self.mode_of)
-        if self.named.shape[-2] == 1:
+        if self.named.size == self.named.shape[-1]:  # one row, of all samples and runs
             told = self.named.reshape(-1)[true]
         else:
             told = np.take_along_axis(self.named, true[..., None], -1)[..., 0]

@@ -23,6 +23,7 @@ SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
 CURVED = 8.0 / 15.0  # mean square of a parabola over its span, by its height in the middle
 _LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
 _LOG_2 = math.log(2.0)
+_NORMAL = 2.0**-1022  # a variance below has lost digits, and its inverse is no number
 
 
 class BeliefState(NamedTuple):
@@ -138,7 +139,7 @@ def _weigh(form, state, before, x, i):
             square = 0.0
             if j == i:
                 for a in range(n):
-                    square += white[a] * white[a] * root[a, a]
+                    square += white[a] * root[a, a] * white[a]
             else:
                 for a in range(n):
                     apart[a] = predicted[j, a] - predicted[i, a]
@@ -198,10 +199,11 @@ def factor(noise, size, more, root):
             rest -= unit * root[a, b]
             root[a, b] = unit
         rest = max(rest, SPENT * own)
+        rest = where(rest >= _NORMAL, rest, 0.0)
         root[a, a] = ratio(1.0, rest)
         # One logarithm for all, of a product that stays a number.
         volume *= where(rest > 0.0, rest, 1.0)
-        doublings += exponent(volume)
+        doublings += where(math.isfinite(volume), exponent(volume), math.inf)
         volume = mantissa(volume)
     return volume, doublings
 
@@ -226,12 +228,12 @@ def _between(root, white, apart):
     """
     length = along = across = 0.0
     for a in range(white.size):
-        length += apart[a] * apart[a] * root[a, a]
-        along += apart[a] * (white[a] - 0.5 * apart[a]) * root[a, a]
+        length += apart[a] * root[a, a] * apart[a]
+        along += apart[a] * root[a, a] * (white[a] - 0.5 * apart[a])
     along = ratio(along, length)
     for a in range(white.size):
         off = white[a] - (0.5 + along) * apart[a]
-        across += off * off * root[a, a]
+        across += off * root[a, a] * off
     wide = 1.0 + length * (1.0 / 12.0)
     return across + along * along * length / wide, wide
 
