@@ -223,6 +223,9 @@ def test_margins_take_the_class():
     least = dt.least_dwell_time(plant, law, H, 1.5, dwell_time=signals)
     assert least.certified == pytest.approx(H)
     assert least.refuted is None
+    assert "0.1 s or more, of modes that change at samples only" in least.message
+    delays = dt.delay_margin(plant, law, H, signals)
+    assert "for at least 0.1 s, and switches at samples only: stable" in delays.message
     margin = dt.stability_margin(lambda _: (plant, law), (0.0, 1.0), signals, H)
     assert margin.certified == 1.0
     late = dt.longest_mode_lag(*fed(by_mode), dt.SignalClass(3.0, **SAMPLES), H, upto=1)
@@ -242,6 +245,12 @@ WRONG = {
     'at must be "anywhere" or "samples", got \'sometimes\'': lambda: dt.SignalClass(
         0.2, at="sometimes"
     ),
+    r"at must be \"anywhere\" or \"samples\", got array": lambda: dt.SignalClass(
+        0.2, at=np.array(["samples", "samples"])
+    ),
+    r"transitions must have shape \(modes, modes\), got rows of": lambda: dt.SignalClass(
+        0.2, transitions=[[0, 1], [1]]
+    ),
     "maximum_dwell must not be given beside a SignalClass": lambda: dt.certify(
         *corpus.half_turns(), dt.SignalClass(0.2), H, maximum_dwell=1.0
     ),
@@ -250,6 +259,14 @@ WRONG = {
     ),
     r"mode_lag is what is sought": lambda: dt.longest_mode_lag(*fed(by_mode), 0.5, H, mode_lag=1),
 }
+
+
+def test_counts_of_numpy_are_counts():
+    given = {name: np.int64(1) for name in ("mode_lag", "chatter")}
+    assert all(type(getattr(dt.SignalClass(0.2, **given), name)) is int for name in given)
+    assert type(dt.SignalClass(0.2, lost_samples=np.int64(1)).lost_samples) is int
+    found = dt.certify(*fed(by_mode), dt.SignalClass(3.0, mode_lag=np.int64(1), **SAMPLES), H)
+    assert "which it is told 1 period late" in " ".join(found.statement)
 
 
 @pytest.mark.parametrize("message", WRONG)

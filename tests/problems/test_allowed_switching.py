@@ -4,12 +4,14 @@ import dataclasses
 import itertools
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
+from deadtime.cli.asked_signals import with_step
 from deadtime.problems.asked import random_model, signals_of
 from deadtime.problems.file import load_problem
 
@@ -195,3 +197,40 @@ def test_monte_carlo_and_studies_draw_no_signals_at_samples(load, capsys):
     with pytest.raises(SystemExit):
         main(["monte-carlo", "p.toml", "--scenarios", "2"])
     assert "change at samples only, and Monte Carlo draws instants" in capsys.readouterr().err
+    Path("study.toml").write_text(
+        'problem = "p.toml"\nlaws = ["averaged"]\n[grid]\ndwell_time = [0.2]\n', encoding="utf-8"
+    )
+    with pytest.raises(dt.DeadtimeError, match="at samples only, and studies draw instants"):
+        dt.load_study("study.toml")
+
+
+CHAIN = """\
+[switching]
+kind = "markov-chain"
+P = [[0.8, 0.2, 0.0], [0.1, 0.8, 0.1], [0.0, 0.5, 0.5]]
+step = 0.2
+[signal]
+kind = "model"
+"""
+
+
+def test_signals_drawn_from_a_chain_change_at_samples_where_its_step_is_whole_periods(load):
+    for step, at in ((0.1, "samples"), (0.4, "samples"), (0.05, "anywhere"), (0.15, "anywhere")):
+        problem = load(CHAIN.replace("step = 0.2", f"step = {step}"))
+        asked = signals_of(problem, problem.signal).signals
+        assert asked == dt.SignalClass(step, transitions=WAYS, at=at)
+
+
+def test_another_period_keeps_at_samples_only_where_it_is_a_part_of_the_file_s(load):
+    for text in (SAMPLED, CHAIN):
+        problem = load(text)
+        for step, kept_at in ((None, True), (0.05, True), (0.2, False), (0.07, False)):
+            assert (with_step(problem, step).switches_at == "samples") is kept_at
+
+
+def test_monte_carlo_draws_from_a_chain_at_samples(load, capsys):
+    load(CHAIN)
+    with pytest.raises(SystemExit) as end:
+        main(["monte-carlo", "p.toml", "--scenarios", "2", "--out", "p.png"])
+    assert end.value.code == 0
+    assert "MarkovChain(modes=3, step=0.2" in capsys.readouterr().out

@@ -46,6 +46,30 @@ def test_what_a_file_leaves_out_is_the_problem_s(tmp_path):
     )  # fmt: skip
 
 
+def test_a_plant_of_delays_of_its_own_stands_at_the_longest_as_the_axis_has_it(tmp_path):
+    text = """[plant]
+        A = [[[-1.0]], [[-2.0]]]
+        B = [[[1.0]], [[1.0]]]
+        delay = [[0.1], [0.2]]
+        [gains]
+        poles = [-3.0]
+        [signal]
+        kind = "random"
+        dwell_time = 0.4
+        [run]
+        x0 = [1.0]
+        horizon = 2.0
+        step = 0.1"""
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    given = 'problem = "own.toml"\npoles = [-3]\nlaws = ["mean"]\nscenarios = 2\n[grid]\n'
+    study = load(tmp_path, f"{given}dwell_time = 0.4")
+    data = run_study(study, tmp_path / "study.zarr", workers=1)
+    assert data.delay.values.tolist() == [0.2]
+    moved = load(tmp_path, f"{given}dwell_time = 0.4\ndelay = 0.2")
+    same = run_study(moved, tmp_path / "moved.zarr", workers=1)
+    np.testing.assert_array_equal(data.ise, same.ise)
+
+
 def test_a_problem_file_is_found_beside_the_study(tmp_path):
     with pytest.raises(SystemExit):
         main(["init", str(tmp_path / "car.toml"), "--example", "follower"])

@@ -31,7 +31,8 @@ def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, s
     if several and least_periods(dwell_time, step, tolerance) < 1:
         return (
             f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "
-            f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step."
+            f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step, "
+            'or, where modes change at samples only, say so: at = "samples".'
         )
     return ""
 

@@ -16,9 +16,14 @@ if TYPE_CHECKING:
 
 
 def with_step(problem: Problem, step: float | None) -> Problem:
+    """A problem at another period; modes that change at its samples may change between those."""
     from deadtime.base.checks import positive
+    from deadtime.plant.steps import snap
 
-    return problem if step is None else replace(problem, step=positive("step", step))
+    if step is None:
+        return problem
+    kept = snap((problem.step or 0.0) / positive("step", step)).is_integer()
+    return replace(problem, step=step, switches_at=problem.switches_at if kept else "anywhere")
 
 
 def delays_from(text: str) -> float | list[float] | list[list[float]]:

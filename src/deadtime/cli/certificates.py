@@ -82,7 +82,8 @@ def certify(
         a dwell time of every sojourn. That of the problem's average dwell time by default, else 1.
     at
         When modes may change: anywhere, or samples: only where the law samples, so that a dwell
-        time of one period is meaningful. That of the problem's [signal] by default, else anywhere.
+        time of one period is meaningful. By default as the problem's [signal] has it: samples
+        where a Markov chain of that period draws it.
     decay_rate
         The decay rate to certify, in 1/s; by default one close to that of the slowest mode.
     delays

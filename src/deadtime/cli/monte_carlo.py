@@ -200,6 +200,7 @@ def _require_signals(problem: Problem) -> None:
     import numpy as np
 
     from deadtime.switching import SwitchingSignal
+    from deadtime.switching.models.markov_chain import MarkovChain
 
     if problem.plant.modes == 1:
         raise ArgumentError(
@@ -211,10 +212,11 @@ def _require_signals(problem: Problem) -> None:
             f"the plant of the problem {problem.name!r} is switched by its state, not by random "
             "signals: use deadtime simulate, or give the file a [signal] instead of the rule."
         )
-    if problem.switches_at == "samples":
+    if problem.switches_at == "samples" and not isinstance(problem.switching, MarkovChain):
         raise ArgumentError(
             f"the modes of the problem {problem.name!r} change at samples only, and Monte Carlo "
-            "draws instants between them: leave at out of its [signal]."
+            "draws instants between them: leave at out of its [signal], or give it a [switching] "
+            'of kind = "markov-chain", which is drawn at samples.'
         )
     if np.any(problem.u0) or problem.predict != "applied":
         raise ArgumentError(

@@ -153,7 +153,9 @@ def _in_words(signals: SignalClass, modes: int) -> str:
     if signals.is_plain(modes):
         return f"with a dwell time of {limits.dwell_time[0]:g} s"
     stays, switches = signals.in_words(modes)
-    return f"that {stays}" + ("" if limits.is_free else f", and {switches}")
+    return f"that {stays}" + (
+        "" if limits.is_free and signals.at == "anywhere" else f", and {switches}"
+    )
 
 
 def _moved(plant: SwitchedSystem, input: int | None, shift: float) -> np.ndarray:

@@ -266,6 +266,8 @@ def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> Leas
     certified, refuted = 1.0 / found.certified, None
     proved = _each(certified, shape, up=True)
     text = f"Proved stable for every signal with {_of(shape, 'a')} of {proved} s or more"
+    if shape.signals.at == "samples":
+        text += ", of modes that change at samples only"
     if found.witness is not None:
         refuted = shape.admits(found.witness)
         text += f"; with {_each(refuted, shape)} s a growing signal is known."

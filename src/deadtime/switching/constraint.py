@@ -251,11 +251,11 @@ def _allowed(modes: int, transitions: ArrayLike | None) -> Bool[np.ndarray, "mod
     return table & others
 
 
-def switch_table(transitions: ArrayLike) -> Bool[np.ndarray, "mode after"]:
+def switch_table(
+    transitions: ArrayLike | tuple[tuple[bool, ...], ...],
+) -> Bool[np.ndarray, "mode after"]:
     """A matrix of True and False, or of 1 and 0."""
-    table = np.asarray(transitions)
-    if table.dtype != bool or table.ndim != 2:
-        table = real_array("transitions", transitions, "(modes, modes)", 2)
+    table = real_array("transitions", transitions, "(modes, modes)", 2)
     wrong = np.argwhere((table != 0) & (table != 1))
     if wrong.size:
         i, j = wrong[0].tolist()

@@ -115,22 +115,26 @@ class SignalClass:
             most = time_or_each("maximum_dwell", maximum_dwell, unbounded=True)
         table = None
         if transitions is not None:
-            table = tuple(map(tuple, switch_table(np.asarray(transitions)).tolist()))
-        if at not in INSTANTS:
+            table = tuple(map(tuple, switch_table(transitions).tolist()))
+        if not isinstance(at, str) or at not in INSTANTS:
             raise ArgumentError(
                 f'at must be "anywhere" or "samples", got {brief(at)}: whether the mode may change '
                 "at any instant, or only where the law samples."
             )
         if not 0.0 <= number("clock_tolerance", clock_tolerance) <= MOST_TOLERANCE:
             raise ArgumentError(_clock_off(clock_tolerance, 0.0))
-        if count("lost_samples", lost_samples, 0) and count("mode_lag", mode_lag, 0):
+        mode_lag, lost_samples = (
+            count("mode_lag", mode_lag, 0),
+            count("lost_samples", lost_samples, 0),
+        )
+        if mode_lag and lost_samples:
             raise ArgumentError(
                 "lost_samples and mode_lag exclude each other: a lost sample tells the mode late "
                 "by itself; give one of them."
             )
-        count("mode_lag", mode_lag, 0)
+        chatter = count("chatter", chatter)
         several = isinstance(least, tuple) and len(set(least)) > 1
-        if count("chatter", chatter) > 1 and (several or np.isfinite(most).any()):
+        if chatter > 1 and (several or np.isfinite(most).any()):
             raise ArgumentError(
                 "dwell_time must be one number with chatter > 1, for an average dwell time is that "
                 f"of all modes together, got {list(np.ravel(least).tolist())}."

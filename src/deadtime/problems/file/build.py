@@ -94,7 +94,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
         constraint=promise,
         average_dwell_time=average_of(file.signal),
-        switches_at=instants_of(file.signal),
+        switches_at=instants_of(file.signal, model, step),
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
         uncertain=_uncertain(file, plant),
         operating_point=_operating_point(file, plant),

@@ -8,6 +8,7 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.steps import snap
 from deadtime.problems.file import schema
 from deadtime.problems.switching_registry.entry import Promise
 from deadtime.switching import (
@@ -20,6 +21,7 @@ from deadtime.switching import (
     SwitchingSignal,
 )
 from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching.models.markov_chain import MarkovChain
 from deadtime.switching.signal_class import Instants
 
 
@@ -72,7 +74,7 @@ def build_signal(
     step: float | None,
 ) -> SwitchingSignal:
     """The switching signal; made ones are long enough for the oracle's last prediction."""
-    if instants_of(section) == "samples":
+    if getattr(section, "at", "anywhere") == "samples":
         if step is None:
             raise ArgumentError('at = "samples" must come with a step, got run.step = "ideal".')
         return _at_samples(section, plant, end, step)
@@ -105,8 +107,12 @@ def build_signal(
     return signal
 
 
-def instants_of(section: schema.Signal) -> Instants:
-    """When modes change, as [signal] says."""
+def instants_of(
+    section: schema.Signal, model: SwitchingModel | None, step: float | None
+) -> Instants:
+    """When modes change: as [signal] says, or at samples where it is drawn from a chain of them."""
+    if isinstance(section, schema.ModelSignal) and isinstance(model, MarkovChain):
+        return "samples" if step and snap(model.step / step).is_integer() else "anywhere"
     return getattr(section, "at", "anywhere")
 
 

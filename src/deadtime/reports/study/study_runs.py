@@ -68,7 +68,7 @@ def _complete(data: xr.Dataset, study: FileStudy) -> xr.Dataset:
     """All axes of the maps, those that the grid leaves out with one value."""
     given = {
         "sojourn": "exponential",
-        "delay": study.problem["plant"]["delay"],
+        "delay": float(np.max(study.problem["plant"]["delay"])),  # as the axis has it
         "distance": 1.0,
     }
     fixed = {name: [value] for name, value in given.items() if name not in data.dims}
