@@ -108,6 +108,11 @@ class MarkovChain(SwitchingModel):
         P = np.linalg.matrix_power(self.P, int(periods))
         return SampledChain.of_matrix(P, within=periods > 1.0)
 
+    def at_samples(self, step: float) -> bool:
+        from deadtime.plant.steps import snap
+
+        return snap(self.step / step).is_integer()
+
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Sojourns of whole periods; every instant is a multiple of the period, to the bit."""
         from deadtime.plant.steps import snap
