@@ -160,9 +160,12 @@ class MarkovChain(SwitchingModel):
         step, logs = positive("step", step), check_signals(signals)
         number = 1 + max(int(log.modes.max()) for log in logs)
         if modes is not None:
-            number = whole_number("modes", modes)
-            for log in logs:
-                log.require_modes(number)
+            if whole_number("modes", modes) < number:
+                raise ArgumentError(
+                    f"modes must be at least {number}, got {modes}: signals enter mode "
+                    f"{number - 1}, and modes count from 0."
+                )
+            number = modes
         N = np.zeros((number, number))
         for log in logs:
             begin = np.ceil(snap_all(log.times / step))
