@@ -129,6 +129,11 @@ def test_of_a_log_without_an_end_only_the_first_sample_of_the_last_mode_counts()
     )
 
 
+def test_fewer_modes_than_the_logs_have_are_refused():
+    with pytest.raises(dt.ArgumentError, match="modes must be at least 2, got 1: signals enter"):
+        dt.MarkovChain.fit(dt.SwitchingSignal([0.0, 0.2], [0, 1], end=0.4), STEP, modes=1)
+
+
 def test_several_logs_are_counted_together():
     log = dt.SwitchingSignal([0.0, 0.2], [0, 1], end=0.4)
     other = dt.SwitchingSignal([0.0, 0.2], [1, 0], end=0.4)

@@ -200,7 +200,6 @@ def _require_signals(problem: Problem) -> None:
     import numpy as np
 
     from deadtime.switching import SwitchingSignal
-    from deadtime.switching.models.markov_chain import MarkovChain
 
     if problem.plant.modes == 1:
         raise ArgumentError(
@@ -212,7 +211,9 @@ def _require_signals(problem: Problem) -> None:
             f"the plant of the problem {problem.name!r} is switched by its state, not by random "
             "signals: use deadtime simulate, or give the file a [signal] instead of the rule."
         )
-    if problem.switches_at == "samples" and not isinstance(problem.switching, MarkovChain):
+    model, step = problem.switching, problem.step
+    drawn_so = model is not None and step is not None and model.at_samples(step)
+    if problem.switches_at == "samples" and not drawn_so:
         raise ArgumentError(
             f"the modes of the problem {problem.name!r} change at samples only, and Monte Carlo "
             "draws instants between them: leave at out of its [signal], or give it a [switching] "

@@ -8,7 +8,6 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.steps import snap
 from deadtime.problems.file import schema
 from deadtime.problems.switching_registry.entry import Promise
 from deadtime.switching import (
@@ -21,7 +20,6 @@ from deadtime.switching import (
     SwitchingSignal,
 )
 from deadtime.switching.constraint import SwitchingConstraint
-from deadtime.switching.models.markov_chain import MarkovChain
 from deadtime.switching.signal_class import Instants
 
 
@@ -111,8 +109,8 @@ def instants_of(
     section: schema.Signal, model: SwitchingModel | None, step: float | None
 ) -> Instants:
     """When modes change: as [signal] says, or at samples where it is drawn from a chain of them."""
-    if isinstance(section, schema.ModelSignal) and isinstance(model, MarkovChain):
-        return "samples" if step and snap(model.step / step).is_integer() else "anywhere"
+    if isinstance(section, schema.ModelSignal) and model is not None and step is not None:
+        return "samples" if model.at_samples(step) else "anywhere"
     return getattr(section, "at", "anywhere")
 
 

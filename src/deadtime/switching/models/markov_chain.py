@@ -108,6 +108,11 @@ class MarkovChain(SwitchingModel):
         P = np.linalg.matrix_power(self.P, int(periods))
         return SampledChain.of_matrix(P, within=periods > 1.0)
 
+    def at_samples(self, step: float) -> bool:
+        from deadtime.plant.steps import snap
+
+        return snap(self.step / step).is_integer()
+
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Sojourns of whole periods; every instant is a multiple of the period, to the bit."""
         from deadtime.plant.steps import snap
@@ -155,9 +160,12 @@ class MarkovChain(SwitchingModel):
         step, logs = positive("step", step), check_signals(signals)
         number = 1 + max(int(log.modes.max()) for log in logs)
         if modes is not None:
-            number = whole_number("modes", modes)
-            for log in logs:
-                log.require_modes(number)
+            if whole_number("modes", modes) < number:
+                raise ArgumentError(
+                    f"modes must be at least {number}, got {modes}: signals enter mode "
+                    f"{number - 1}, and modes count from 0."
+                )
+            number = modes
         N = np.zeros((number, number))
         for log in logs:
             begin = np.ceil(snap_all(log.times / step))

@@ -112,6 +112,18 @@ class SwitchingModel(Frozen, ABC):
             If the model cannot be sampled at this period.
         """
 
+    def at_samples(self, step: float) -> bool:
+        """Whether its modes change at multiples of a period of `step` seconds only.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> chain = dt.MarkovChain([[0.9, 0.1], [0.25, 0.75]], step=0.1)
+        >>> chain.at_samples(0.05), chain.at_samples(0.2)
+        (True, False)
+        """
+        return False
+
     @abstractmethod
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """The sampler: sojourns of the signals first, …, first + count − 1 of a seed.
