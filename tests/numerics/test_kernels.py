@@ -306,6 +306,14 @@ def test_the_cache_follows_intrinsics_and_what_makes_them():
     assert {"laid.py", "moves.py", "sums.py", "code.py"} <= files
 
 
+def test_the_cache_follows_operators_which_no_kernel_calls_by_name():
+    from deadtime.loop.observer_steps import predict_observer
+    from deadtime.numerics.compiling import _stamp
+
+    files = {part[0] for part in _stamp(predict_observer)}
+    assert {"observer_steps.py", "operators.py", "functions.py", "choices.py"} <= files
+
+
 @pytest.mark.long
 def test_a_numba_with_other_private_names_compiles_all_the_same(tmp_path):
     code = """

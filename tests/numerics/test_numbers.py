@@ -42,6 +42,25 @@ def of_one(a, b, result):
     work(a, b, result)
 
 
+@inner_kernel
+def transcend(a, result):
+    result[0], result[1] = math.log(a[0]), math.exp(min(a[0], 0.0))
+
+
+@kernel(eager=True)
+def transcend_of_eight(a, result):
+    transcend(lanes_of(a), lanes_of(result))
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_what_is_no_number_or_infinite_stays_so_in_the_lane_that_has_it(number):
+    a, result = np.full((1, LANES), 0.5), np.empty((2, LANES))
+    a[0, 3] = number
+    transcend_of_eight(a, result)
+    expected = [np.log(a[0]), np.exp(np.minimum(a[0], 0.0))]
+    np.testing.assert_allclose(result, expected, rtol=1e-15)
+
+
 def drawn(seed):
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(2, 5, LANES)) * 10.0 ** rng.integers(-3, 4, size=(2, 5, LANES))

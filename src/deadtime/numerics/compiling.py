@@ -22,8 +22,9 @@ from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 from numba.extending import typeof_impl
 
-import deadtime.numerics.lanes.operators  # noqa: F401  (what kernels do with numbers, for Numba)
 from deadtime.base import notices
+from deadtime.numerics.lanes.code import make_code
+from deadtime.numerics.lanes.operators import make_operators  # all that is done with numbers
 
 _LONG = 1.0  # seconds of compiling after which it is said
 _GARBAGE = 20_000  # objects between two collections while compiling
@@ -120,7 +121,7 @@ def _stamp(kernel: Any) -> tuple[Any, ...]:
 
     That is name, time and size of the files that they lie in, and the numbers that they read.
     """
-    reached, codes, numbers = [kernel.function], [], []
+    reached, codes, numbers = [kernel.function, make_operators, make_code], [], []
     for function in reached:
         inner = [function.__code__]
         for code in inner:  # intrinsics are made by functions within them

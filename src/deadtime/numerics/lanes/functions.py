@@ -29,7 +29,7 @@ def _all(value: float) -> Any:
 def exponential_of(code: Code, a: Any) -> Any:
     """e^a of an a up to 700, 0 below −700: e^r of what is left of multiples of ln 2, |r| < 0.35."""
     build = code.builder
-    y = code.larger(a, _all(_LEAST))
+    y = code.larger(_all(_LEAST), a)  # what is no number stays none
     shifted = code.fma(y, _all(_LOG2_E), _all(_SHIFT))
     k = build.fsub(shifted, _all(_SHIFT))
     r = code.fma(k, _all(-_LN2_LOW), code.fma(k, _all(-_LN2_HIGH), y))
@@ -42,7 +42,7 @@ def exponential_of(code: Code, a: Any) -> Any:
 
 
 def logarithm_of(code: Code, a: Any) -> Any:
-    """log a of a vector of positive normal numbers: e ln 2 + 2 artanh s, s = (m − 1)/(m + 1).
+    """log a of a vector of positive normal numbers, or ∞: e ln 2 + 2 artanh s, s = (m − 1)/(m + 1).
 
     m is the mantissa, halved where it is above √2, so that |s| < 0.172: artanh to s²³.
     """
@@ -55,4 +55,5 @@ def logarithm_of(code: Code, a: Any) -> Any:
     for odd in range(21, 0, -2):
         series = code.fma(series, square, _all(2.0 / odd))
     low = code.fma(e, _all(_LN2_LOW), build.fmul(series, s))
-    return code.fma(e, _all(_LN2_HIGH), low)
+    result = code.fma(e, _all(_LN2_HIGH), low)
+    return build.select(build.fcmp_ordered("<", a, _all(math.inf)), result, a)

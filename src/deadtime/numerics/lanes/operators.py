@@ -81,7 +81,7 @@ def _register(functions: Any, work: Callable[..., Any], result: Any, *kinds: Any
         lower_builtin(function, *kinds)(lowered)
 
 
-def _operators() -> None:
+def make_operators() -> None:
     fused = ("contract",)  # products and sums may be fused, as those of `lanes.sums` are
     for functions, make in (
         ((operator.add, operator.iadd), lambda c, a, b: c.builder.fadd(a, b, flags=fused)),
@@ -136,7 +136,7 @@ def _ratio(code: Code, a: Any, b: Any) -> Any:
     return build.select(build.fcmp_ordered(">", b, zero), build.fdiv(a, b), zero)
 
 
-_operators()
+make_operators()
 
 
 @infer_global(numbers.flat)
