@@ -24,7 +24,16 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.feedback.bank import BankForm
-from deadtime.loop.belief_steps import CURVED, ROUND_OFF, SPENT, BeliefState, bend, gather, move
+from deadtime.loop.belief_steps import (
+    CURVED,
+    NORMAL,
+    ROUND_OFF,
+    SPENT,
+    BeliefState,
+    bend,
+    gather,
+    move,
+)
 from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.numbers import arrays_of, flat, where
 
@@ -294,7 +303,7 @@ def _size_outputs(C, bank, y):
 
 @inner_kernel
 def _measure(C, bank, many, a, r):
-    """P c and the variance of output a of every pair; whether all of these are above 0."""
+    """P c and the variance of output a of every pair; whether all of these are normal."""
     n, toward, spread, P = C.shape[2], bank.toward, bank.spread, bank.pair_P
     there = True
     for i in range(many):
@@ -307,7 +316,7 @@ def _measure(C, bank, many, a, r):
                 toward[i, j, b] = total
                 s += total * C[j, a, b]
             spread[i, j] = s + r
-            there = there & (spread[i, j] > 0.0)
+            there = there & (spread[i, j] >= NORMAL)
     return there
 
 

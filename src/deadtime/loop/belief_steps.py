@@ -23,7 +23,7 @@ SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
 CURVED = 8.0 / 15.0  # mean square of a parabola over its span, by its height in the middle
 _LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
 _LOG_2 = math.log(2.0)
-_NORMAL = 2.0**-1022  # a variance below has lost digits, and its inverse is no number
+NORMAL = 2.0**-1022  # a variance below has lost digits, and its inverse is no number
 
 
 class BeliefState(NamedTuple):
@@ -199,7 +199,7 @@ def factor(noise, size, more, root):
             rest -= unit * root[a, b]
             root[a, b] = unit
         rest = max(rest, SPENT * own)
-        rest = where(rest >= _NORMAL, rest, 0.0)
+        rest = where(rest >= NORMAL, rest, 0.0)
         root[a, a] = ratio(1.0, rest)
         # One logarithm for all, of a product that stays a number.
         volume *= where(rest > 0.0, rest, 1.0)
