@@ -183,7 +183,7 @@ def test_what_is_given_a_probability_happens_as_often_and_not_with_the_mean_nois
     for own in (W, W.mean(axis=0)):
         law = dt.BeliefPredictor(inner, dt.ModeFilter(plant, model, 0.05, disturbance=own))
         given, there = [], []
-        for seed in range(60):
+        for seed in range(60, 120):
             signal = model.sample(15.0, seed=seed)
             options = {"imperfections": [WhiteDisturbance(W)], "seed": seed}
             run = dt.simulate(plant, law, signal, [0.5, 0.0], 15.0, 0.05, **options)
