@@ -128,7 +128,7 @@ class Alternating(SwitchingModel):
         return dt.SemiMarkov(self.step * self.periods).switches(horizon, seed, first, count)
 
     def section(self):
-        raise NotImplementedError
+        return f'[switching]\nkind = "alternating"\nperiods = {self.periods}'
 
 
 def test_laws_filters_and_batches_take_a_model_that_the_package_does_not_know():

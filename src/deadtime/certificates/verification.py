@@ -64,7 +64,7 @@ class Verification:
 
 @dataclass(frozen=True)
 class ExpectedClaim:
-    """What a certificate is wanted for (immutable); None, or no entry, where nothing is asked."""
+    """Claims asked of a certificate (immutable); None, or no entry, where nothing is asked."""
 
     plant: SwitchedSystem | UncertainPlant | None = None
     law: Law | None = None
@@ -148,7 +148,7 @@ class ExpectedClaim:
 
 
 def _beyond(asked: SwitchingConstraint, proved: SwitchingConstraint) -> str:
-    """What is asked for and not among the signals proved, if anything."""
+    """Signals that are asked for and not proved, in words; empty if there are none."""
     several = any(
         len(set(times)) > 1 for times in (proved.dwell_time, asked.dwell_time, proved.maximum_dwell)
     )

@@ -125,7 +125,7 @@ class BeliefPredictor(WithMemory, Law):
         return chain.belief(feedback.ages)
 
     def _form(self, feedback: Feedback) -> Belief | BankForm:
-        """What runs beside the table: a belief from states or from outputs."""
+        """The data of the belief beside the table, from states or from outputs."""
         if isinstance(self.filter, OutputModeFilter):
             return self.filter.bank(feedback.ages)
         return self.belief_of(feedback)
@@ -170,7 +170,7 @@ class BeliefUpdate(Believing):
 
 
 class OutputBeliefUpdate(BeliefUpdate, Remembering):
-    """The same on outputs, whose estimates are kept."""
+    """A `BeliefUpdate` on outputs that keeps its estimates."""
 
     _running: RunningBank
 

@@ -69,7 +69,7 @@ def estimate_of_plant(
     told: Sequence[np.ndarray] | None = None,
     ends: Float[np.ndarray, "unknown 2"] | None = None,
 ) -> Estimate:
-    """What there is to say of a maximum, states being exact, with S what a period adds.
+    """Estimate and intervals of a maximum, states being exact, with S what a period adds.
 
     spare : periods of every mode that S rests on; told : of every part the periods whose mode is
     told, by default all

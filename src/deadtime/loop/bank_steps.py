@@ -39,7 +39,7 @@ from deadtime.numerics.numbers import arrays_of, flat, where
 
 
 class BankState(NamedTuple):
-    """What of a bank changes from sample to sample, and room to work in.
+    """Arrays of a bank that change from sample to sample, and room to work in.
 
     chain : BeliefState
     x : (modes, n), P : (modes, n, n), E[x_k | the mode is i, all that was seen] and the covariance

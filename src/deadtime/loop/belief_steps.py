@@ -27,7 +27,7 @@ NORMAL = 2.0**-1022  # a variance below has lost digits, and its inverse is no n
 
 
 class BeliefState(NamedTuple):
-    """What of a belief changes from sample to sample, and room to work in.
+    """Arrays of a belief that change from sample to sample, and room to work in.
 
     now : (modes, ages), π_k
     weight : (rows,), the share of every row of the law's table
@@ -94,7 +94,7 @@ def gather(lag, lags, m, sent, told, row):
 
 @inner_kernel
 def _predict(form, state, before, x):
-    """What each mode makes of the period, and the size of its terms; whether that says anything."""
+    """Predictions of each mode and the size of their terms; whether they say anything."""
     # Taken out of their tuples first: in a loop, compiled code would count who holds them.
     Phi, Gamma, sent = form.Phi, form.Gamma, state.sent
     largest, predicted = state.size, state.predicted

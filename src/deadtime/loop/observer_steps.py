@@ -22,7 +22,7 @@ _ROUND_OFF = 1e-9  # of an input: what differs by less was not refused
 
 
 class ObserverState(NamedTuple):
-    """What of an observer changes from sample to sample, and room to work in.
+    """Arrays of an observer that change from sample to sample, and room to work in.
 
     own : (size,), the matrices of the mode that applies, as in a row of `Memory.matrices`
     z : (z,), the estimate, sums of errors and the reference

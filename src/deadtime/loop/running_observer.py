@@ -47,7 +47,7 @@ class RunningObserver:
 
     @property
     def before(self) -> Float[np.ndarray, " r"]:
-        """What was tracked at the last sample."""
+        """Tracked outputs of the last sample."""
         return self.state.value[1]
 
     @property

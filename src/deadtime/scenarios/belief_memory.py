@@ -1,4 +1,4 @@
-"""What laws on a belief keep of eight scenarios: a `BeliefState`, and from outputs a `BankState`.
+"""Beliefs of eight scenarios: a `BeliefState`, and from outputs a `BankState`.
 
 The answers of a law's rows, each weighed by its share, are summed for all eight. From outputs the
 rows get an x of 0, and what they make of the estimates of their own modes is added to their mean.

@@ -1,4 +1,4 @@
-"""What laws on outputs keep of eight scenarios: the outputs of their plants, and an observer."""
+"""Laws on outputs in eight scenarios: the outputs of their plants, and observers."""
 
 # Intrinsics take one argument less than the functions that declare them.
 # pyright: reportCallIssue=false

@@ -135,7 +135,7 @@ def _chosen(
     decode: Callable[[HiddenFit[Log]], Decoded[Log]],
     estimate: Callable[[Decoded[Log]], ModesTold],
 ) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
-    """What there is to hand over of the best fit."""
+    """The best fit as an answer."""
     best, found, left_out = best_of(tried, decode)
     said = of_numbers(best.layout.modes, tried, left_out)
     if found is None:

@@ -59,16 +59,6 @@ class LaneSizes(types.Type):
         super().__init__(name=f"Sizes({', '.join(f'{n}={k}' for n, k in fields.items() if k)})")
 
 
-@register_model(LaneSizes)
-class _SizesModel(models.OpaqueModel):
-    pass
-
-
-@unbox(LaneSizes)
-def _unbox(kind: Any, given: Any, c: Any) -> NativeValue:
-    return NativeValue(c.context.get_dummy_value())
-
-
 @infer_getattr
 class _Fields(AttributeTemplate):
     key = LaneSizes
@@ -102,14 +92,9 @@ class KnownNumbersType(types.Type):
         super().__init__(name=f"KnownNumbers({', '.join(f'{n}={k}' for n, k in numbers.items())})")
 
 
-@register_model(KnownNumbersType)
-class _KnownNumbersModel(models.OpaqueModel):
-    pass
-
-
-@unbox(KnownNumbersType)
-def _unbox_numbers(kind: Any, given: Any, c: Any) -> NativeValue:
-    return NativeValue(c.context.get_dummy_value())
+for _type in (LaneSizes, KnownNumbersType):  # all is in the type, so that they take no room
+    register_model(_type)(models.OpaqueModel)
+    unbox(_type)(lambda kind, given, c: NativeValue(c.context.get_dummy_value()))
 
 
 @infer_getattr
