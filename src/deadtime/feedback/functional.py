@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 
 
@@ -33,7 +34,7 @@ class LoopSpeeds(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Functional:
+class Functional(Frozen):
     """u(t) = F_c x(t) + Σ_p C_c,p ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ, τ from α_p to β_p.
 
     c is the row that applies at t. Immutable.
