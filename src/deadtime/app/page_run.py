@@ -58,7 +58,7 @@ class ProblemOutcome:
     @property
     def observed(self) -> bool:
         """Whether the laws measure outputs; the oracle then has their observer."""
-        return any(isinstance(law, OutputFeedback) for law in self.problem.laws.values())
+        return any(law.observer is not None for law in self.problem.laws.values())
 
     @cached_property
     def metrics(self) -> dict[str, dict[str, float]]:
@@ -180,7 +180,7 @@ def _oracle_measure(problem: Problem, runs: Mapping[str, Trajectory]) -> float |
 def _oracle(problem: Problem) -> Law:
     """The law that knows the signal; on the estimates of the others' observer, if they have one."""
     plant, gains = problem.model or problem.plant, problem.gains
-    first = next((one for one in problem.laws.values() if isinstance(one, OutputFeedback)), None)
+    first: Any = next((one for one in problem.laws.values() if one.observer is not None), None)
     followed = {}
     if first is not None and first.servo is not None and first.law.gains is not None:
         plant, gains = first.law.plant, first.law.gains

@@ -21,7 +21,6 @@ from deadtime.identification.log.read_tables import (
     read_table,
 )
 from deadtime.identification.results.identification_figure import likelihood_figure, quick_figures
-from deadtime.laws import ExactPredictor
 from deadtime.margins import delay_margin
 from deadtime.problems import load_problem
 from deadtime.reports.identification_report import (
@@ -276,7 +275,7 @@ def _verdicts(fit: Identification, saved: Path) -> tuple[str, ...]:
     """What each law of the problem bears, beside what the log leaves open."""
     said, refused = [], ""
     for name, law in load_problem(saved).laws.items():
-        if isinstance(law, ExactPredictor):  # to compare with: no plant offers what it knows
+        if law.foresees:  # to compare with: no plant offers what it knows
             continue
         try:
             margin = delay_margin(fit.plant, law, fit.step)

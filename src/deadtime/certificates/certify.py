@@ -30,7 +30,6 @@ from deadtime.certificates.reach import (
     told_late,
     too_large,
     too_many_told,
-    why_no_table,
 )
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
@@ -140,7 +139,7 @@ def certify(
     reason = reason or why_unmoved(plants)
     table = None if reason else recurrence_of(law, step)
     if table is None:
-        return Certificate(None, reason or why_no_table(law))
+        return Certificate(None, reason)
     late = told_late(law, asked.mode_lag)
     if late:
         return Certificate(None, late)

@@ -8,8 +8,6 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.leaving_ages import least_periods
 from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
-from deadtime.feedback.memory import WithMemory
 from deadtime.feedback.recurrence import same_outputs
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SignalClass
@@ -19,8 +17,8 @@ LARGEST = 3000  # order that memory allows
 
 def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, step: float) -> str:
     """Why there can be no certificate, if so."""
-    if not isinstance(law, TableLaw | WithMemory):
-        return why_no_table(law)
+    if not law.is_linear:
+        return _why_no_table(law)
     if law.foresees:
         return (
             f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
@@ -37,10 +35,10 @@ def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, s
     return ""
 
 
-def why_no_table(law: Law) -> str:
+def _why_no_table(law: Law) -> str:
     """Why a law that has no table has no certificate."""
     name = type(law).__name__
-    if not isinstance(law, WithMemory):
+    if law.observer is None and law.filter is None:
         return f"{name} is no table but a nonlinear law: no certificate of this kind."
     if law.outputs is None:
         return (

@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.controller.past_inputs import DensePast
-from deadtime.estimation import BeliefPredictor
 from deadtime.feedback import Feedback
+from deadtime.feedback.bank import BankForm
+from deadtime.feedback.belief import Belief
+from deadtime.loop.running_belief import running_belief
 
 
 class ModeBelief:
@@ -22,13 +24,14 @@ class ModeBelief:
         The filter as data; `bank` where it is told outputs.
     """
 
-    def __init__(self, law: BeliefPredictor, table: Feedback) -> None:
-        self.running, self._gains = law.running(table), table.state_gain
+    def __init__(self, form: Belief | BankForm, table: Feedback) -> None:
+        self.running = running_belief(form, len(table.state_gain))
+        self._gains, (_, m, n) = table.state_gain, table.state_gain.shape
         self.form, self.bank = self.running.form, self.running.bank
         # In period k the model reads u_{k−N}, so at sample k + 1 one input more than a law does.
         self._count = int(self.running.form.lag.max()) + 1
-        self._ring = np.zeros((2 * self._count, law.plant.inputs))
-        self._place, self._zero = np.zeros(3, np.int64), np.zeros(law.plant.states)
+        self._ring = np.zeros((2 * self._count, m))
+        self._place, self._zero = np.zeros(3, np.int64), np.zeros(n)
 
     def begin(self) -> None:
         """Start anew; the inputs before are pushed afterwards."""

@@ -17,14 +17,15 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.libraries import python_control
-from deadtime.estimation import OutputFeedback
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.law import require_match
+from deadtime.feedback.memory import Memory
 from deadtime.feedback.table import age_after
 from deadtime.loop.running_observer import RunningObserver
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.sampled_plant import acting_inputs
+from deadtime.switching import SwitchingSignal
 
 _DISTURBED = 1e-3  # `control.linearize` moves every input and state a little
 
@@ -70,16 +71,17 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     control = python_control("systems of python-control")
 
     instance("law", law, Law)
-    inner = law.law if isinstance(law, OutputFeedback) else law
-    if not isinstance(inner, TableLaw) or inner.foresees:
-        why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
+    inner = law if law.observer is None else law.inner
+    if inner.why_not_run:
         raise ArgumentError(
-            "law must be a table that can run, or an OutputFeedback of one; "
-            f"{type(inner).__name__} {why}."
+            f"law must be a table that can run, or an OutputFeedback of one; {inner.why_not_run}."
         )
     step = positive("step", step)
-    table = inner.digital(step)
-    observed = _Observed(law, step) if isinstance(law, OutputFeedback) else None
+    tables = law.tables(step, SwitchingSignal.constant(0), 1)
+    assert tables is not None
+    assert tables.feedback is not None
+    table = tables.feedback
+    observed = None if tables.memory is None else _Observed(tables.memory)
     m, G, modes = law.plant.inputs, table.latest_first, law.plant.modes
     past = table.taps if observed is None else max(table.taps, observed.past)
     kept = [] if observed is None else observed.states
@@ -129,8 +131,8 @@ class _Observed:
     references : names of the references
     """
 
-    def __init__(self, law: OutputFeedback, step: float) -> None:
-        self._running = observer = RunningObserver(law.memory(step))
+    def __init__(self, memory: Memory) -> None:
+        self._running = observer = RunningObserver(memory)
         self.past, r = len(observer.ring), observer.before.size
         self.references = _each("r", r)
         self.states = _each("z", observer.z.size) + _each("tracked", r)
@@ -244,9 +246,10 @@ def loop_to_control(
         [one, other], inputs=inputs, outputs=signals, inplist=inputs, outlist=signals
     )
     initial = np.zeros(one.nstates + other.nstates)
-    if isinstance(law, OutputFeedback):
+    tables = law.tables(step, SwitchingSignal.constant(0), 1)
+    if tables is not None and tables.memory is not None:
         z = one.nstates + other.state_labels.index("z[0]")
-        initial[z : z + law.estimate.size] = law.estimate
+        initial[z : z + tables.memory.start.size] = tables.memory.start
     initial[-2:] = -1.0, count("mode_age", mode_age, 0)
     return loop, initial
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import OutputFeedback
+from deadtime.estimation.reference import Reference
 from deadtime.feedback.memory import Memory
 from deadtime.loop.running_observer import RunningObserver
 
@@ -26,10 +26,10 @@ class Observing:
         Whether what it does depends on the mode.
     """
 
-    def __init__(self, law: OutputFeedback, step: float) -> None:
-        self._running = RunningObserver(law.memory(step))
-        self.reference, self._step = law.reference, step
-        self._r = np.zeros(law.reference.size if law.reference else 0)
+    def __init__(self, memory: Memory, reference: Reference | None) -> None:
+        self._running = RunningObserver(memory)
+        self.reference, self._step = reference, memory.step
+        self._r = np.zeros(reference.size if reference else 0)
         self.reads_mode = self.memory.reads_mode
 
     def begin(self, history: Float[np.ndarray, "N m"]) -> None:

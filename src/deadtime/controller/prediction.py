@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.controller.status import Status
-from deadtime.estimation import BeliefPredictor, OutputFeedback, OutputModeFilter
+from deadtime.estimation import OutputModeFilter
 from deadtime.estimation.filter_arguments import intensities, intensity
 from deadtime.feedback.known_state import Known
 from deadtime.feedback.prediction_rows import PredictionTable
@@ -130,7 +130,7 @@ class _Source(Frozen):
     """What a prediction was made of."""
 
     def __init__(self, running: RunningLaw, known: Known) -> None:
-        filt = running.law.filter if isinstance(running.law, BeliefPredictor) else None
+        filt = running.law.filter
         chain = filt.chain if isinstance(filt, OutputModeFilter) else filt
         n = known.x.shape[1]
         self.law, self.step, self.known = running.inner, running.step, known
@@ -158,7 +158,7 @@ class _Source(Frozen):
 def _without_covariance(running: RunningLaw) -> str:
     """Why the covariance of the state now is not known; nothing where it is."""
     law = running.law
-    if not isinstance(law, OutputFeedback):
+    if law.observer is None:
         return ""
     if law.servo is not None:
         return (
@@ -217,7 +217,7 @@ def _known(running: RunningLaw) -> Known:
 def _covariance_of_estimate(running: RunningLaw, n: int) -> Float[np.ndarray, "n n"]:
     """Of the state about what an observer makes of it; 0 where it says nothing of that."""
     law = running.law
-    if not isinstance(law, OutputFeedback) or law.servo is not None:
+    if law.observer is None or law.servo is not None:
         return np.zeros((n, n))
     covariance = law.observer.covariance
     return np.zeros((n, n)) if covariance is None else covariance[max(running._mode, 0)]

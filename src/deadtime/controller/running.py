@@ -18,12 +18,11 @@ from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
 from deadtime.controller.rest_values import RestValues
 from deadtime.controller.status import Clock, Status
-from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
 from deadtime.feedback.prediction_rows import PredictionTable, prediction_table
 from deadtime.feedback.table import age_after
 from deadtime.simulation.initial_input import InitialInput, held_samples
+from deadtime.switching import SwitchingSignal
 
 if TYPE_CHECKING:
     from deadtime.plant import OperatingPoint
@@ -47,18 +46,18 @@ class RunningLaw(Stateful):
         operating_point: OperatingPoint | None = None,
     ) -> None:
         instance("law", law, Law)
-        inner = law.law if isinstance(law, OutputFeedback | BeliefPredictor) else law
-        if not isinstance(inner, TableLaw) or inner.foresees:
-            why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
+        if law.inner.why_not_run:
             raise ArgumentError(
-                f"law must be a table that a controller can run; {type(inner).__name__} {why}."
+                f"law must be a table that a controller can run; {law.inner.why_not_run}."
             )
-        self.law, self.step = law, positive("step", step)
-        if isinstance(law, BeliefPredictor):
-            law.require_step(self.step)
-        self.inner, self.table = inner, inner.digital(self.step)
-        self.observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
-        self.believing = ModeBelief(law, self.table) if isinstance(law, BeliefPredictor) else None
+        self.law, self.inner, self.step = law, law.inner, positive("step", step)
+        tables = law.tables(self.step, SwitchingSignal.constant(0), 1)
+        assert tables is not None
+        assert tables.feedback is not None
+        form, memory = tables.belief or tables.bank, tables.memory
+        self.table = tables.feedback
+        self.observing = None if memory is None else Observing(memory, law.reference)
+        self.believing = None if form is None else ModeBelief(form, self.table)
         tracked = None if self.observing is None else self.observing.memory.tracked
         self.operating_point, size = operating_point, self.table.state_gain.shape[2]
         self.rest = RestValues.of(law, size, tracked, operating_point)

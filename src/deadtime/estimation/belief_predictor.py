@@ -13,14 +13,14 @@ from deadtime.estimation.output_mode_filter import OutputModeFilter
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief, Believing
-from deadtime.feedback.law import Remembering, TableLaw, Update
-from deadtime.feedback.memory import Tables, WithMemory
+from deadtime.feedback.law import Remembering, Update
+from deadtime.feedback.memory import Tables
 from deadtime.loop.running_belief import RunningBank, RunningBelief, running_belief
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class BeliefPredictor(WithMemory, Law):
+class BeliefPredictor(Law):
     """A law whose rows are weighed by how likely their modes are; it reads no mode.
 
         u = Σ_c π_c (F_c x + Σ_j G_{c,j} u_{k−j}),    c = mode, or (mode, age)
@@ -56,7 +56,7 @@ class BeliefPredictor(WithMemory, Law):
     ((2, 501), False, True)
     """
 
-    law: TableLaw
+    law: Law
     filter: ModeFilter | OutputModeFilter
 
     def __init__(self, law: Law, filter: ModeFilter | OutputModeFilter) -> None:
@@ -65,10 +65,10 @@ class BeliefPredictor(WithMemory, Law):
         if outputs is None:
             instance("filter", filter, ModeFilter)
         kind = type(law).__name__
-        if not isinstance(law, TableLaw) or law.foresees:
-            why = "foresees the signal" if law.foresees else "is no table"
+        if law.observer is not None or law.why_not_run:
+            why = law.why_not_run or f"{kind} is no table"
             raise ArgumentError(
-                f"law must have a table of rows by mode, or by mode and age: {kind} {why}."
+                f"law must have a table of rows by mode, or by mode and age: {why}."
             )
         for size in ("modes", "states", "inputs"):
             mine, its = getattr(law.plant, size), getattr(filter.plant, size)
@@ -90,6 +90,10 @@ class BeliefPredictor(WithMemory, Law):
                 f"{filter.longest_lag}: give the law's model the longer delay, too."
             )
         vars(self).update(plant=law.plant, gains=law.gains, outputs=outputs, law=law, filter=filter)
+
+    @property
+    def inner(self) -> Law:
+        return self.law
 
     @property
     def label(self) -> str:

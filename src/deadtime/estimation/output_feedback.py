@@ -15,8 +15,8 @@ from deadtime.estimation.observer import Observer
 from deadtime.estimation.reference import Drawable, Reference
 from deadtime.estimation.servo import Servo
 from deadtime.feedback import Feedback, Forecast, Law
-from deadtime.feedback.law import Remembering, TableLaw, Update
-from deadtime.feedback.memory import Memory, MemorySizes, Tables, WithMemory
+from deadtime.feedback.law import Remembering, Update
+from deadtime.feedback.memory import Memory, MemorySizes, Tables
 from deadtime.loop.running_observer import RunningObserver
 from deadtime.numerics.streams import stream
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -25,7 +25,7 @@ from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class OutputFeedback(WithMemory, Law):
+class OutputFeedback(Law):
     """A law that measures y = C_σ x and is run on what an observer makes of it.
 
     Every law may be used: it is given x̂ instead of x. Its model and the observer's are the same
@@ -105,7 +105,7 @@ class OutputFeedback(WithMemory, Law):
                 raise ArgumentError("reference needs a servo: `Servo` says what tracks it.")
         else:
             instance("servo", servo, Servo)
-            if not isinstance(law, TableLaw):
+            if not law.is_linear:
                 raise ArgumentError(
                     f"law must be a table to follow a reference, got {type(law).__name__}: laws on "
                     "a belief, or on a rule of the state, follow none. Where the mode is not "
@@ -166,13 +166,20 @@ class OutputFeedback(WithMemory, Law):
         )
 
     @property
+    def inner(self) -> Law:
+        return self.law
+
+    @property
+    def is_linear(self) -> bool:
+        return self.law.is_linear
+
+    @property
     def label(self) -> str:
         return f"{self.law.label}, observed"
 
     @property
     def observer_alone_reads_mode(self) -> bool:
-        """Whether the mode must be measured for the observer, the law's rows not reading it."""
-        if not self.observer.reads_mode or not isinstance(self.law, TableLaw) or self.foresees:
+        if not self.observer.reads_mode or self.why_not_run:
             return False
         return self.law.digital(self.observer.step).context == "none"
 
@@ -239,7 +246,7 @@ class OutputFeedback(WithMemory, Law):
         )
 
     def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
-        if not isinstance(self.law, TableLaw):
+        if not self.is_linear:
             return None
         return Tables(
             self.law.digital(step, signal, steps), self.memory(step, signal, steps, steps)

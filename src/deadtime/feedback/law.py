@@ -19,6 +19,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
 from deadtime.feedback.functional import Functional
 from deadtime.feedback.known_state import Known
+from deadtime.feedback.memory import Tables
 from deadtime.feedback.preview import Foresight
 from deadtime.feedback.table import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
@@ -104,6 +105,10 @@ class Law(Frozen, ABC):
         K_i of u = +K_i x, used for the mismatch; None where the law has no gain per mode.
     outputs : (modes, p, n) array or None
         C_i, of a law that measures y = C_σ x; None for the whole state.
+    observer, servo, reference : Observer, Servo, Reference or None
+        Of a law on estimates from outputs, and of one that tracks outputs; see `OutputFeedback`.
+    filter : ModeFilter, OutputModeFilter or None
+        Of a law that weighs its rows by a belief; see `BeliefPredictor`.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -115,11 +120,42 @@ class Law(Frozen, ABC):
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m n"] | None
     outputs: Float[np.ndarray, "mode p n"] | None = field(default=None, kw_only=True)
+    observer: Any = field(default=None, init=False)
+    servo: Any = field(default=None, init=False)
+    filter: Any = field(default=None, init=False)
+    reference: Any = field(default=None, init=False)
 
     @property
     @abstractmethod
     def label(self) -> str:
         """A few words for legends and tables."""
+
+    @property
+    def inner(self) -> Law:
+        """The law whose rows it runs: of one on estimates or on a belief another, else itself."""
+        return self
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether u_k is linear in what it measures and remembers, along any signal of modes."""
+        return False
+
+    @property
+    def predicts(self) -> bool:
+        """Whether it is predictor feedback at all; a baseline without prediction says no."""
+        return True
+
+    @property
+    def why_not_run(self) -> str:
+        """Why it has no table that can run in real time; nothing of a law that has."""
+        if not self.is_linear:
+            return f"{type(self).__name__} is no table"
+        return f"{type(self).__name__} foresees the signal" if self.foresees else ""
+
+    @property
+    def observer_alone_reads_mode(self) -> bool:
+        """Whether the mode must be measured for the observer, the law's rows not reading it."""
+        return False
 
     @property
     def foresees(self) -> bool:
@@ -155,6 +191,17 @@ class Law(Frozen, ABC):
             many samples to make rows for.
         """
 
+    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
+        """Its tables for a run along a signal, as `digital` makes them; None of a law without any.
+
+        Such a law is called at every sample.
+        """
+        return None
+
+    def beginning_at(self, memory: Float[np.ndarray, " w"]) -> Law:
+        """The law with no reference that remembers w before its first sample."""
+        return self
+
     @abstractmethod
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
         """The law in continuous time, for a run on [0, horizon] along a signal.
@@ -173,23 +220,6 @@ class Law(Frozen, ABC):
         future and is not told it.
         """
 
-    def __repr__(self) -> str:
-        label = self.label if isinstance(self.label, str) else "its label is no text"
-        return f"{type(self).__name__}({label}; model {self.plant!r})"
-
-    def sampled_plant(self, step: float) -> SampledPlant:
-        """The model at a sampling period."""
-        return SampledPlant.of(self.plant, step)
-
-    def window(self, step: float) -> Window:
-        """The window of the model's delay at a sampling period."""
-        return self.sampled_plant(step).window
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TableLaw(Law):
-    """A law that is a table of linear functionals: every one but the state-dependent."""
-
     def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Foresight | None:
@@ -199,12 +229,15 @@ class TableLaw(Law):
         """
         return None
 
+    def require_step(self, step: float) -> None:
+        """Refuse a period that is not that of its observer or filter."""
+
     @property
     def horizons(self) -> Float[np.ndarray, "future m"]:
         """How far ahead it predicts for each input, seconds, by the system its forecast ends in."""
         return self.plant.delays
 
-    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         """The law with the same forecast for a larger plant, with gains `rows` of inputs after m.
 
         Of that its predictions are made (`deadtime.feedback.prediction_rows`). Raises
@@ -228,6 +261,32 @@ class TableLaw(Law):
             f"law must say how it is uncertain for a covariance: {type(self).__name__} "
             f"({self.label}) does not."
         )
+
+    def __repr__(self) -> str:
+        label = self.label if isinstance(self.label, str) else "its label is no text"
+        return f"{type(self).__name__}({label}; model {self.plant!r})"
+
+    def sampled_plant(self, step: float) -> SampledPlant:
+        """The model at a sampling period."""
+        return SampledPlant.of(self.plant, step)
+
+    def window(self, step: float) -> Window:
+        """The window of the model's delay at a sampling period."""
+        return self.sampled_plant(step).window
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TableLaw(Law):
+    """A law that is a table of linear functionals: every one but the state-dependent."""
+
+    @property
+    def is_linear(self) -> bool:
+        return True
+
+    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
+        foresight = self.foresight(step, signal, steps)
+        feedback = None if foresight else self.digital(step, signal, steps)
+        return Tables(feedback, foresight=foresight)
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

@@ -15,19 +15,15 @@ the sum stopping where it asks for more of what an input was refused
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.errors import ArgumentError
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
-from deadtime.feedback.law import Law, TableLaw
 from deadtime.feedback.preview import Foresight
 from deadtime.feedback.table import Feedback
-from deadtime.switching import SwitchingSignal
 
 
 class MemorySizes(NamedTuple):
@@ -108,26 +104,3 @@ class Tables(NamedTuple):
     foresight: Foresight | None = None
     belief: Belief | None = None
     bank: BankForm | None = None
-
-
-class WithMemory(ABC):
-    """A base beside `Law`, by which compiled loops know a law that is a table of what it keeps."""
-
-    @abstractmethod
-    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
-        """Its tables for a run, as `Law.digital` makes them; None where it has none."""
-
-    def beginning_at(self, memory: Float[np.ndarray, " w"]) -> Law:
-        """The law with no reference that remembers w before its first sample, as it can be told."""
-        raise ArgumentError(
-            f"law must remember what can be set for it, as `OutputFeedback` does, got {self!r}."
-        )
-
-
-def tables_of(law: Law, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
-    """A law's tables for a run along a signal; None of a law that must be called."""
-    if isinstance(law, TableLaw):
-        foresight = law.foresight(step, signal, steps)
-        feedback = None if foresight else law.digital(step, signal, steps)
-        return Tables(feedback, foresight=foresight)
-    return law.tables(step, signal, steps) if isinstance(law, WithMemory) else None

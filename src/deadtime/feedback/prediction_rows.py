@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.feedback.law import TableLaw
+from deadtime.feedback.law import Law
 from deadtime.feedback.table import side_by_side
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -43,7 +43,7 @@ class PredictionTable(NamedTuple):
 
 
 def prediction_table(
-    law: TableLaw,
+    law: Law,
     step: float,
     signal: SwitchingSignal | None = None,
     steps: int | None = None,
@@ -105,7 +105,7 @@ def _with_outputs(plant: SwitchedSystem, j: int) -> SwitchedSystem:
 
 
 def _rows_of(
-    law: TableLaw,
+    law: Law,
     plant: SwitchedSystem,
     step: float,
     signal: SwitchingSignal | None,

@@ -23,8 +23,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.feedback.law import Law, TableLaw
-from deadtime.feedback.memory import Memory, WithMemory
+from deadtime.feedback.law import Law
+from deadtime.feedback.memory import Memory
 from deadtime.feedback.table import Feedback
 from deadtime.switching import SwitchingSignal
 
@@ -46,10 +46,10 @@ def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) 
     (2, 'mode', (2, 3, 2), (2, 10, 3, 3))
     """
     signal = SwitchingSignal.constant(0) if signal is None else signal
-    if isinstance(law, TableLaw):
-        return law.digital(step, signal, 1)
-    if not isinstance(law, WithMemory) or law.outputs is None:
+    if not law.is_linear:
         return None
+    if law.outputs is None:
+        return law.digital(step, signal, 1)
     tables = law.tables(step, signal, 1)
     if tables is None or tables.feedback is None or tables.memory is None:
         return None
@@ -71,7 +71,7 @@ def with_lost_rows(law: Law, table: Feedback) -> Feedback:
     ([[0.0, 0.0]], [1.0, 0.0])
     """
     F, G = np.zeros_like(table.state_gain), np.zeros_like(table.input_gain)
-    if isinstance(law, WithMemory) and law.outputs is not None:
+    if law.outputs is not None:
         tables = law.tables(table.step, SwitchingSignal.constant(0), 1)
         assert tables is not None
         assert tables.feedback is not None

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, require_probabilities, require_shape
 from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.known_state import Known
-from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
+from deadtime.feedback.law import Law, TableLaw, check_dwell_time, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SwitchedSystem
@@ -162,7 +162,7 @@ class AveragedPredictor(TableLaw):
 
         return constant_table(plant, *parts, step)
 
-    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         gains = extended_gains(self.gains, rows)
         return AveragedPredictor(plant, gains, self.weights, self.dwell_time, allow_unstable=True)
 

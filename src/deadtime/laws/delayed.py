@@ -49,6 +49,10 @@ class DelayedStateFeedback(TableLaw):
         vars(self).update(plant=plant, gains=gains, allow_unstable=allow_unstable)
 
     @property
+    def predicts(self) -> bool:
+        return False
+
+    @property
     def label(self) -> str:
         return "delay ignored"
 

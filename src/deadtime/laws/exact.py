@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Foresight
-from deadtime.feedback.law import TableLaw
+from deadtime.feedback.law import Law, TableLaw
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import require_finite_gains
 from deadtime.gains.checked_gains import check_gains
@@ -150,7 +150,7 @@ class ExactPredictor(TableLaw):
             F, G = foresight.rows(samples)
         return Feedback(F, G, "step", sampled.step)
 
-    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         gains = extended_gains(self.gains, rows)
         return ExactPredictor(plant, gains, self.signal, allow_unstable=True)
 

@@ -12,7 +12,7 @@ from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.known_state import Known
-from deadtime.feedback.law import TableLaw, remember_table, require_room, room
+from deadtime.feedback.law import Law, TableLaw, remember_table, require_room, room
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -122,7 +122,7 @@ class ExpectedPredictor(TableLaw):
         """The model at samples, up to the oldest age that a forecast from the table's reaches."""
         return self.model.chain(sampled.step, (ages or 1) + sampled.longest_lag)
 
-    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         gains = extended_gains(self.gains, rows)
         return ExpectedPredictor(plant, gains, self.model, ages=self.ages, allow_unstable=True)
 

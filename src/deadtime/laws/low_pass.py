@@ -60,12 +60,12 @@ class LowPassPredictor(TableLaw):
     array([ 0.305, -0.063])
     """
 
-    law: TableLaw
+    law: Law
     time_constant: Float[np.ndarray, "m m"]
 
     def __init__(self, law: Law, time_constant: ArrayLike) -> None:
         instance("law", law, Law)
-        if not isinstance(law, TableLaw):
+        if not law.is_linear or law.observer is not None:
             raise ArgumentError(
                 f"law must be a table, got {type(law).__name__}, which is called sample by sample."
             )
@@ -119,7 +119,7 @@ class LowPassPredictor(TableLaw):
     def horizons(self) -> Float[np.ndarray, "future m"]:
         return self.law.horizons
 
-    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         shortest, longest = self.plant.delays.min(), self.plant.delays.max()
         if shortest < longest:  # the wrapped law counts on inputs to come that are not filtered
             raise ArgumentError(

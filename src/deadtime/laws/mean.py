@@ -13,7 +13,7 @@ from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.known_state import Known
-from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
+from deadtime.feedback.law import Law, TableLaw, check_dwell_time, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.gains.checked_gains import check_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
@@ -124,7 +124,7 @@ class MeanPredictor(TableLaw):
     def horizons(self) -> Float[np.ndarray, "future m"]:
         return self._mean_plant.delays
 
-    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         (A, B), more, further = self.mean, plant.states - self.plant.states, rows.shape[1]
         mean = np.pad(A, (0, more)), np.pad(B, ((0, more), (0, further)))
         gain = extended_gains(self.gain[None], rows)[0]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.known_state import Known
-from deadtime.feedback.law import TableLaw, remember_table
+from deadtime.feedback.law import Law, TableLaw, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SwitchedSystem
@@ -78,7 +78,7 @@ class SingleModePredictor(TableLaw):
 
         return constant_table(self._own, self.gains[self.mode : self.mode + 1], np.ones(1), step)
 
-    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         gains = extended_gains(self.gains, rows)
         return SingleModePredictor(plant, gains, self.mode, allow_unstable=True)
 

@@ -11,9 +11,7 @@ from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import as_rate
-from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
 from deadtime.plant import UncertainPlant
 from deadtime.spectrum import growth_rate
 
@@ -120,5 +118,4 @@ def has_rates(law: Law) -> bool:
     >>> has_rates(dt.problems.paper().laws["averaged"])
     True
     """
-    inner = law.law if isinstance(law, OutputFeedback) else law
-    return isinstance(inner, TableLaw)
+    return law.is_linear

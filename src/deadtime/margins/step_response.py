@@ -148,8 +148,8 @@ def step_response(
         slowest = min(_SETTLED / abs(growth) if growth else math.inf, _MOST * step)
         horizon = step * min(math.ceil((slowest + 2.0 * plant.longest_delay) / step), _MOST)
     signal, pushes, rows = SwitchingSignal.constant(mode), [], np.eye(plant.states)
-    tracks = isinstance(law, OutputFeedback) and law.servo is not None
-    if isinstance(law, OutputFeedback):
+    tracks = law.servo is not None
+    if law.observer is not None:
         rows = law.observer.C[mode][:, : plant.states]
         if law.servo is not None:
             rows, output = law.servo.tracked @ rows, channel
@@ -169,9 +169,9 @@ def step_response(
 
 def _at_rest(law: Law, channel: int) -> Law:
     """The law before a step of one reference, with nothing estimated."""
-    if not isinstance(law, OutputFeedback):
+    if law.observer is None:
         return law
     if law.servo is None:
-        return OutputFeedback(law.law, law.observer)
+        return OutputFeedback(law.inner, law.observer)
     reference = np.eye(len(law.servo.tracked))[channel]
-    return OutputFeedback(law.law, law.observer, servo=law.servo, reference=reference)
+    return OutputFeedback(law.inner, law.observer, servo=law.servo, reference=reference)

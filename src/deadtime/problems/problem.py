@@ -12,13 +12,11 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import input_names, numbered
-from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
 from deadtime.imperfections.words import in_words
 from deadtime.laws import (
     ExactPredictor,
-    StateDependentPredictor,
 )
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant, Weight
 from deadtime.simulation import Trajectory, simulate
@@ -181,11 +179,7 @@ class Problem(Frozen):
     @property
     def observer_alone_reads_mode(self) -> tuple[str, ...]:
         """Names of the laws on outputs whose observer needs the mode, which their rows do not."""
-        return tuple(
-            name
-            for name, law in self.laws.items()
-            if isinstance(law, OutputFeedback) and law.observer_alone_reads_mode
-        )
+        return tuple(name for name, law in self.laws.items() if law.observer_alone_reads_mode)
 
     def simulate(self, law: str | Law, signal: SwitchingSignal | None = None) -> Trajectory:
         """Run a law, one of the problem's by its name or any other, on its signal or on another.
@@ -226,8 +220,9 @@ class Problem(Frozen):
     def hold(self, mode: int, horizon: float) -> Trajectory:
         """Run the first law in one constant mode, nothing else imperfect, on [0, horizon] s."""
         law = next(iter(self.laws.values()))
-        if self.step is None and isinstance(law, StateDependentPredictor):
+        if self.step is None and not law.is_linear and law.observer is None:
             # Its ideal loop follows the rule; in a constant mode it predicts what an oracle would.
+            assert law.gains is not None
             law = ExactPredictor(law.plant, law.gains, allow_unstable=True)
         signal = SwitchingSignal.constant(mode)
         return simulate(self.plant, law, signal, self.x0, horizon, self.step, self._history())

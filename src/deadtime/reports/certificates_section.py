@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import file_name, with_names
-from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
 from deadtime.problems.asked import signals_of, step_of
 from deadtime.problems.comparison import Comparison, Progress
@@ -102,8 +101,8 @@ def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, 
 
     figures = []
     for one in judged:
-        baseline = isinstance(problem.laws[one.law], DelayedStateFeedback)
-        if one.stable is not False or one.worst is None or baseline:
+        predicts = problem.laws[one.law].predicts
+        if one.stable is not False or one.worst is None or not predicts:
             continue
         figures.append((
             f"witness-{file_name(one.law)}",

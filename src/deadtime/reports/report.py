@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.base.wording import file_name
-from deadtime.laws import DelayedStateFeedback
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.asked import dwell_time_of
@@ -124,7 +123,7 @@ def _whose(result: Comparison) -> str:
 
 def _is_shown(problem: Problem, law: str) -> bool:
     """Whether a law has a figure of its own: all but a baseline that others are held against."""
-    return len(problem.laws) == 1 or not isinstance(problem.laws[law], DelayedStateFeedback)
+    return len(problem.laws) == 1 or problem.laws[law].predicts
 
 
 def steps_of(problem: Problem, certificates: bool = True) -> int:

@@ -8,7 +8,6 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import amount, as_rate, compact, sentence_of
-from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.laws import (
     DelayedStateFeedback,
@@ -136,9 +135,9 @@ def _observer_reads_mode(result: Comparison) -> list[str]:
 def _slow_observer(result: Comparison) -> list[str]:
     """That the first law waits for its observer, whose error lasts twice as long as the loop."""
     law, step = result.problem.laws[result.lead], result.problem.step
-    if not isinstance(law, OutputFeedback):
+    if law.observer is None:
         return []
-    inner = law.law
+    inner = law.inner
     if why_left_out("growth rate", inner.plant, inner, step):
         return []
     try:
@@ -274,7 +273,7 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
     costs = {
         name: math.inf if result.runs[name].diverged else row["cost"]
         for name, row in result.metrics.items()
-        if not isinstance(result.problem.laws[name], ExactPredictor)
+        if not result.problem.laws[name].foresees
     }
     best = min(costs, key=lambda name: costs[name])
     # Named only if it is cheaper than those that are named anyway.

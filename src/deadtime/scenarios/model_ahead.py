@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Foresight
-from deadtime.feedback.law import TableLaw
+from deadtime.feedback import Foresight, Law
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.cut_periods import compose, parts_of
@@ -28,7 +27,7 @@ class ModelAhead:
         What it does in a period; of no plant's state.
     """
 
-    def __init__(self, law: TableLaw, sampled: SampledPlant, samples: int) -> None:
+    def __init__(self, law: Law, sampled: SampledPlant, samples: int) -> None:
         window, n = sampled.window, sampled.plant.states
         self._law, self._step, self._samples = law, window.step, samples
         self._foresight = self._ask(SwitchingSignal.constant(0))

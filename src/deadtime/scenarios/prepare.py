@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
-from deadtime.feedback.memory import WithMemory, tables_of
+from deadtime.feedback import Feedback, Law
+from deadtime.feedback.memory import Tables
 from deadtime.imperfections import Disturbance, Imperfection, Limiting, TimingImperfection
 from deadtime.imperfections.array_kinds import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -69,49 +69,44 @@ def _tables(
 
 def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | None:
     """A law as the engine takes it; None for one that it cannot run."""
-    step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
     if law.draws:  # the engine keeps one beginning and one reference for all scenarios
         return None
-    if isinstance(law, WithMemory) and law.outputs is not None and not law.foresees:
-        return _with_memory(engine, loop, law, timed)
-    if isinstance(law, WithMemory) and not law.foresees:
-        return _with_belief(engine, loop, law)
-    if not isinstance(law, TableLaw):
+    C = law.outputs
+    if C is not None and law.foresees:
         return None
-    if law.foresight(step, anything, samples) is not None:
-        ahead = ModelAhead(law, law.sampled_plant(step), samples)
-        if ahead.loop.tables is None or loop.plant.states**3 > _MOST_TERMS:
-            return None
-        return ahead
-    feedback = law.digital(step, anything, 1)
-    if feedback.context == "step":
+    steps = 1 if C is None else loop.whole + 1
+    tables = law.tables(loop.step, SwitchingSignal.constant(0), steps)
+    if tables is None:
         return None
-    return engine.table(feedback)
+    if tables.foresight is not None:
+        ahead = ModelAhead(law, law.sampled_plant(loop.step), loop.whole + 1)
+        fits = ahead.loop.tables is not None and loop.plant.states**3 <= _MOST_TERMS
+        return ahead if fits else None
+    feedback = tables.feedback
+    if feedback is None or feedback.context == "step":
+        return None
+    if C is not None:
+        return _on_outputs(engine, loop, tables, feedback, C, timed)
+    return (
+        engine.table(feedback) if tables.belief is None else engine.believe(feedback, tables.belief)
+    )
 
 
-def _with_memory(engine: Engine, loop: Loop, law: Law, timed: bool) -> EngineTable | None:
-    """The same of a law that remembers; with measurements within periods, of one C for all modes.
-
-    Its memory is filled for one run, but for what the modes of a run do to it.
-    """
-    tables, C = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1), law.outputs
-    if tables is not None and tables.bank is not None and tables.feedback is not None:
-        if C is None or (timed and (C[0] != C).any()):
-            return None
-        return engine.estimate(tables.feedback, tables.bank, C)
-    if tables is None or tables.memory is None or tables.feedback is None or C is None:
+def _on_outputs(
+    engine: Engine,
+    loop: Loop,
+    tables: Tables,
+    feedback: Feedback,
+    C: Float[np.ndarray, "mode p n"],
+    timed: bool,
+) -> EngineTable | None:
+    """The same of a law on outputs; with measurements within periods, of one C for all modes."""
+    memory = tables.memory
+    if timed and (C[0] != C).any():
         return None
-    if tables.memory.tracked.size and loop.whole == 0:  # errors are summed up to the horizon
+    if tables.bank is not None:
+        return engine.estimate(feedback, tables.bank, C)
+    if memory is None or (memory.tracked.size and loop.whole == 0):  # errors are summed to the end
         return None
-    wide = max(part.shape[-1] for part in (tables.memory.Phi, tables.memory.Gamma))
-    if (timed and (C[0] != C).any()) or wide**2 * 4 > _MOST_TERMS:
-        return None
-    return engine.remember(tables.feedback, tables.memory, C)
-
-
-def _with_belief(engine: Engine, loop: Loop, law: Law) -> EngineTable | None:
-    """The same of a law that weighs its rows by a belief."""
-    tables = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1)
-    if tables is None or tables.belief is None or tables.feedback is None:
-        return None
-    return engine.believe(tables.feedback, tables.belief)
+    wide = max(part.shape[-1] for part in (memory.Phi, memory.Gamma))
+    return None if wide**2 * 4 > _MOST_TERMS else engine.remember(feedback, memory, C)

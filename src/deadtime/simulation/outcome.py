@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.wording import amount
-from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.imperfections import (
     Additive,
@@ -104,8 +103,7 @@ class Outcome:
 
 def is_pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
     """Whether something keeps a loop from 0: a force, noise, or a reference."""
-    follows = isinstance(law, OutputFeedback) and law.servo is not None
-    return follows or bool(pushes(imperfections))
+    return law.servo is not None or bool(pushes(imperfections))
 
 
 def pushes(imperfections: Sequence[Imperfection]) -> list[Imperfection]:

@@ -12,7 +12,6 @@ from deadtime.base.checks import count, instance, positive, real_array, require_
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
-from deadtime.feedback.memory import tables_of
 from deadtime.imperfections import (
     ActuatorImperfection,
     Disturbance,
@@ -234,7 +233,7 @@ def _digital(
         grid = replace(grid, sampled=grid.sampled.cut_alike())
     tables = None
     if known is not None and takes(others):
-        tables = tables_of(law, step, known, grid.samples)
+        tables = law.tables(step, known, grid.samples)
     if known is not None and tables is not None and tables.bank is None:
         arrays = Arrays.of(others, sizes, grid.samples, predict) if others else None
         return run_table(law, tables, known, x0, grid, arrays, disturbances)

@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.estimation import OutputFeedback
 from deadtime.estimation.reference import Reference
 from deadtime.feedback import Law
 from deadtime.plant.steps import TOLERANCE
@@ -38,7 +37,7 @@ class Followed(Frozen):
     @classmethod
     def of(cls, law: Law) -> Followed | None:
         """That of a law, where it tracks anything."""
-        if not isinstance(law, OutputFeedback) or law.servo is None or law.reference is None:
+        if law.servo is None or law.reference is None:
             return None
         C = law.observer.C[:, :, : law.servo.base.states]
         return cls(law.servo.tracked @ C, law.reference)

@@ -6,7 +6,6 @@ import math
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
@@ -86,10 +85,10 @@ def growth_rate(
     if step is None:
         return _ideal(plant, law, mode)
     step = positive("step", step)
-    table = law.law if isinstance(law, OutputFeedback) else law
-    feedback = table.digital(step, SwitchingSignal.constant(mode), 1)
+    rows = law if law.observer is None else law.inner
+    feedback = rows.digital(step, SwitchingSignal.constant(mode), 1)
     row = aged_row(feedback, mode)
-    if isinstance(law, OutputFeedback):
+    if law.observer is not None:
         from deadtime.spectrum.observed import observed_loop
 
         law.require_step(step)

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.estimation import OutputFeedback
-from deadtime.feedback import Feedback
+from deadtime.feedback import Feedback, Law
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
 from deadtime.spectrum.lifted import LiftedLoop
@@ -38,7 +37,7 @@ class LawSide(NamedTuple):
     @classmethod
     def of(
         cls,
-        law: OutputFeedback,
+        law: Law,
         C: Float[np.ndarray, "p seen"],
         x_bar: Period,
         F: Float[np.ndarray, "m z"],
@@ -68,7 +67,7 @@ class Joined(NamedTuple):
     true: int
 
     @classmethod
-    def of(cls, law: OutputFeedback, x: Period, x_bar: Period, F: np.ndarray, mode: int) -> Joined:
+    def of(cls, law: Law, x: Period, x_bar: Period, F: np.ndarray, mode: int) -> Joined:
         """Plant and observer side by side, each with its own inputs, under F of the law inside."""
         assert law.outputs is not None
         side, n = LawSide.of(law, law.outputs[mode], x_bar, F, mode), len(x.Phi)
@@ -89,14 +88,14 @@ class Joined(NamedTuple):
         return Period(self.Phi, Gamma, lags)
 
 
-def periods_of(plant: SwitchedSystem, law: OutputFeedback, mode: int) -> tuple[Period, Period]:
+def periods_of(plant: SwitchedSystem, law: Law, mode: int) -> tuple[Period, Period]:
     """A period of the plant, and of the observer's model of it."""
     step, model = law.observer.step, law.observer.plant
     return SampledPlant(plant, step).period(mode), SampledPlant(model, step).period(mode)
 
 
 def observed_loop(
-    plant: SwitchedSystem, law: OutputFeedback, feedback: Feedback, mode: int, row: int
+    plant: SwitchedSystem, law: Law, feedback: Feedback, mode: int, row: int
 ) -> LiftedLoop:
     """The loop of plant, observer and one row of the table of the law inside, reference 0."""
     x, x_bar = periods_of(plant, law, mode)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback, Law
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.pieces import Period
@@ -38,7 +37,7 @@ class ObservedResponse(DigitalResponse):
 
     @classmethod
     def beside(
-        cls, plant: SwitchedSystem, law: OutputFeedback, feedback: Feedback, mode: int
+        cls, plant: SwitchedSystem, law: Law, feedback: Feedback, mode: int
     ) -> ObservedResponse:
         """The loop with one mode held."""
         row, (x, x_bar) = aged_row(feedback, mode), periods_of(plant, law, mode)
@@ -94,7 +93,7 @@ class ObservedResponse(DigitalResponse):
 def digital_response(plant: SwitchedSystem, law: Law, mode: int, step: float) -> DigitalResponse:
     """The loop of any linear law with one mode held."""
     signal = SwitchingSignal.constant(mode)
-    if not isinstance(law, OutputFeedback):
+    if law.observer is None:
         return DigitalResponse.of(plant, law.digital(step, signal, 1), mode)
     law.require_step(step)
-    return ObservedResponse.beside(plant, law, law.law.digital(step, signal, 1), mode)
+    return ObservedResponse.beside(plant, law, law.inner.digital(step, signal, 1), mode)

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.numerics.exponential import balance
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -66,11 +65,11 @@ class OpenLoop:
     @classmethod
     def of(cls, plant: SwitchedSystem, law: Law, mode: int, step: float) -> OpenLoop:
         """The loop of any linear law with one mode held."""
-        inside = law.law if isinstance(law, OutputFeedback) else law
-        feedback = inside.digital(step, SwitchingSignal.constant(mode), 1)
+        rows = law if law.observer is None else law.inner
+        feedback = rows.digital(step, SwitchingSignal.constant(mode), 1)
         row = aged_row(feedback, mode)
         F, G = feedback.state_gain[row], feedback.input_gain[row]
-        if isinstance(law, OutputFeedback):
+        if law.observer is not None:
             law.require_step(step)
             assert law.outputs is not None
             x, model = periods_of(plant, law, mode)

@@ -8,7 +8,8 @@ import numpy as np
 
 from deadtime.base.checks import instance, number, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback import Law
+from deadtime.feedback.law import require_match
 from deadtime.gains.pole_placement import unseen_pole
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_matrix
@@ -69,14 +70,14 @@ def require_seen(plant: SwitchedSystem, weight: Weight) -> None:
             )
 
 
-def require_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> TableLaw:
+def require_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> Law:
     """The plain design's law, if the family's laws can be run."""
     if not callable(make):
         raise ArgumentError(f"law must be a function (plant, gains) -> law, got {make!r}.")
     _require_two_arguments(make)
     law = make(plant, gains)
     kind = type(law).__name__
-    if not isinstance(law, TableLaw):
+    if not law.is_linear or law.observer is not None:
         raise ArgumentError(
             f"law must make laws that are tables, got {kind}: a delay margin is that of a linear "
             "loop."

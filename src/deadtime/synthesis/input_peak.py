@@ -30,7 +30,7 @@ from deadtime.base.checks import bound, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback, Law
-from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.law import require_match
 from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import LiftedLoop, aged_row, growth_rate, least_growth
@@ -110,7 +110,7 @@ def input_peak(
     """
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
-    if not isinstance(law, TableLaw) or law.foresees:
+    if law.why_not_run or law.observer is not None:
         raise ArgumentError(
             f"law must be a table that can run, got {type(law).__name__}: inputs are linear in "
             "x(0) only of such a law."

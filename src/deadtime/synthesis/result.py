@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Law
-from deadtime.laws import LowPassPredictor
 from deadtime.margins.constant_modes import DelayMargin
 from deadtime.plant import Weight
 from deadtime.synthesis.floors import Floors
@@ -52,7 +51,7 @@ class TradeOff:
     @property
     def time_constant(self) -> Float[np.ndarray, "m m"] | None:
         """T of the low-pass filter, seconds; None without one."""
-        return self.law.time_constant if isinstance(self.law, LowPassPredictor) else None
+        return getattr(self.law, "time_constant", None)
 
 
 @dataclass(frozen=True, eq=False)

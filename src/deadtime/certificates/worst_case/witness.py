@@ -16,7 +16,6 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.lost_at import LostAt
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.feedback import Law
-from deadtime.feedback.memory import WithMemory
 from deadtime.imperfections import Imperfection, ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
@@ -150,8 +149,7 @@ def worst_case(
     aged = feedback.ages * loop.step if feedback.context == "mode_age" else 0.0
     x0, outputs = _direction(growth.vector, plant.states, q + plant.inputs)
     start = x0, outputs[q:]
-    if isinstance(law, WithMemory):
-        law = law.beginning_at(outputs[:q, -1])
+    law = law.beginning_at(outputs[:q, -1])
     proof = prove(loop, cycle, growth.rate)
     kept = KeptLoop(plant, law, dwell_time, loop.step, loop.lag)
     return of_cycle(kept, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)

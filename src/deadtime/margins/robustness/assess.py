@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive, real_array, reporter, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import sentence_of
-from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay, streams
 from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
 from deadtime.margins.gain import GainMargin, gain_margin
@@ -169,8 +167,7 @@ def robustness(
     expect_many_calls()
     if not setting.moves:
         raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
-    inner = law.law if isinstance(law, OutputFeedback) else law
-    table = isinstance(inner, TableLaw)
+    table = law.is_linear
     progress("delay margin")
     dear = {asked: why_left_out(asked, plant, law, step) for asked in _MARGINS if table}
     left_out = tuple(asked for asked, why in dear.items() if why)
@@ -188,7 +185,7 @@ def robustness(
     late = _whole(setting, LateSamples, most, "every sample may be", "late")
     progress("detection lag")
     lag = None
-    if _is_told_the_mode(law, inner, step, signal):
+    if _is_told_the_mode(law, step, signal):
         lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
     progress("noise")
     if drops.tolerated is None:
@@ -208,15 +205,13 @@ def robustness(
     )
 
 
-def _is_told_the_mode(law: Law, inner: Law, step: float, signal: SwitchingSignal | Rule) -> bool:
+def _is_told_the_mode(law: Law, step: float, signal: SwitchingSignal | Rule) -> bool:
     """Whether a law, or the observer before it, acts on a mode that somebody measures."""
-    if isinstance(law, BeliefPredictor):
+    if law.filter is not None:
         return False
-    if isinstance(law, OutputFeedback) and law.observer.reads_mode:
+    if not law.is_linear or (law.observer is not None and law.observer.reads_mode):
         return True
-    if not isinstance(inner, TableLaw):
-        return True
-    return inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
+    return law.inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
 
 
 def _future(signal: SwitchingSignal | Rule) -> tuple:

@@ -15,8 +15,6 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only
 from deadtime.base.errors import DeadtimeError
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
-from deadtime.feedback.memory import WithMemory
 from deadtime.imperfections import Disturbance, Relaying, TimingImperfection
 from deadtime.imperfections.array_kinds import is_batched
 from deadtime.plant import Window
@@ -133,7 +131,7 @@ def _cost(study: Study, index: tuple[int, ...]) -> float:
 
 def _of_law(loop: Loop, law: Law) -> float:
     """Seconds of a period of a scenario."""
-    if not isinstance(law, TableLaw | WithMemory):
+    if not law.is_linear and law.filter is None:
         return _CALLED
     if not all(map(is_batched, loop.imperfections)):
         return _ALONE
@@ -141,7 +139,7 @@ def _of_law(loop: Loop, law: Law) -> float:
     for kind, cost in ((Relaying, _HEARD), (TimingImperfection, _SEEN)):
         if any(isinstance(one, kind) for one in loop.imperfections):
             heard += cost
-    if isinstance(law, WithMemory):
+    if law.filter is not None or law.observer is not None:
         return _ALONE if law.foresees else heard + _KEPT
     taps = Window.of(law.plant.longest_delay, loop.step).count
     size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)

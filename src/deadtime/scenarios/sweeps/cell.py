@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
 from deadtime.scenarios.batch_run import monte_carlo
 from deadtime.scenarios.source import draw_signals
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
@@ -84,8 +83,8 @@ def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
     laws = {}
     for name, law in loop.laws.items():
         try:
-            if isinstance(law, TableLaw):
-                law.digital(loop.step, SwitchingSignal.constant(0), 1)
+            if law.observer is None:
+                law.tables(loop.step, SwitchingSignal.constant(0), 1)
         except DeadtimeError as error:
             reasons[name] = str(error)
         else:
