@@ -108,7 +108,7 @@ def test_every_file_lies_in_a_room():
 KINDS = {
     "audit certificates comparison constants design drawn_plants experiment fit identify loop maps "
     "monte_carlo report robustness runs sweep tracking witness",
-    "markov markov_chain semi_markov sampled_chain",
+    "markov markov_chain semi_markov",
     "mode_filter observer servo",
     "load schema",
     "entry registry",

@@ -217,7 +217,7 @@ def test_an_object_takes_its_own_copy_of_what_can_be_written_to():
 
 @pytest.mark.parametrize("again", [pickled, copy.deepcopy])
 def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(monkeypatch, again):
-    from deadtime.laws.tables import constant_mode as rows
+    from deadtime.laws.tables import along_signal as rows
     from deadtime.numerics import exponential, kernels
     from deadtime.plant import cut_pieces
     from deadtime.simulation import digital_kernel

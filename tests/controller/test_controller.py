@@ -8,8 +8,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.controller import Status
-from deadtime.controller.controller_arguments import require_state
-from deadtime.controller.status import Clock
+from deadtime.controller.controller_arguments import Clock, require_state
 from shares import mostly_long
 
 STEP = 0.1

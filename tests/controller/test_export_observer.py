@@ -17,7 +17,7 @@ from deadtime.controller import Status
 from deadtime.controller.export import compiler as compiling
 from deadtime.controller.export.compiler import self_check
 from deadtime.controller.export.observer_code import ObserverForm
-from deadtime.estimation.reference import Reference
+from deadtime.estimation.servo import Reference
 from deadtime.imperfections import Dropout, Noise
 from observed_laws import LAWS, PLANT, SCHEDULE, STEP, hostile, observed, servo
 from shares import mostly_long

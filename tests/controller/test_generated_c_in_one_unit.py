@@ -13,8 +13,8 @@ import plants
 from believing_laws import LAWS as BELIEVING, from_outputs
 from c_code import needs_compiler
 from deadtime.controller.export import compiler as compiling
+from deadtime.controller.export.c_text import exact
 from deadtime.controller.export.compiler import compiler
-from deadtime.controller.export.literals import exact
 from observed_laws import LAWS as OBSERVED
 
 pytestmark = needs_compiler

@@ -13,8 +13,8 @@ from c_code import needs_compiler
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.base.wording import file_name, one_line
 from deadtime.controller.export import Names, compiler, export_plant_fmu
+from deadtime.controller.export.c_text import in_comment
 from deadtime.controller.export.compiler import self_check
-from deadtime.controller.export.names import in_comment
 from deadtime.problems.file import load_problem
 from deadtime.simulation.run_figure import plot_run
 from shares import mostly_long

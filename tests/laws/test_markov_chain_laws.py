@@ -9,7 +9,7 @@ from scipy.linalg import expm
 import deadtime as dt
 import mode_paths
 import plants
-from deadtime.feedback.known_state import Known
+from deadtime.feedback.table import Known
 from delay_reference import Reference
 
 STEP = 0.1

@@ -9,7 +9,7 @@ from scipy import stats
 
 import deadtime as dt
 from deadtime.laws.tables.along_signal import rows_along
-from deadtime.laws.tables.markov_passage import passage_table
+from deadtime.laws.tables.markov import passage_table
 from deadtime.plant import SampledPlant
 from delay_reference import Reference
 from shares import mostly_long

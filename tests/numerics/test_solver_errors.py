@@ -8,7 +8,7 @@ import pytest
 import deadtime as dt
 from deadtime.certificates.dwell.cones import maximise
 from deadtime.cli.application import main
-from deadtime.estimation.switched import common_rate
+from deadtime.estimation.observer import common_rate
 from deadtime.gains import common_lyapunov, stabilize
 from deadtime.numerics import lmi
 

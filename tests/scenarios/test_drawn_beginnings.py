@@ -6,7 +6,7 @@ from scipy import stats
 
 import deadtime as dt
 from deadtime.app.script import script_of
-from deadtime.estimation.reference import Reference
+from deadtime.estimation.servo import Reference
 from deadtime.problems.file import load_problem
 from deadtime.scenarios import scenario_seed
 

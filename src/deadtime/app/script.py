@@ -14,7 +14,7 @@ from deadtime import imperfections
 from deadtime.base.version import __version__
 from deadtime.base.wording import file_name, one_line
 from deadtime.estimation import Servo
-from deadtime.estimation.reference import Reference
+from deadtime.estimation.servo import Reference
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.switching.models.sojourns import Fixed

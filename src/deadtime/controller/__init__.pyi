@@ -1,4 +1,5 @@
 from .controller import Controller as Controller
+from .controller_arguments import Status as Status
 from .export import (
     Exported as Exported,
     ExportedFmu as ExportedFmu,
@@ -13,4 +14,3 @@ from .interop import (
     plant_to_control as plant_to_control,
 )
 from .prediction import Prediction as Prediction
-from .status import Status as Status

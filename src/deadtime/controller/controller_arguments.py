@@ -1,17 +1,80 @@
-"""Arguments of a controller."""
+"""Arguments of a controller: limits, periods by the clock, and where its plant rests."""
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, bound, count
+from deadtime.base.checks import as_floats, bound, count, instance, require_shape
 from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Law
+from deadtime.plant import OperatingPoint
+
+_MOST = 100_000  # periods that a call may be ahead of the last one
+
+
+class Status(enum.IntEnum):
+    """What became of a controller's last `update`."""
+
+    OK = 0
+    SATURATED = 1  # the law asked for more than the limits allow
+    BAD_STATE = 2  # x is not finite: the last input is held; y: nothing is corrected
+    BAD_MODE = 3  # the mode is none of the plant's: the last input is held
+    BAD_APPLIED = 4  # the applied input is not finite: the last input is held
+    OVERFLOW = 5  # the law's answer is not finite: the last input is held
+    BAD_REFERENCE = 6  # the reference is not finite: the last one goes on
+    LATE = 7  # whole periods went by without a call: their input counts as held
+    OUT_OF_ORDER = 8  # the period of this call has been served: nothing is done
+
+
+class Clock:
+    """Counts the periods between calls, by the time of day that they bring with them.
+
+    A call belongs to the period nearest to its time: t_k + j with |j| < h/2 is sample k.
+
+    Attributes
+    ----------
+    state : (2,)
+        The time of sample 0 (NaN before a call brought a time), and the last sample served.
+    """
+
+    def __init__(self, step: float) -> None:
+        self._step = step
+        self.state = np.array([math.nan, -1.0])
+
+    def reset(self) -> None:
+        """Begin anew at the next call."""
+        self.state[:] = math.nan, -1.0
+
+    def periods(self, time: float | None) -> int:
+        """How many periods have begun since the last call; 0: none, the call is out of order."""
+        if time is None:
+            self.state[1] += 1.0
+            return 1
+        try:
+            now = float(time)
+        except (TypeError, ValueError):
+            raise ArgumentError(f"time must be a number, in seconds, got {time!r}.") from None
+        origin, last = self.state.tolist()
+        if not math.isfinite(now):
+            return 0
+        if math.isnan(origin):
+            # As if the calls without a time had come on time.
+            self.state[0] = now - (last + 1.0) * self._step
+            self.state[1] += 1.0
+            return 1
+        ahead = (now - origin) / self._step - last
+        if not 0.5 <= ahead <= _MOST:
+            return 0
+        periods = math.floor(ahead + 0.5)
+        self.state[1] += periods
+        return periods
 
 
 def limits_of(
@@ -62,3 +125,45 @@ def vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
     if array.shape != (size,):
         raise ArgumentError(f"{name} must have shape ({size},), got {array.shape}.")
     return array
+
+
+class RestValues(NamedTuple):
+    """Values of a call while the plant rests: a law works on deviations from them."""
+
+    given: Float[np.ndarray, " measured"]  # x₀, or y₀ = C x₀
+    u: Float[np.ndarray, " m"]
+    reference: Float[np.ndarray, " r"]  # H y₀
+    z: Float[np.ndarray, " law"]  # what the law's table reads
+
+    @classmethod
+    def of(
+        cls,
+        law: Law,
+        size: int,
+        tracked: Float[np.ndarray, "r p"] | None,
+        point: OperatingPoint | None,
+    ) -> RestValues:
+        """Of a law whose table reads `size` numbers beside inputs; 0 without a point.
+
+        tracked : H, of the outputs that follow a reference; None of a law without an observer
+        """
+        n, m = law.plant.states, law.plant.inputs
+        if point is None:
+            point = OperatingPoint(np.zeros(n), np.zeros(m))
+        instance("operating_point", point, OperatingPoint)
+        x = require_shape("operating_point.x", point.x, (n,), "(n,)")
+        u = require_shape("operating_point.u", point.u, (m,), "(m,)")
+        given, reference = x, np.zeros(0)
+        if law.outputs is not None:
+            each = law.outputs[:, :, :n] @ x
+            if not np.allclose(each, each[0], rtol=1e-9, atol=0.0):
+                raise ArgumentError(
+                    "operating_point must have the same outputs in every mode, got "
+                    f"{each.tolist()}: where the sensors differ by mode, give the controller "
+                    "deviations, and no operating point."
+                )
+            given = each[0]
+        if tracked is not None:
+            reference = tracked @ given
+        between = np.zeros(size - n - reference.size)  # estimated disturbances, sums of errors
+        return cls(given, u, reference, np.concatenate((x, between, reference)))

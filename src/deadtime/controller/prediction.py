@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.controller.status import Status
+from deadtime.controller.controller_arguments import Status
 from deadtime.estimation import OutputModeFilter
-from deadtime.estimation.filter_arguments import intensities, intensity
-from deadtime.feedback.known_state import Known
+from deadtime.estimation.mode_filter import intensities, intensity
 from deadtime.feedback.prediction_rows import PredictionTable
+from deadtime.feedback.table import Known
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw

@@ -12,12 +12,16 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Stateful
-from deadtime.controller.controller_arguments import limits_of, require_state, vector
-from deadtime.controller.controller_belief import ModeBelief
-from deadtime.controller.observing import Observing
+from deadtime.controller.controller_arguments import (
+    Clock,
+    RestValues,
+    Status,
+    limits_of,
+    require_state,
+    vector,
+)
+from deadtime.controller.controller_state import ModeBelief, Observing
 from deadtime.controller.past_inputs import past_inputs
-from deadtime.controller.rest_values import RestValues
-from deadtime.controller.status import Clock, Status
 from deadtime.feedback import Law
 from deadtime.feedback.prediction_rows import PredictionTable, prediction_table
 from deadtime.feedback.table import age_after

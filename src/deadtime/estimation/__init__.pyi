@@ -1,7 +1,6 @@
 from .belief_predictor import BeliefPredictor as BeliefPredictor
 from .mode_filter import ModeFilter as ModeFilter
-from .observer import Observer as Observer
-from .observer_design import kalman as kalman, luenberger as luenberger
+from .observer import Observer as Observer, kalman as kalman, luenberger as luenberger
 from .output_feedback import OutputFeedback as OutputFeedback
 from .output_mode_filter import OutputModeFilter as OutputModeFilter
 from .running_filter import (

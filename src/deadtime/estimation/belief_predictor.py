@@ -11,8 +11,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.estimation.mode_filter import ModeFilter
 from deadtime.estimation.output_mode_filter import OutputModeFilter
 from deadtime.feedback import Feedback, Forecast, Law
-from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief, Believing
+from deadtime.feedback.belief import BankForm, Belief, Believing
 from deadtime.feedback.law import Remembering, Update
 from deadtime.feedback.memory import Tables
 from deadtime.loop.running_belief import RunningBank, RunningBelief, running_belief

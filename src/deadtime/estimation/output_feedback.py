@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import instance, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.observer import Observer
-from deadtime.estimation.reference import Drawable, Reference
-from deadtime.estimation.servo import Servo
+from deadtime.estimation.servo import Drawable, Reference, Servo
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Remembering, Update
 from deadtime.feedback.memory import Memory, MemorySizes, Tables

@@ -14,12 +14,15 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.estimation.filter_arguments import deviation, intensity, require_distinct_outputs
-from deadtime.estimation.mode_filter import ModeFilter
-from deadtime.estimation.observer import Observer, output_matrices
-from deadtime.estimation.observer_design import require_detectable
+from deadtime.estimation.mode_filter import (
+    ModeFilter,
+    deviation,
+    intensity,
+    require_distinct_outputs,
+)
+from deadtime.estimation.observer import Observer, output_matrices, require_detectable
 from deadtime.estimation.running_filter import RunningOutputFilter
-from deadtime.feedback.bank import BankForm, frozen_bank
+from deadtime.feedback.belief import BankForm, frozen_bank
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingModel
 

@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_shape
 from deadtime.base.frozen import Stateful
-from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief
+from deadtime.feedback.belief import BankForm, Belief
 from deadtime.loop.running_belief import RunningBank, running_belief
 
 

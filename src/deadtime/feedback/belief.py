@@ -1,4 +1,4 @@
-"""A belief over the modes as arrays for compiled loops: how it moves, and what of it changes.
+"""A belief over modes, and a bank of Kalman filters over one, as arrays for compiled loops.
 
 The hidden chain is c = (mode, age), age the samples since the sampled mode last changed, the last
 age standing for all older ones. Over the period from t_{k−1} to t_k a mode i lasts on with
@@ -73,3 +73,26 @@ def frozen(belief: Belief) -> Belief:
     """The same with arrays that cannot be written to: one type for compiled loops."""
     arrays = [read_only(part) if isinstance(part, np.ndarray) else part for part in belief]
     return Belief(*arrays)  # pyright: ignore[reportArgumentType]
+
+
+class BankForm(NamedTuple):
+    """How a bank moves: data that no run changes.
+
+    chain : Belief, its noise the covariance that a period adds to x
+    C : (modes, p, n), variance : (p,), of y about C x
+    gain : (modes, n, p) of observers, or (modes, n, 0) for Kalman's
+    estimate : (n,), covariance : (n, n), of x_0 in every mode
+    """
+
+    chain: Belief
+    C: Float[np.ndarray, "mode p n"]
+    variance: Float[np.ndarray, " p"]
+    gain: Float[np.ndarray, "mode n p_or_0"]
+    estimate: Float[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "n n"]
+
+
+def frozen_bank(form: BankForm) -> BankForm:
+    """The same with arrays that cannot be written to: one type for compiled loops."""
+    chain, *arrays = form
+    return BankForm(chain, *map(read_only, arrays))

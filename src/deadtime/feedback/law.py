@@ -16,12 +16,10 @@ from jaxtyping import Float
 from deadtime.base.checks import brief, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.feedback.forecast import Forecast
-from deadtime.feedback.functional import Functional
-from deadtime.feedback.known_state import Known
+from deadtime.feedback.ideal_form import Forecast, Functional
 from deadtime.feedback.memory import Tables
 from deadtime.feedback.preview import Foresight
-from deadtime.feedback.table import Feedback
+from deadtime.feedback.table import Feedback, Known
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
 

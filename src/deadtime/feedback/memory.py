@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief
+from deadtime.feedback.belief import BankForm, Belief
 from deadtime.feedback.preview import Foresight
 from deadtime.feedback.table import Feedback
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_probabilities, require_shape
 from deadtime.feedback import Feedback, Forecast, Functional
-from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import Law, TableLaw, check_dwell_time, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
+from deadtime.feedback.table import Known
 from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -158,7 +158,7 @@ class AveragedPredictor(TableLaw):
             from deadtime.laws.tables.guaranteed_dwell import dwelling_table
 
             return dwelling_table(plant, plant, *parts, self.dwell_time, step)
-        from deadtime.laws.tables.constant_mode import constant_table
+        from deadtime.laws.tables.along_signal import constant_table
 
         return constant_table(plant, *parts, step)
 
@@ -169,7 +169,7 @@ class AveragedPredictor(TableLaw):
     def spread(
         self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
-        from deadtime.laws.spread.held import dwelling_spread, held_spread
+        from deadtime.laws.spread import dwelling_spread, held_spread
 
         if self.dwell_time is None:
             return held_spread(self.plant, known, W)

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Functional
-from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import Law, TableLaw, remember_table, require_room, room
 from deadtime.feedback.prediction_rows import extended_gains
+from deadtime.feedback.table import Known
 from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import SwitchingModel, SwitchingSignal
@@ -131,10 +131,10 @@ class ExpectedPredictor(TableLaw):
     ) -> Float[np.ndarray, "case input future n n"]:
         sampled, generator = self.sampled_plant(step), self.model.generator
         if generator is not None:
-            from deadtime.laws.spread.markov import markov_spread
+            from deadtime.laws.spread import markov_spread
 
             return markov_spread(sampled, generator, known, W)
-        from deadtime.laws.spread.sampled_chain import chain_spread
+        from deadtime.laws.spread import chain_spread
 
         ages = self.digital(step).ages
         return chain_spread(sampled, self._chain(sampled, ages), ages, known, W)
@@ -146,7 +146,7 @@ class ExpectedPredictor(TableLaw):
                 "step must be given: ExpectedPredictor has no closed form in continuous time "
                 f"under a {type(self.model).__name__} model."
             )
-        from deadtime.laws.tables.passage_windows import passage_functional
+        from deadtime.laws.tables.windows import passage_functional
 
         law = passage_functional(plant, self.gains, generator, signal)
         if law is None:

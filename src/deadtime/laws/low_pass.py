@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import instance, real_array, require_unmasked
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Factor, Feedback, Forecast, Foresight, Law
-from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import TableLaw
+from deadtime.feedback.table import Known
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

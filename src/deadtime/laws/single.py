@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Functional
-from deadtime.feedback.known_state import Known
 from deadtime.feedback.law import Law, TableLaw, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
+from deadtime.feedback.table import Known
 from deadtime.gains.checked_gains import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -74,7 +74,7 @@ class SingleModePredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        from deadtime.laws.tables.constant_mode import constant_table
+        from deadtime.laws.tables.along_signal import constant_table
 
         return constant_table(self._own, self.gains[self.mode : self.mode + 1], np.ones(1), step)
 
@@ -85,7 +85,7 @@ class SingleModePredictor(TableLaw):
     def spread(
         self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
-        from deadtime.laws.spread.held import held_spread
+        from deadtime.laws.spread import held_spread
 
         return held_spread(self.plant, known, W)
 

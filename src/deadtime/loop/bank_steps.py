@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.feedback.bank import BankForm
+from deadtime.feedback.belief import BankForm
 from deadtime.loop.belief_steps import (
     CURVED,
     NORMAL,

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_probabilities, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief
+from deadtime.feedback.belief import BankForm, Belief
 from deadtime.loop.bank_steps import BankState, advance_bank, begin_bank, start_anew
 from deadtime.loop.belief_steps import BeliefState, advance_belief, begin_belief, share_rows
 

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief
+from deadtime.feedback.belief import BankForm, Belief
 from deadtime.loop.bank_steps import BankState, add_estimates, advance_bank, begin_bank
 from deadtime.loop.belief_steps import BeliefState, advance_belief, begin_belief, share_rows
 from deadtime.numerics.kernels import inner_kernel, kernel

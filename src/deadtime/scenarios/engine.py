@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
-from deadtime.feedback.bank import BankForm
-from deadtime.feedback.belief import Belief
+from deadtime.feedback.belief import BankForm, Belief
 from deadtime.feedback.memory import Memory
 from deadtime.numerics.lanes import LANES, KnownNumbers
 from deadtime.scenarios.batch_loop import Loop

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.estimation.reference import Reference
+from deadtime.estimation.servo import Reference
 from deadtime.feedback import Law
 from deadtime.plant.steps import TOLERANCE
 from deadtime.simulation.step_figures import step_info

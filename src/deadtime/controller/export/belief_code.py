@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.controller.controller_belief import ModeBelief
-from deadtime.controller.export.literals import literal
+from deadtime.controller.controller_state import ModeBelief
+from deadtime.controller.export.c_text import literal
 
 _BOUND = 2.0**100  # of states and inputs, {P}_BELIEF_BOUND of controller.h.j2
 _LARGEST = 2.0**190  # of predictions and of variances: their squares leave room

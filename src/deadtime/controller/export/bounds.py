@@ -1,12 +1,24 @@
-"""Bounds that no state leaves: declared in the C, re-established by each of its steps."""
+"""What an export refuses: no C for it, no such name, no bounds.
+
+The bounds of a state are declared in the C, and each of its steps re-establishes them.
+"""
 
 from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
+from deadtime.controller.export.belief_code import require_bounded
 from deadtime.controller.export.forms import Form, Precision
+from deadtime.controller.export.observer_code import require_schedule
 from deadtime.feedback import Feedback
+
+if TYPE_CHECKING:
+    from deadtime.controller.running import RunningLaw
+
 
 _LARGEST = {"double": float(np.finfo(np.float64).max), "float": float(np.finfo(np.float32).max)}
 _WANTED = {"double": 2.0**332, "float": 2.0**40}  # 9e99, 1e12
@@ -76,3 +88,46 @@ def _bound(gain: float, precision: Precision) -> float:
             + (' Use precision="double".' if precision == "float" else "")
         )
     return bound
+
+
+_PRECISIONS = ("double", "float")
+# `name.h` must hide no header of the standard library, and `name.c` not be main.c.
+_TAKEN = frozenset(
+    (
+        "main",
+        *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646"),
+        *("limits", "locale", "math", "setjmp", "signal", "stdalign", "stdarg", "stdatomic"),
+        *("stdbool", "stddef", "stdint", "stdio", "stdlib", "stdnoreturn", "string", "tgmath"),
+        *("threads", "time", "uchar", "wchar", "wctype"),
+    )
+)
+
+
+def require_exportable(controller: RunningLaw, precision: str, name: str) -> None:
+    """Refuse what has no C."""
+    if precision not in _PRECISIONS:
+        raise ArgumentError(f"precision must be 'double' or 'float', got {precision!r}.")
+    if not re.fullmatch("[a-z][a-z0-9_]{0,30}", name):
+        raise ArgumentError(
+            f"name must be a C name of lower-case letters, digits and _, got {name!r}."
+        )
+    if name in _TAKEN:
+        raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
+    if controller.observing is not None:
+        require_schedule(controller.observing)
+    if controller.believing is not None:
+        if precision == "float":
+            raise ArgumentError(
+                f"precision must be 'double' of {type(controller.law).__name__}: its filter tells "
+                "modes apart by small differences of states, which single precision rounds away."
+            )
+        require_bounded(controller.believing)
+
+
+def require_limits(controller: RunningLaw, most: float) -> None:
+    """Refuse limits that leave nothing of what the C can count."""
+    if (controller.low > most).any() or (controller.high < -most).any():
+        raise ArgumentError(
+            f"limits must leave inputs within {most:.0e}, the bound of the C, got "
+            f"{controller.low.tolist()} and {controller.high.tolist()}."
+        )

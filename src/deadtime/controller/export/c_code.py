@@ -14,9 +14,16 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export import belief_code, observer_code, prediction_code, rest_code
-from deadtime.controller.export.bounds import bounds, largest
-from deadtime.controller.export.compiler import SelfCheck, self_check
-from deadtime.controller.export.export_folder import require_own
+from deadtime.controller.export.bounds import bounds, largest, require_exportable, require_limits
+from deadtime.controller.export.c_text import (
+    Names,
+    brackets,
+    exact,
+    in_comment,
+    initializer,
+    literal,
+)
+from deadtime.controller.export.compiler import SelfCheck, require_own, self_check
 from deadtime.controller.export.forms import (
     BYTES,
     Form,
@@ -27,11 +34,8 @@ from deadtime.controller.export.forms import (
     require_budget,
     rom_bytes,
 )
-from deadtime.controller.export.literals import brackets, exact, initializer, literal
-from deadtime.controller.export.names import Names, in_comment
 from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.controller.export.prediction_code import PredictionForm
-from deadtime.controller.export.refusals import require_exportable, require_limits
 
 if TYPE_CHECKING:
     import numpy as np

@@ -1,4 +1,4 @@
-"""A C compiler of this machine, and the check that a controller's C makes of itself."""
+"""This machine's C compiler, the check that exported C makes of itself, where files may go."""
 
 from __future__ import annotations
 
@@ -7,8 +7,36 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
+
+from deadtime.base.errors import ArgumentError
+
+MARK = "Written by deadtime"
+
+
+def require_own(folder: Path, names: Iterable[str]) -> None:
+    """Refuse to replace a file that does not say that deadtime wrote it."""
+    for name in names:
+        path = folder / name
+        if path.is_symlink() or path.exists():
+            try:
+                own = MARK.encode() in path.read_bytes()
+            except OSError:
+                own = False
+            if not own:
+                raise ArgumentError(
+                    f"folder {str(folder)!r} has a {name} that deadtime did not write (it lacks "
+                    f'"{MARK}"): move it away, or give another folder.'
+                )
+
+
+def require_suffix(path: Path, suffix: str) -> None:
+    """Refuse a path of another suffix."""
+    if path.suffix != suffix:
+        raise ArgumentError(f"path must end in {suffix}, got {str(path)!r}.")
+
 
 WARNINGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion")
 _PATIENCE = 300.0  # seconds

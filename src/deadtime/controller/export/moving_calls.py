@@ -1,4 +1,11 @@
-"""What the calls of a plant in motion share: modes that last, clocks and inputs as applied."""
+"""Calls of a plant in motion, with an observer or a belief: what a plant of the model could give.
+
+Modes last for a while, under the inputs that the controller or `applied` gives. With an observer x
+follows the observer's own model; where it has gone too far it is put elsewhere: the estimate
+follows. With a mode filter x follows the model with noise, as of states drawn at random no mode
+could be told; before it is put elsewhere it is missing for a call, so that nobody takes the jump
+for a motion.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.controller.controller_state import Observing
 from deadtime.controller.running import RunningLaw
+from deadtime.feedback.belief import held_noise
 
 FAR = 30.0  # amplitudes beyond which a state is put elsewhere
 _HOSTILE = 300
@@ -51,3 +60,128 @@ def inputs_of(
     if k % 61 == 30:
         return np.full(run.law.plant.inputs, math.nan), run._u
     return applied, run._u if applied is None else applied
+
+
+_NOISE = 1e-3  # amplitudes
+
+Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None, np.ndarray | None]
+
+
+class _ObserverMotion:
+    """A state of the observer's model, and what is measured of it."""
+
+    def __init__(self, observing: Observing, rng: np.random.Generator, amplitude: float) -> None:
+        self.memory, self.rng, self.amplitude = observing.memory, rng, amplitude
+        self.sent = np.zeros((int(self.memory.lag.max()) + 1, self.memory.sizes.m))
+        self.put()
+
+    def put(self) -> None:
+        """Anywhere within the amplitude."""
+        self.x = self.amplitude * self.rng.normal(size=self.memory.gain.shape[1])
+
+    def go(self, mode: int, u: Float[np.ndarray, " m"]) -> None:
+        """Over a period in which u was sent."""
+        memory = self.memory
+        self.sent = np.vstack((self.sent[1:], u))
+        self.x = memory.Phi[mode] @ self.x
+        for drive, lag in zip(memory.Gamma[mode], memory.lag, strict=True):
+            self.x += drive @ self.sent[-1 - lag]
+        if np.abs(self.x).max() > FAR * self.amplitude:
+            self.put()
+
+    def outputs(self, mode: int) -> Float[np.ndarray, " p"]:
+        """y, with noise."""
+        C = self.memory.C[mode]
+        return C @ self.x + _NOISE * self.amplitude * self.rng.normal(size=len(C))
+
+
+def observer_calls(run: RunningLaw, amplitude: float) -> Iterator[Call]:
+    """Modes that last; missing outputs, unknown modes, references good and bad, clocks."""
+    assert run.observing is not None
+    rng = np.random.default_rng(0)
+    motion = _ObserverMotion(run.observing, rng, amplitude)
+    modes, r = lasting_modes(run, rng, run.table.ages + 2), len(motion.memory.tracked)
+    reference = None
+    for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
+        applied, u = inputs_of(run, rng, amplitude, k, k % 7 == 3)
+        for _ in range(0 if early or not k else 1 + missed):
+            motion.go(int(modes[k - 1]), u)
+        y = motion.outputs(mode)
+        if rng.random() < 0.1:
+            y[k % y.size] = (math.nan, math.inf, -math.inf)[k % 3]
+        if r and k % 40 == 20:  # one of its own now and then
+            reference = rng.normal(size=r) * amplitude if k % 120 != 20 else None
+        told = np.full(r, math.nan) if r and k % 67 == 50 else reference
+        yield 0, when, run.law.plant.modes + k if k % 71 == 45 else mode, y, applied, told
+
+
+_MOST_STAY = 400
+
+_Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None]
+
+
+class _FilterMotion:
+    """A state that follows the filter's model, mode by mode."""
+
+    def __init__(self, run: RunningLaw, rng: np.random.Generator, amplitude: float) -> None:
+        assert run.believing is not None
+        self.belief, self.rng, self.amplitude = run.believing, rng, amplitude
+        self.roots = [_root(Q) for Q in held_noise(run.believing.form)]
+        self.put()
+
+    def put(self) -> None:
+        """Anywhere within the amplitude."""
+        self.x = self.amplitude * self.rng.normal(size=self.belief.form.Phi.shape[1])
+
+    @property
+    def far(self) -> bool:
+        """Whether it has left where the controller works."""
+        return bool(np.abs(self.x).max() > FAR * self.amplitude)
+
+    def next(self, mode: int, u: Float[np.ndarray, " m"], periods: int) -> Float[np.ndarray, " n"]:
+        """x after periods in which u was sent."""
+        form, x, sent = self.belief.form, self.x, self.belief.inputs
+        for _ in range(periods):
+            sent = np.vstack((sent[1:], u))
+            x = form.Phi[mode] @ x + self.roots[mode] @ self.rng.normal(size=x.size)
+            for drive, lag in zip(form.Gamma[mode], form.lag, strict=True):
+                x += drive @ sent[-1 - lag]
+        return x
+
+    def seen(self, mode: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " seen"]:
+        """What is measured of x: with noise where that is an output."""
+        bank = self.belief.bank
+        if bank is None:
+            return x.copy()
+        noise = np.sqrt(bank.variance) * self.rng.normal(size=bank.variance.size)
+        return bank.C[mode] @ x + noise
+
+
+def _root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """R with R Rᵀ = Q."""
+    U, values, _ = np.linalg.svd(Q)
+    return U * np.sqrt(values)
+
+
+def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
+    """(skip, time, mode, x, applied): modes that last, missing and jumping states, clocks."""
+    rng = np.random.default_rng(0)
+    motion = _FilterMotion(run, rng, amplitude)
+    # A jump is hidden by a state that is missing.
+    hidden = run.believing is not None and run.believing.bank is None
+    modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
+    for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
+        applied, u = inputs_of(run, rng, amplitude, k, k % 3 == 0)
+        x = motion.next(mode, u, 1 if hidden else 1 + missed)
+        if not early and k:
+            motion.x = x.copy()
+        lost = not missed and (motion.far or k % 53 == 20)
+        if missed and hidden:
+            motion.put()
+            x = motion.x.copy()
+        elif lost and (hidden or motion.far):
+            motion.put()
+        seen = motion.seen(mode, x if k else motion.x)
+        if lost:
+            seen[k % seen.size] = (math.nan, math.inf, -math.inf)[k % 3]
+        yield 0, when, k, seen, applied  # no mode is read: any number does

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
+from deadtime.controller.controller_state import Observing
 from deadtime.controller.export.forms import BYTES, Precision
-from deadtime.controller.observing import Observing
 from deadtime.feedback.memory import Memory
 
 _COUNTERS = 8  # bytes of integers in a controller's state

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deadtime.controller.export.literals import initializer
-from deadtime.controller.export.names import Names, in_comment
+from deadtime.controller.export.c_text import Names, in_comment, initializer
 
 if TYPE_CHECKING:
     import numpy as np

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.base.version import __version__
-from deadtime.controller.export.belief_vectors import belief_calls
-from deadtime.controller.export.observer_vectors import Call, observer_calls
+from deadtime.controller.export.moving_calls import Call, belief_calls, observer_calls
 from deadtime.controller.running import RunningLaw
 
 _SHARE = 1e-3  # of a row that counts as visited, where rows are weighed

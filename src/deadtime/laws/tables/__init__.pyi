@@ -1,1 +1,1 @@
-from .constant_mode import constant_table as constant_table
+from .along_signal import constant_table as constant_table

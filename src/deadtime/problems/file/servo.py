@@ -17,7 +17,7 @@ from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.text_files import read_text
 from deadtime.estimation import Observer, Servo
-from deadtime.estimation.reference import Reference
+from deadtime.estimation.servo import Reference
 from deadtime.imperfections import Imperfection, Limiting, Sizes
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.toml import Shape

@@ -1,5 +1,0 @@
-"""How uncertain predictions are, one file for each kind of forecast."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,0 @@
-from .held import held_spread as held_spread
