@@ -155,7 +155,7 @@ class ModeBelief:
             past.mean(share, x, u)
             return
         past.mean(share, self._zero, u)
-        u += np.einsum("c,cma,ca->m", share, self._gains, running.states(len(self._gains)))
+        running.add_states(self._gains, u)
 
     def known(self, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The share of every row, the state that it is given, and the covariance of that."""

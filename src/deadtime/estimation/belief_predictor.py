@@ -166,10 +166,9 @@ class BeliefUpdate(Believing):
         running, feedback = self._running, self._feedback
         running.see(x, past, len(past) - 1)
         self.beliefs.append(running.by_mode)
-        states = running.states(len(feedback.state_gain))
-        recent = past[-feedback.taps :].ravel()
-        rows = np.einsum("cma,ca->cm", feedback.state_gain, states) + self._oldest_first @ recent
-        return running.share() @ rows
+        u = running.share() @ (self._oldest_first @ past[-feedback.taps :].ravel())
+        running.add_states(feedback.state_gain, u)
+        return u
 
 
 class OutputBeliefUpdate(BeliefUpdate, Remembering):

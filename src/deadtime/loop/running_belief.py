@@ -70,6 +70,10 @@ class RunningBelief:
         """The state that each row is given."""
         return np.tile(self.before, (rows, 1))
 
+    def add_states(self, F: Float[np.ndarray, "row m n"], u: Float[np.ndarray, " m"]) -> None:
+        """Add to u the mean over all rows of F x, x the state that the row is given."""
+        u += np.einsum("c,cma,ca->m", self.state.weight, F, self.states(len(F)))
+
     def covariances(self, rows: int) -> Float[np.ndarray, "row n n"]:
         """Of the states that each row is given."""
         n = self.before.size
