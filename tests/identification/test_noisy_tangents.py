@@ -11,7 +11,7 @@ from deadtime.identification.likelihoods.embedding import Embedding
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.uneven import nodes_for
+from deadtime.identification.sampling import nodes_for
 from synthetic_logs import Plant
 
 H, T = 0.05, 32

@@ -175,7 +175,7 @@ def delay_intervals(
     result, several = np.empty((place.size, 2)), np.zeros(place.size, bool)
     for row, (a, own) in enumerate(zip(place.tolist(), error.tolist(), strict=True)):
         D, reach = float(best.theta[a]), float(spread.reach[a])
-        near = log.recording.even and _to_kink(D, log.recording.step) < _NEAR * own
+        near = log.sampling.to_kink(D) < _NEAR * own
         if near and log.profiled:
             result[row] = [_profile_end(log, best, window, spread, a, own * s) for s in (-1, 1)]
         else:
@@ -184,11 +184,6 @@ def delay_intervals(
         wider = over_other_peaks(log, result[row], start, row, float(spread.inflation[a]))
         several[row], result[row] = (wider != result[row]).any(), wider
     return result, several
-
-
-def _to_kink(delay: float, step: float) -> float:
-    """How far a delay is from a whole number of periods."""
-    return abs(delay - step * round(delay / step))
 
 
 def profile(log: Likelihood, best: Maximum, window: Window, place: int, delay: float) -> float:

@@ -21,7 +21,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.feedback.table import ages_along
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import period_weights
+from deadtime.identification.sampling import period_weights
 from deadtime.plant import SwitchedSystem
 
 
@@ -160,10 +160,7 @@ def chain_of(
         M[c, :n], E[c, :n] = P @ Z[c], P @ Y[c]
         M[c, n : n + m], E[c, n : n + m] = U, np.eye(m)
         M[c, n + m :, n : size - m] = np.eye(size - n - m)
-    place = [
-        np.concatenate((layout.of_A[i].ravel(), layout.of_B[i].ravel(), layout.of_delay[i]))
-        for i in range(layout.modes)
-    ]
+    place = [layout.of_mode(i) for i in range(layout.modes)]
     by_P = [one[1] for one in weights]
     U = rows.gains[pairs[1]]
     V = np.zeros(n) if V is None else V

@@ -35,8 +35,8 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.frozen import Frozen
 from deadtime.identification.excitation.excited_loop import Chain
 from deadtime.identification.intervals import left_of
-from deadtime.identification.likelihoods.switched_filter import noise_tables
 from deadtime.identification.parameters import Layout
+from deadtime.identification.transition import noise_tables
 
 Pullback = Callable[[np.ndarray], np.ndarray]
 

@@ -14,22 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.likelihoods.likelihood import maximise, window_of
+from deadtime.identification.likelihoods.mode_periods import Posterior
 from deadtime.identification.parameters import Vector
-from deadtime.identification.regression import (
-    LagRoots,
-    Term,
-    concentrated,
-    even_terms,
-    rooted,
-    stacked,
-)
-from deadtime.identification.scoring import Evaluate, Evaluation, climb, climb_cells
+from deadtime.identification.regression import concentrated
+from deadtime.identification.scoring import STEPS
 
 _GAIN = 1e-6  # of log likelihood that is still worth a step
 _STEPS = 400
-_FEW = 4  # steps up the plant of uneven rows for one of the modes
-_REACH = 3  # periods on either side of the delays in which they are looked for next
+_FEW = 4  # steps up the plant for one of the modes, where each takes a look at all of the log
 
 
 class Ascent(NamedTuple):
@@ -70,47 +63,10 @@ def ascended(
 
 def _stepped(log: HiddenLog, theta: np.ndarray, found: Posterior) -> tuple[HiddenLog, Vector]:
     """The next unknowns, S and the chain, given how likely each mode was."""
-    periods = log.periods
-    if isinstance(periods, UnevenPeriods):
-        theta, terms = _climbed(log, periods, theta, found)
-    else:
-        theta, terms = _climbed_evenly(log, periods, theta, found)
+    known, near = log.known(found.weight), window_of(log, theta[log.layout.at_delays])
+    window = max(log.window[0], near[0]), min(log.window[1], near[1])
+    steps = STEPS if log.sampling.summed_up else _FEW  # a rise is all that is asked for
+    best, _ = maximise(known, theta, window=window, steps=steps)
+    terms = known.terms_in(*window)(log.cells(best.theta))(best.theta)
     S = concentrated(terms, log.layout.size)[1]
-    return replace(log, S=S, jumps=log.jumps.next(found.counts)), theta
-
-
-def _climbed(
-    log: HiddenLog, periods: UnevenPeriods, theta: np.ndarray, found: Posterior
-) -> tuple[Vector, list[Term]]:
-    """A few steps up of uneven rows: a rise is all that is asked for."""
-    low, high = log.limits
-    low[log.layout.at_delays], high[log.layout.at_delays] = periods.low, periods.high
-    none = np.zeros(0, np.int64)
-
-    def evaluate(vector: np.ndarray) -> Evaluation:
-        return concentrated(log.terms(vector, none, found.weight), log.layout.size)[0]
-
-    best = climb(evaluate, theta, low, high, steps=_FEW)
-    return best.theta, log.terms(best.theta, none, found.weight)
-
-
-def _climbed_evenly(
-    log: HiddenLog, periods: EvenPeriods, theta: np.ndarray, found: Posterior
-) -> tuple[Vector, list[Term]]:
-    """The maximum of even rows, from cell to cell."""
-    layout, h, place = log.layout, log.recording.step, log.layout.at_delays
-    cells = log.cells(theta)
-    low = max(int(cells.min()) - 1 - _REACH, periods.first - 1)
-    high = min(int(cells.max()) + _REACH, periods.last)
-    each = zip(periods.parts, periods.usable, strict=True)
-    z = np.vstack([stacked(part, k, low, high, layout.constant) for part, k in each])
-    count = found.weight.sum(axis=0)
-    lags = LagRoots([rooted(z, weight) for weight in found.weight.T], count, low, high)
-
-    def in_cells(cells: np.ndarray) -> Evaluate:
-        own = layout.spread(cells)
-        return lambda vector: concentrated(even_terms(lags, layout, h, own, vector), layout.size)[0]
-
-    window = max(log.bounds[0], low * h), min(log.bounds[1], high * h)
-    best, cells = climb_cells(in_cells, theta, place, cells, h, window, log.limits)
-    return best.theta, even_terms(lags, layout, h, layout.spread(cells), best.theta)
+    return replace(log, S=S, jumps=log.jumps.next(found.counts)), best.theta

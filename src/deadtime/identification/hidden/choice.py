@@ -27,23 +27,16 @@ from deadtime.identification.hidden.regressions import (
     stretches_of,
 )
 from deadtime.identification.levels import near_zero
-from deadtime.identification.likelihoods.exact_log import ExactLog
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog
 from deadtime.identification.likelihoods.jumps import Counts, Jumps
-from deadtime.identification.likelihoods.likelihood import maximise, window_of
-from deadtime.identification.likelihoods.mode_periods import (
-    EvenPeriods,
-    PooledPlant,
-    PooledRegression,
-    Posterior,
-    UnevenPeriods,
-)
+from deadtime.identification.likelihoods.likelihood import ExactLog, maximise, window_of
+from deadtime.identification.likelihoods.mode_periods import Periods, Pooled, Posterior
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.regression import concentrated, rooted
+from deadtime.identification.sampling import nodes_for, sampling_of
 from deadtime.identification.start import cell_range, plant_of, start_of
-from deadtime.identification.uneven import gridded, nodes_for
 
 Log = TypeVar("Log", HiddenLog, HiddenNoisyLog)
 
@@ -61,9 +54,9 @@ class HiddenSearch(NamedTuple):
     """
 
     recording: Recording
-    periods: EvenPeriods | UnevenPeriods
+    periods: Periods
     grid: Recording
-    even: EvenPeriods
+    even: Periods
     bounds: Window
     plain: HiddenSearch | None
 
@@ -110,41 +103,41 @@ class HiddenFit(Generic[Log]):
 def search_of(recording: Recording, layout: Layout, bounds: Window, within: bool) -> HiddenSearch:
     """The usable periods of a recording, with the density of one model for all modes."""
     one = replace(layout, modes=1, per_mode=False)
-    plain, grid = None, gridded(recording)
+    plain, grid = None, recording.gridded()
     if layout.constant and near_zero(recording):
         plain = search_of(recording.absolute(), replace(layout, constant=False), bounds, within)
-    even = _even_periods(grid, one, bounds, within)
+    even = _periods_on_a_grid(grid, one, bounds, within)
     if recording.even:
         return HiddenSearch(recording, even, grid, even, bounds, plain)
     pooled = _one_plant(recording, grid, one, bounds) if even.within else None
-    given = pooled, recording.step, layout.constant
-    periods = UnevenPeriods.between(recording.parts, *bounds, *given)
+    sampling = sampling_of(recording, np.zeros(0))
+    periods = Periods.of(sampling, recording.parts, bounds, pooled, layout.constant)
     return HiddenSearch(recording, periods, grid, even, bounds, plain)
 
 
-def _even_periods(recording: Recording, one: Layout, bounds: Window, within: bool) -> EvenPeriods:
+def _periods_on_a_grid(grid: Recording, one: Layout, bounds: Window, within: bool) -> Periods:
     """Those of even rows, with one regression for all modes."""
-    first, last = cell_range(recording.step, bounds, one.m)
-    periods = EvenPeriods.of(recording.parts, first, last, None, one.constant)
+    cell_range(grid.step, bounds, one.m)
+    sampling = sampling_of(grid, np.zeros(0))
+    periods = Periods.of(sampling, grid.parts, bounds, None, one.constant)
     stretches = stretches_of(periods, one)
     if not within or stretches is None:
         return periods
     cells = first_cells(periods, stretches, one)
     z = periods.rows(cells)
-    pooled = regressed(rooted(z, np.ones(len(z))), one.n, float(len(z)))
-    return replace(periods, pooled=PooledRegression(*pooled, cells, one.constant))
+    P, S = regressed(rooted(z, np.ones(len(z))), one.n, float(len(z)))
+    return replace(periods, pooled=Pooled(P, S, cells, sampling, one.constant))
 
 
-def _one_plant(recording: Recording, grid: Recording, one: Layout, bounds: Window) -> PooledPlant:
+def _one_plant(recording: Recording, grid: Recording, one: Layout, bounds: Window) -> Pooled:
     """The plant of one mode that uneven rows are likeliest of."""
     start = start_of(grid, one, bounds, within=False)
     A, _, _ = one.split(start.theta)
     log = ExactLog(recording, one, False, bounds, nodes_for(recording.parts, A))
     best, window = maximise(log, start.theta)
-    terms = log.terms_in(*window)(log.cells(best.theta))(best.theta)
-    A, B, delays = one.split(best.theta)
-    S = concentrated(terms, one.size)[1]
-    return PooledPlant(A[0], B[0], delays[0], S[0], log.nodes, recording.step)
+    (term,) = log.terms_in(*window)(log.cells(best.theta))(best.theta)
+    (S,), (reads,) = concentrated([term], one.size)[1], one.split(best.theta)[2]
+    return Pooled(term.P, S, reads, log.sampling, one.constant)
 
 
 def refined(fit: HiddenFit[HiddenLog]) -> HiddenFit[HiddenLog]:
@@ -154,7 +147,7 @@ def refined(fit: HiddenFit[HiddenLog]) -> HiddenFit[HiddenLog]:
     return fit if ascent is None else _fit_at(ascent, fit.bic, fit.begun, fit.grid)
 
 
-def require_periods(periods: EvenPeriods, layout: Layout) -> None:
+def require_periods(periods: Periods, layout: Layout) -> None:
     """Refuse more modes than the log has periods for."""
     least = layout.least_periods * layout.modes
     if periods.count < least or stretches_of(periods, layout) is None:
@@ -265,6 +258,7 @@ def _off_the_grid(search: HiddenSearch, ascent: Ascent) -> Ascent | None:
     step, counts = search.recording.step, ascent.found.counts
     counts = Counts(counts.jumps, counts.spent * step)
     jumps = Jumps.of(grid.jumps.matrix, step, rates=True)
+    periods = replace(periods, sampling=sampling_of(search.recording, nodes))
     given = search.recording, grid.layout, periods.within, search.bounds, nodes, periods
     log = HiddenLog(*given, grid.S, jumps)
     begin = Posterior(ascent.found.value, np.vstack(weight), counts, ascent.found.node)
@@ -272,7 +266,7 @@ def _off_the_grid(search: HiddenSearch, ascent: Ascent) -> Ascent | None:
 
 
 def _best_regressions(
-    periods: EvenPeriods, layout: Layout, rng: np.random.Generator, common: bool
+    periods: Periods, layout: Layout, rng: np.random.Generator, common: bool
 ) -> tuple[list[tuple[Regressions, Posterior]], int, int]:
     """Those that the best starts lead to, the likeliest first; how many starts led there, of all.
 
@@ -300,7 +294,7 @@ def _best_regressions(
 
 
 def _in_best_cells(
-    periods: EvenPeriods, model: Regressions, layout: Layout, common: bool
+    periods: Periods, model: Regressions, layout: Layout, common: bool
 ) -> tuple[Regressions, Posterior] | None:
     """Regressions in the cells that are likeliest then; with a covariance of each mode, or one."""
     least, tried = layout.least_periods, set()

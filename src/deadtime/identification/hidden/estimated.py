@@ -22,7 +22,6 @@ from deadtime.identification.hidden.regressions import scanned
 from deadtime.identification.intervals import left_of, spread_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog, Starts
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise import estimate_of_sensors
 from deadtime.identification.parameters import Layout, Vector
@@ -142,11 +141,10 @@ def _start(found: Decoded) -> Start:
     fit, theta = found.fit, found.theta[: found.log.layout.size]
     whole, cells, layout = fit.grid.over(*fit.grid.bounds), fit.grid.cells(fit.on_grid), fit.layout
     periods, weight = whole.periods, whole.posterior(fit.on_grid, cells).weight
-    assert isinstance(periods, EvenPeriods)
     _, curves = scanned(periods, weight, layout.spread(cells), fit.grid.layout)
     if layout.per_mode:
         curves = curves.reshape(layout.modes, layout.m, -1)[found.order].reshape(curves.shape)
-    return Start(theta, found.log.cells(theta), periods.first, curves, 2 * layout.n)
+    return Start(theta, found.log.cells(theta), int(periods.cells[0]), curves, 2 * layout.n)
 
 
 def _information(

@@ -28,9 +28,10 @@ from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog,
 from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.likelihood import maximise, window_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import continuous, first_noises
+from deadtime.identification.noisy.noise import first_noises
 from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.scoring import Maximum
+from deadtime.identification.transition import continuous
 
 _ENOUGH = 2_000  # samples that tell which of two beginnings is the better one
 _ROUNDS = 10  # of plant and chain, each the other held

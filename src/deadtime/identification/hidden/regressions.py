@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.identification.likelihoods.jumps import Jumps
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior
+from deadtime.identification.likelihoods.mode_periods import Periods, Posterior
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import floored, log_density, rooted
 from deadtime.identification.scoring import best_in_turn
@@ -37,7 +37,7 @@ class PeriodRuns(NamedTuple):
     rows: Int[np.ndarray, "stretch period"]
 
 
-def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> PeriodRuns | None:
+def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> PeriodRuns | None:
     """Half overlapping, some at most, spread over the log; None if there are less than modes.
 
     Short ones have periods for little more than a regression, and more often one mode.
@@ -57,20 +57,20 @@ def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> P
     return PeriodRuns(np.array(places)[chosen, None] + np.arange(length))
 
 
-def first_cells(
-    periods: EvenPeriods, stretches: PeriodRuns, layout: Layout
-) -> Int[np.ndarray, " m"]:
+def first_cells(periods: Periods, stretches: PeriodRuns, layout: Layout) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
-    options, begin = range(periods.first, periods.last + 1), (None,) * layout.m
-    found = best_in_turn(begin, options, lambda own: _together(periods, stretches, own, layout), 2)
+    begin = (None,) * layout.m
+    found = best_in_turn(
+        begin, periods.cells.tolist(), lambda own: _together(periods, stretches, own, layout), 2
+    )
     return np.array(found)
 
 
 def _together(
-    periods: EvenPeriods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
+    periods: Periods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
-    z = periods.rows(np.array([periods.first if c is None else c for c in cells]))
+    z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
     n = layout.n
     known = np.array([c is not None for c in cells])
     keep = np.concatenate((np.ones(2 * n, bool), known, known, np.ones(int(layout.constant), bool)))
@@ -92,7 +92,7 @@ def _own_covariances(
 
 
 def drawn_start(
-    periods: EvenPeriods,
+    periods: Periods,
     stretches: PeriodRuns,
     cells: Int[np.ndarray, " m"],
     layout: Layout,
@@ -147,7 +147,7 @@ def regressed(
     return P, floored(e.T @ e / total, P[:, : y.shape[1]], y, total)
 
 
-def expected(periods: EvenPeriods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
+def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
     """What the log says of the modes under regressions."""
     each = zip(rows, model.P, model.S, strict=True)
     return periods.posterior(
@@ -177,7 +177,7 @@ def maximised(
 
 
 def climbed(
-    periods: EvenPeriods, model: Regressions, steps: int, least: float, common: bool, gain: float
+    periods: Periods, model: Regressions, steps: int, least: float, common: bool, gain: float
 ) -> tuple[Regressions, Posterior] | None:
     """The regressions after some steps; None where a mode has less periods than `least`."""
     rows, before = periods.rows_of_modes(model.cells), -np.inf
@@ -194,7 +194,7 @@ def climbed(
 
 
 def scanned(
-    periods: EvenPeriods,
+    periods: Periods,
     weight: Float[np.ndarray, "period mode"],
     cells: Int[np.ndarray, "mode m"],
     layout: Layout,
@@ -203,7 +203,7 @@ def scanned(
 
     One delay after the other, the others in their cells.
     """
-    options, count = np.arange(periods.first, periods.last + 1), weight.sum(axis=0)
+    options, count = periods.cells, weight.sum(axis=0)
     groups = [[i] for i in range(layout.modes)] if layout.per_mode else [list(range(layout.modes))]
     cells = cells.copy()
 

@@ -24,13 +24,20 @@ from deadtime.identification.likelihoods.filters_kernel import filter_modes
 from deadtime.identification.likelihoods.jumps import Jumps
 from deadtime.identification.likelihoods.mode_periods import Posterior, path_of, posterior_of
 from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
-from deadtime.identification.likelihoods.switched_filter import periods_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import Vector
 from deadtime.identification.scoring import Evaluation
 
 _SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more
 _BLOCK = 4096  # samples whose derivatives, which nothing here needs, are there at a time
+
+
+class SingleMode(NamedTuple):
+    """Unknowns of a plant of one mode, L of its noise, W = L Lᵀ, and the cells of its delays."""
+
+    theta: Vector
+    L: Float[np.ndarray, "n n"]
+    cells: Int[np.ndarray, " m"]
 
 
 class PartPeriods(NamedTuple):
@@ -54,7 +61,7 @@ class HiddenNoisyLog(SensorLikelihood):
 
     errors: Vector
     jumps: Jumps
-    _kept: dict[tuple[int, bytes], PartPeriods] = field(default_factory=dict, repr=False)
+    _kept: dict[tuple, PartPeriods] = field(default_factory=dict, repr=False)
 
     gain: ClassVar[float] = 1e-3  # each step takes a filter for every unknown
     profiled: ClassVar[bool] = False
@@ -90,9 +97,8 @@ class HiddenNoisyLog(SensorLikelihood):
         for number, start in enumerate(starts):
             each = []
             for i in range(layout.modes):
-                at = slice(i, i + 1)
-                theta = one.join(A[at], B[at], delays[at])
-                each.append(self._once(number, start, one, theta, L, own[i]))
+                theta = one.join(A[i : i + 1], B[i : i + 1], delays[i : i + 1])
+                each.append(self._along(SingleMode(theta, L, own[i]), number, start))
             Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
             part = self.recording.parts[number]
             stay = np.empty((part.time.size - 1, layout.modes))
@@ -105,45 +111,27 @@ class HiddenNoisyLog(SensorLikelihood):
             gained.append(adds)
         return laid, np.concatenate(gained)
 
-    def _once(
-        self,
-        number: int,
-        start: np.ndarray,
-        layout: Layout,
-        theta: np.ndarray,
-        L: np.ndarray,
-        cells: Int[np.ndarray, " m"],
-    ) -> PartPeriods:
-        """`_periods` of one mode; the last are kept: differences ask for few anew."""
-        key = number, b"".join(one.tobytes() for one in (start, theta, L, cells))
+    def _along(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        """The periods of a part; the last ones are kept: differences ask for few anew."""
+        key = number, start.tobytes(), *(one.tobytes() for one in mode)
         if key not in self._kept:
             if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
                 self._kept.clear()
-            self._kept[key] = self._periods(number, start, layout, theta, L, cells)
+            self._kept[key] = self._periods(mode, number, start)
         return self._kept[key]
 
-    def _periods(
-        self,
-        number: int,
-        start: np.ndarray,
-        layout: Layout,
-        theta: np.ndarray,
-        L: np.ndarray,
-        cells: Int[np.ndarray, " m"],
-    ) -> PartPeriods:
-        """Those of a part, if it were of one mode throughout; W = L Lᵀ."""
-        part = self.recording.parts[number]
+    def _periods(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        part, layout = self.recording.parts[number], replace(self.layout, modes=1, per_mode=False)
         part = part._replace(mode=np.zeros(part.time.size, np.int64))
-        leading = periods_of(self.recording, layout, theta, L, cells, self.nodes)
-        rows, each = np.arange(start.size), []
+        leading = self.sampling.periods_of(layout, *mode)
+        rows, each, tables = np.arange(start.size), [], 0
         for first in range(0, start.size, _BLOCK):
             own = rows[first : first + _BLOCK]
-            periods = leading(part, own, start[own])
-            each.append((periods.Phi, periods.added, periods.Q))
-        Phi, added, Q = zip(*each, strict=True)
-        if self.recording.even:  # one table for all
-            return PartPeriods(0 * rows, Phi[0], np.vstack(added), Q[0])
-        return PartPeriods(rows, np.vstack(Phi), np.vstack(added), np.vstack(Q))
+            found = leading(part, own, start[own])
+            each.append((tables + found.kind, found.Phi, found.Q, found.added))
+            tables += len(found.Phi)
+        kind, Phi, Q, added = zip(*each, strict=True)
+        return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
 
     def posterior(
         self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None

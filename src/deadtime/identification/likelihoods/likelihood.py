@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -12,8 +12,10 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout, Vector, Window, cells_of
-from deadtime.identification.scoring import GAIN, Evaluate, Maximum, climb, climb_cells
+from deadtime.identification.parameters import Cells, Layout, Vector, Window, cells_of
+from deadtime.identification.regression import concentrated
+from deadtime.identification.sampling import Sampling, TermsIn, UsablePeriods, sampling_of
+from deadtime.identification.scoring import GAIN, STEPS, Climb, Evaluate, EvaluateIn, Maximum, climb
 
 REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
 
@@ -52,13 +54,18 @@ class Likelihood(Frozen, ABC):
         """The places of unknowns that an information is of."""
 
     @abstractmethod
-    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
+    def evaluate_in(self, low: float, high: float) -> EvaluateIn:
         """The likelihood for delays between two, seconds; of even rows in cells of theirs.
 
         What is usable of a log depends on these, so likelihoods compare between the same ones only.
         """
 
-    def cells(self, theta: Vector) -> Int[np.ndarray, " delay"]:
+    @cached_property
+    def sampling(self) -> Sampling:
+        """How the recording was sampled."""
+        return sampling_of(self.recording, self.nodes)
+
+    def cells(self, theta: Vector) -> Cells:
         """The cells that delays lie in."""
         return cells_of(theta[self.layout.at_delays], self.recording.step)
 
@@ -101,32 +108,50 @@ def maximise(
     fixed: Bool[np.ndarray, " size"] | None = None,
     window: Window | None = None,
     gain: float | None = None,
+    steps: int = STEPS,
 ) -> tuple[Maximum, Window]:
     """The maximum that a start leads to, and the window of delays that it was sought in.
 
     What is usable of a log depends on the window, so likelihoods compare in the same one only.
     `gain` is the rise of log likelihood that is worth a step; by default the likelihood's own.
     """
-    place = log.layout.at_delays
+    place, still = log.layout.at_delays, np.zeros(theta.size, bool) if fixed is None else fixed
     gain = log.gain if gain is None else gain
-    h, asked = log.recording.step, window
     while True:
-        low, high = asked or window_of(log, theta[place])
-        evaluate_in, ends = log.evaluate_in(low, high), log.limits
-        if log.recording.even:
-            cells = log.cells(theta)
-            reach = (low, high), ends, fixed, log.stride, gain
-            best, _ = climb_cells(evaluate_in, theta, place, cells, h, *reach)
-        else:
-            ends[0][place], ends[1][place] = low, high
-            if fixed is not None:
-                ends[0][fixed], ends[1][fixed] = theta[fixed], theta[fixed]
-            evaluate = evaluate_in(np.zeros(0, np.int64))
-            best = climb(evaluate, theta, *ends, stride=log.stride, gain=gain)
-        D, free = best.theta[place], np.ones(log.layout.delays, bool)
-        if fixed is not None:
-            free = ~fixed[place]
+        low, high = window or window_of(log, theta[place])
+        how = Climb(place, log.limits, still, log.stride, gain, steps)
+        best = log.sampling.climb(log.evaluate_in(low, high), theta, (low, high), how)
+        D = best.theta[place]
         edge = ((low >= D) & (low > log.bounds[0])) | ((high <= D) & (high < log.bounds[1]))
-        if asked or not (edge & free).any() or np.array_equal(best.theta, theta):
+        if window or not (edge & ~still[place]).any() or np.array_equal(best.theta, theta):
             return best, (low, high)
         theta = best.theta
+
+
+@dataclass(frozen=True, eq=False)
+class ExactLog(PlantLikelihood):
+    """The likelihood of a recording whose states are measured without noise: regressions.
+
+    usable : the periods of every part; by default those that are usable in a window
+    weight : how likely each of them is in a mode; by default modes are those that were logged
+    """
+
+    usable: tuple[Int[np.ndarray, " period"], ...] | None = field(default=None, repr=False)
+    weight: Float[np.ndarray, "period mode"] | None = field(default=None, repr=False)
+
+    def terms_in(self, low: float, high: float) -> TermsIn:
+        """The regressions for delays between two, seconds, in cells of theirs."""
+        parts, k = self.recording.parts, self.usable
+        if k is None:
+            k = [self.sampling.usable(part, self.within, low, high) for part in parts]
+        periods = UsablePeriods(parts, k, self.weight)
+        return self.sampling.terms_in(self.layout, periods, (low, high))
+
+    def evaluate_in(self, low: float, high: float) -> EvaluateIn:
+        terms_in = self.terms_in(low, high)
+
+        def within(cells: np.ndarray) -> Evaluate:
+            terms = terms_in(cells)
+            return lambda theta: concentrated(terms(theta), self.layout.size)[0]
+
+        return within

@@ -22,62 +22,28 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.likelihoods.chain import likeliest, smooth
 from deadtime.identification.likelihoods.jumps import Counts, Jumps
 from deadtime.identification.log.recording import Part
-from deadtime.identification.regression import log_density, rows_of
-from deadtime.identification.transition import plain_transitions
-from deadtime.identification.uneven import node_rows, usable
+from deadtime.identification.parameters import Window, cell_of
+from deadtime.identification.regression import log_density
+from deadtime.identification.sampling import Sampling
 
 
-class PooledRegression(NamedTuple):
-    """Of even rows a regression, in the cells that its inputs have, (m,).
+class Pooled(NamedTuple):
+    """One regression for all modes.
 
+    reads : what tells which inputs act, (m,), see `Sampling.reads`
     constant : whether its last column is a constant term's
     """
 
     P: Float[np.ndarray, "n r"]
     S: Float[np.ndarray, "n n"]
-    cells: Int[np.ndarray, " m"]
+    reads: Int[np.ndarray, " m"] | Float[np.ndarray, " m"]
+    sampling: Sampling
     constant: bool
 
     def density(self, part: Part, k: Int[np.ndarray, " period"]) -> Float[np.ndarray, " period"]:
         """The log density of periods k of a part."""
-        return log_density(cell_rows(part, k, self.cells, self.constant), self.P, self.S)
-
-
-class PooledPlant(NamedTuple):
-    """Of uneven rows a plant of one mode: A, B (with a constant term as its last column), delays.
-
-    S : what a period of `step` adds
-    """
-
-    A: Float[np.ndarray, "n n"]
-    B: Float[np.ndarray, "n acting"]
-    delays: Float[np.ndarray, " m"]
-    S: Float[np.ndarray, "n n"]
-    nodes: Float[np.ndarray, " node"]
-    step: float
-
-    def density(self, part: Part, k: Int[np.ndarray, " period"]) -> Float[np.ndarray, " period"]:
-        """The log density of periods k of a part."""
-        n, m, count = len(self.A), self.delays.size, self.nodes.size
-        constant = self.B.shape[1] > m
-        z = node_rows(part, k, self.delays, self.nodes, self.step, constant)
-        Phi, W = plain_transitions(self.A[None], self.nodes)
-        flat = (np.moveaxis(one[0], 0, 1).reshape(n, -1) for one in (Phi, W @ self.B))
-        P = np.hstack((*flat, np.zeros((n, count * m))))
-        return log_density(z, P, self.S)
-
-
-Pooled = PooledRegression | PooledPlant
-
-
-def cell_rows(
-    part: Part, k: Int[np.ndarray, " period"], cells: Int[np.ndarray, " m"], constant: bool
-) -> Float[np.ndarray, "period z"]:
-    """z = (x_{k+1}, x_k, u_{k−N}, u_{k−N+1}), N the cell of each input; and 1 for a constant."""
-    column = np.arange(cells.size)
-    read = [part.input[np.maximum(k[:, None] - lag, 0), column] for lag in (cells, cells - 1)]
-    ones = np.ones((k.size, int(constant)))
-    return np.hstack((part.output[k + 1], part.output[k], *read, ones))
+        z = self.sampling.rows(part, k, self.reads, self.constant)
+        return log_density(z, self.P, self.S)
 
 
 class Posterior(NamedTuple):
@@ -97,16 +63,58 @@ class Posterior(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Periods(Frozen):
-    """The periods k of every part that are usable whatever the delays in a range are.
+    """The periods k of every part that are usable whatever the delays in a window are.
 
     pooled : of periods within which the mode changes; None if it does at samples only
     constant : whether dx/dt has a constant term in each mode
     """
 
+    sampling: Sampling
     parts: tuple[Part, ...]
+    window: Window
     usable: tuple[Int[np.ndarray, " period"], ...]
     pooled: Pooled | None
     constant: bool
+
+    @classmethod
+    def of(
+        cls,
+        sampling: Sampling,
+        parts: tuple[Part, ...],
+        window: Window,
+        pooled: Pooled | None,
+        constant: bool,
+    ) -> Periods:
+        """Those of parts, for delays in a window and those of the one regression."""
+        low, high = sampling.window(*window)
+        least, most = (low, high) if pooled is None else sampling.span(pooled.reads)
+        ends = min(low, least), max(high, most)
+        usable = tuple(sampling.usable(part, False, *ends) for part in parts)
+        return cls(sampling, parts, (low, high), usable, pooled, constant)
+
+    def over(self, low: float, high: float) -> Periods:
+        """Those that are usable for delays between two, seconds."""
+        window = self.sampling.window(low, high)
+        if window == self.window:
+            return self
+        return Periods.of(self.sampling, self.parts, window, self.pooled, self.constant)
+
+    @property
+    def cells(self) -> Int[np.ndarray, " cell"]:
+        """The cells of the window."""
+        step = self.sampling.step
+        return np.arange(cell_of(self.window[0], step, up=True), cell_of(self.window[1], step) + 1)
+
+    def rows(self, reads: np.ndarray) -> Float[np.ndarray, "period z"]:
+        """The rows of `Sampling.rows`, as if all were of one mode."""
+        each = zip(self.parts, self.usable, strict=True)
+        every = [self.sampling.rows(part, k, reads, self.constant) for part, k in each]
+        return np.vstack(every)
+
+    def rows_of_modes(self, reads: np.ndarray) -> list[np.ndarray]:
+        """The rows of each mode, shared where reads are the same."""
+        rows = {key: self.rows(own) for key, own in {own.tobytes(): own for own in reads}.items()}
+        return [rows[own.tobytes()] for own in reads]
 
     @property
     def count(self) -> int:
@@ -152,74 +160,6 @@ class Periods(Frozen):
             laid.append((stay, move))
             start += k.size
         return laid
-
-
-@dataclass(frozen=True, eq=False)
-class EvenPeriods(Periods):
-    """Of even rows, for delays in the cells from `first` to `last`."""
-
-    first: int
-    last: int
-
-    @classmethod
-    def of(
-        cls,
-        parts: tuple[Part, ...],
-        first: int,
-        last: int,
-        pooled: PooledRegression | None,
-        constant: bool,
-    ) -> EvenPeriods:
-        """Those of parts, for delays in a range of cells and in those of the one regression."""
-        if pooled is not None:
-            first, last = min(first, *pooled.cells.tolist()), max(last, *pooled.cells.tolist())
-        good = tuple(rows_of(part, first - 1, last, within=False) for part in parts)
-        return cls(parts, good, pooled, constant, first, last)
-
-    def rows(self, cells: Int[np.ndarray, " m"]) -> Float[np.ndarray, "period z"]:
-        """The rows of `cell_rows`."""
-        each = zip(self.parts, self.usable, strict=True)
-        return np.vstack([cell_rows(part, k, cells, self.constant) for part, k in each])
-
-    def rows_of_modes(self, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:
-        """The rows of each mode, shared where cells are the same."""
-        kept = {own.tobytes(): own for own in cells}
-        rows = {key: self.rows(own) for key, own in kept.items()}
-        return [rows[own.tobytes()] for own in cells]
-
-
-@dataclass(frozen=True, eq=False)
-class UnevenPeriods(Periods):
-    """Of uneven rows, for delays between `low` and `high`, seconds."""
-
-    low: float
-    high: float
-    step: float
-
-    @classmethod
-    def between(
-        cls,
-        parts: tuple[Part, ...],
-        low: float,
-        high: float,
-        pooled: Pooled | None,
-        step: float,
-        constant: bool,
-    ) -> UnevenPeriods:
-        """Those of parts, for delays between two and those of the one plant."""
-        of = pooled.delays.tolist() if isinstance(pooled, PooledPlant) else []
-        ends = max([high, *of]), min([low, *of])
-        good = tuple(np.flatnonzero(usable(part, False, *ends)) for part in parts)
-        return cls(parts, good, pooled, constant, low, high, step)
-
-    def rows(
-        self, delays: Float[np.ndarray, " m"], nodes: Float[np.ndarray, " node"]
-    ) -> Float[np.ndarray, "period z"]:
-        """What acts by the weights of nodes, for delays of one mode; noise scaled to a period."""
-        each = zip(self.parts, self.usable, strict=True)
-        return np.vstack(
-            [node_rows(part, k, delays, nodes, self.step, self.constant) for part, k in each]
-        )
 
 
 def posterior_of(

@@ -30,11 +30,10 @@ from deadtime.identification.likelihoods.switched_filter import (
     Places,
     Sensors,
     SwitchedKalmanFilter,
-    periods_of,
 )
 from deadtime.identification.parameters import Vector
+from deadtime.identification.sampling import fed
 from deadtime.identification.scoring import Evaluate, Evaluation
-from deadtime.identification.uneven import fed
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
 _UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
@@ -206,12 +205,10 @@ class NoisyLog(SensorLikelihood):
         """The filter over all parts; of an even log in cells of delays, by default their own."""
         theta = vector[: self.layout.size]
         own = self.cells(theta) if cells is None else cells
-        given = self.recording, self.layout, theta, self.root(vector), own, self.nodes
+        periods_of = self.sampling.periods_of(self.layout, theta, self.root(vector), own)
         sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
         left_out = self.initial(starts)
-        return SwitchedKalmanFilter(
-            self.recording.parts, starts, left_out, periods_of(*given), sensors
-        )
+        return SwitchedKalmanFilter(self.recording.parts, starts, left_out, periods_of, sensors)
 
     def innovations(self, vector: Vector, starts: Starts) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""

@@ -36,7 +36,6 @@ from deadtime.identification.parameters import Vector, Window
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 from deadtime.identification.start import Start
-from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.kernels import expect_many_calls
 
 _ENOUGH = 10_000  # samples that tell how noise is restricted
@@ -46,61 +45,6 @@ _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # of log likelihood that is still worth a step
 _TOLD = 1.0  # information on a logarithm: one that is told to less than a factor of e stays
 _FEWEST = 3.0  # degrees of freedom: of fewer Student's has no variance
-
-
-def continuous(
-    A: Float[np.ndarray, "mode n n"], S: Float[np.ndarray, "mode n n"], step: float
-) -> Float[np.ndarray, "mode n n"]:
-    """W of which a period makes S = ∫₀^h e^{As} W e^{Aᵀs} ds, mode by mode, positive semidefinite.
-
-    Examples
-    --------
-    >>> W = continuous(np.array([[[-1.0]]]), np.array([[[0.5 * (1.0 - np.exp(-0.4))]]]), 0.2)
-    >>> W.round(12)
-    array([[[1.]]])
-    """
-    result = np.empty(S.shape)
-    for i, one in enumerate(A):
-        W = np.linalg.lstsq(_images(one, step), S[i].ravel(), rcond=None)[0].reshape(one.shape)
-        values, vectors = np.linalg.eigh(0.5 * (W + W.T))
-        W = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        result[i] = 0.5 * (W + W.T)  # to the last bit, as who reads it makes it
-    return result
-
-
-def _images(A: Float[np.ndarray, "n n"], step: float) -> Float[np.ndarray, "nn nn"]:
-    """From W to S, line by line, of a W that is symmetric."""
-    n = len(A)
-    units = np.eye(n * n).reshape(n * n, n, n)
-    units = 0.5 * (units + units.transpose(0, 2, 1))
-    S = noise_covariances(np.repeat(A[None], n * n, axis=0), units, np.full(n * n, step))
-    return S.reshape(n * n, n * n).T
-
-
-def intensity_errors(
-    A: Float[np.ndarray, "mode n n"],
-    W: Float[np.ndarray, "mode n n"],
-    step: float,
-    spare: Int[np.ndarray, " mode"],
-) -> Float[np.ndarray, " variance"]:
-    """The standard errors of the diagonals of W, mode by mode, from `spare` periods of each.
-
-    W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. A
-    position has noise in S that its speed has brought there, and with it an error.
-
-    Examples
-    --------
-    >>> A, W = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([np.diag([0.0, 3.0])])
-    >>> (intensity_errors(A, W, 0.1, np.array([200])) * [1000.0, 1.0]).round(3)
-    array([0.354, 0.3  ])
-    """
-    modes, n, _ = A.shape
-    errors, S = np.empty((modes, n)), noise_covariances(A, W, np.full(modes, step))
-    for i, one in enumerate(A):
-        G = np.linalg.pinv(_images(one, step))[:: n + 1].reshape(n, n, n)
-        GS = 0.5 * (G + G.transpose(0, 2, 1)) @ S[i]
-        errors[i] = np.sqrt(2.0 * np.einsum("abc,acb->a", GS, GS) / spare[i])
-    return errors.ravel()
 
 
 def estimate_with_noise(

@@ -39,7 +39,6 @@ from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.noisy.delay_scan import of_sensors, scanned
 from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.start import matrix_logarithm, start_of
-from deadtime.identification.uneven import gridded
 
 _VAGUE = 1e8  # variances of a sensor that a state is not known by
 _DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends
@@ -280,7 +279,7 @@ def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     That noise is next to nothing and stays so first: else it takes up what a delay that is a part
     of a period off leaves, and a climb ends there.
     """
-    shape, layout, grid = log.embedding, log.layout, gridded(log.recording)
+    shape, layout, grid = log.embedding, log.layout, log.recording.gridded()
     assert shape is not None
     if not (shape.zeros and shape.upper.size):
         return []
@@ -288,7 +287,7 @@ def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     W, deviation = guess.noise[-1]
     lag = grid.lag(log.bounds[1])
     few = replace(log, recording=log.recording.stretches(_FEW, lag))
-    even, held = replace(few, recording=gridded(few.recording)), np.arange(log.size) >= layout.size
+    even, held = replace(few, recording=few.recording.gridded()), np.arange(log.size) >= layout.size
     begins = []
     for apart in _APART:
         given = shape, deviation, grid.step, lag, layout.modes, apart

@@ -21,8 +21,8 @@ from deadtime.identification.noisy.delay_scan import Scanned, largest_maximum
 from deadtime.identification.outputs.begin import Guess, begins_of, by_past, guess_of
 from deadtime.identification.outputs.other_delays import others_of
 from deadtime.identification.parameters import Layout, Window
+from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum
-from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.numerics.kernels import expect_many_calls
 
 _FEW = 4_000  # samples that tell where to begin
@@ -95,7 +95,7 @@ def chosen_of(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> C
     """The likeliest plant; `lead`: see `Embedding`."""
     expect_many_calls()
     recording, layout, order, zeros, bounds, within, progress = request
-    guess = guess_of(gridded(recording), layout, order, bounds, within)
+    guess = guess_of(recording.gridded(), layout, order, bounds, within)
     shape = Embedding(order, zeros is True, guess.size, lead)
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
     some = recording.stretches(_FEW, recording.lag(bounds[1]))

@@ -27,7 +27,7 @@ from deadtime.identification.outputs.chosen import (
 )
 from deadtime.identification.outputs.other_delays import with_others
 from deadtime.identification.parameters import Layout, Window
-from deadtime.identification.uneven import nodes_for
+from deadtime.identification.sampling import nodes_for
 
 _MOST = 12  # states in all
 
