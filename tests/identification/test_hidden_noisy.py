@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.likelihoods.filters_kernel import carry_halves
+from deadtime.identification.likelihoods.kalman_kernel import carry_halves
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog
 from deadtime.identification.likelihoods.jumps import Jumps

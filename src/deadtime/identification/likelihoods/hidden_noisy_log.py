@@ -1,7 +1,7 @@
 """The likelihood of a log whose modes are hidden and whose sensors are noisy.
 
 Exact, it is a sum over all paths, each with Kalman's filter of its own. Here all filters that lead
-to a mode are mixed after every sample (`filters_kernel`), so that the modes' filters give densities
+to a mode are mixed after every sample (`kalman_kernel`), so that the modes' filters give densities
 b_k of what every period leads to, and log L = log Σ_σ p(σ) Π b_k(σ_k, σ_{k+1}) as of exact states.
 A period within which the mode changes from i to j does what a share f of i and the rest of j do, f
 uniform, to first order in the period: with x_i and x_j where either alone would lead, its mean is
@@ -20,8 +20,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.likelihoods.filters_kernel import filter_modes
 from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.kalman_kernel import filter_modes
 from deadtime.identification.likelihoods.mode_periods import Posterior, path_of, posterior_of
 from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
 from deadtime.identification.log.recording import Recording

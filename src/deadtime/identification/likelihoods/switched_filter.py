@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from deadtime.identification.likelihoods.tangent_kernel import tangents
+from deadtime.identification.likelihoods.kalman_kernel import tangents
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
 from deadtime.identification.sampling import FilterPeriods, PeriodsOf
