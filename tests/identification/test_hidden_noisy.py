@@ -10,10 +10,10 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.likelihoods.kalman_kernel import carry_halves
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog
 from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.kalman_kernel import carry_halves
 from deadtime.identification.likelihoods.mode_periods import Periods
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels
 from deadtime.identification.log.recording import Part, Recording
