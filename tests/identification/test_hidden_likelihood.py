@@ -8,10 +8,9 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
-from deadtime.identification.hidden.hidden_information import information_of, lifted
+from deadtime.identification.hidden_estimate import information_of, lifted
+from deadtime.identification.likelihoods.hidden_chain import Jumps, Periods
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
-from deadtime.identification.likelihoods.jumps import Jumps
-from deadtime.identification.likelihoods.mode_periods import Periods
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout, cells_of
 from deadtime.identification.sampling import nodes_for, sampling_of

@@ -9,16 +9,16 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
-from deadtime.identification.hidden.choice import HiddenFit
-from deadtime.identification.hidden.estimated import Decoded
-from deadtime.identification.hidden.identify_hidden import (
+from deadtime.identification.expectation_maximisation import drawn_start, stretches_of
+from deadtime.identification.hidden_estimate import Decoded
+from deadtime.identification.hidden_fit import HiddenFit
+from deadtime.identification.identify_hidden import (
     TriedNumbers,
     best_of,
     numbers_of,
     of_numbers,
 )
-from deadtime.identification.hidden.regressions import drawn_start, stretches_of
-from deadtime.identification.likelihoods.mode_periods import Periods
+from deadtime.identification.likelihoods.hidden_chain import Periods
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
 from deadtime.identification.sampling import EvenSampling

@@ -10,14 +10,12 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.likelihoods.hidden_log import HiddenLog
-from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog
-from deadtime.identification.likelihoods.jumps import Jumps
+from deadtime.identification.likelihoods.hidden_chain import Jumps, Periods
+from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog
 from deadtime.identification.likelihoods.kalman_kernel import carry_halves
-from deadtime.identification.likelihoods.mode_periods import Periods
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.noise import variance_errors
+from deadtime.identification.noisy_estimate import variance_errors
 from deadtime.identification.parameters import Layout
 from deadtime.identification.sampling import nodes_for, sampling_of
 from synthetic_logs import Plant

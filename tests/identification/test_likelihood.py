@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from deadtime.identification.likelihoods.likelihood import ExactLog
+from deadtime.identification.likelihoods.likelihood import ExactLog, concentrated
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import concentrated
 from deadtime.identification.sampling import UsablePeriods, nodes_for, sampling_of
 from deadtime.identification.scoring import Climb, Evaluation, climb, climb_cells
 from deadtime.identification.transition import transitions_of

@@ -10,9 +10,8 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.cli import main
-from deadtime.identification.likelihoods.embedding import Embedding
 from deadtime.identification.likelihoods.likelihood import maximise
-from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
+from deadtime.identification.likelihoods.noisy_log import Embedding, NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
 from deadtime.identification.sampling import nodes_for

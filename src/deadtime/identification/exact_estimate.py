@@ -8,15 +8,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.delay_intervals import delay_intervals, ends_over_peaks
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.identifiability import reasons
-from deadtime.identification.intervals import Spread, spread_of
+from deadtime.identification.intervals import Spread, delay_intervals, ends_over_peaks, spread_of
 from deadtime.identification.levels import without_level
-from deadtime.identification.likelihoods.likelihood import ExactLog, PlantLikelihood, maximise
+from deadtime.identification.likelihoods.likelihood import (
+    ExactLog,
+    PlantLikelihood,
+    concentrated,
+    maximise,
+)
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout, Window
-from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum

@@ -35,7 +35,6 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.frozen import Frozen
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Cells, Layout, Vector, Window, cell_of
-from deadtime.identification.regression import Term
 from deadtime.identification.scoring import Climb, EvaluateIn, Maximum, climb, climb_cells
 from deadtime.identification.transition import (
     interpolation,
@@ -48,7 +47,6 @@ _BLOCK = 2_000_000  # numbers of a log that are stacked at a time
 _ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
 
 Roots = Callable[[np.ndarray], list[np.ndarray]]  # of what modes read, a root for each
-TermsIn = Callable[[np.ndarray], Callable[[np.ndarray], list[Term]]]  # of cells, then unknowns
 
 
 class WeightMap(NamedTuple):
@@ -57,6 +55,24 @@ class WeightMap(NamedTuple):
     P: Float[np.ndarray, "n r"]
     by_P: Float[np.ndarray, "own n r"]
     place: Int[np.ndarray, " own"]
+
+
+class Term(NamedTuple):
+    """The regression of one mode.
+
+    root : (rows, n + r), rootᵀ root = Σ z zᵀ
+    periods : N_i, or the sum of weights
+    P : (n, r), by_P : (unknowns, n, r) its derivatives, place : (unknowns,) whose
+    """
+
+    root: Float[np.ndarray, "row z"]
+    periods: float
+    P: Float[np.ndarray, "n r"]
+    by_P: Float[np.ndarray, "own n r"]
+    place: Int[np.ndarray, " own"]
+
+
+TermsIn = Callable[[np.ndarray], Callable[[np.ndarray], list[Term]]]  # of cells, then unknowns
 
 
 class FilterPeriods(NamedTuple):

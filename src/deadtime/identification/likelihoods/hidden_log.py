@@ -5,20 +5,48 @@
 
 The second is Fisher's identity. Steps are scaled by the information that the log would hold if the
 modes were known with these weights; what not knowing them takes from it is in `information`.
+
+The likelihood of a log whose modes are hidden and whose sensors are noisy.
+
+Exact, it is a sum over all paths, each with Kalman's filter of its own. Here all filters that lead
+to a mode are mixed after every sample (`kalman_kernel`), so that the modes' filters give densities
+b_k of what every period leads to, and log L = log Σ_σ p(σ) Π b_k(σ_k, σ_{k+1}) as of exact states.
+A period within which the mode changes from i to j does what a share f of i and the rest of j do, f
+uniform, to first order in the period: with x_i and x_j where either alone would lead, its mean is
+(x_i + x_j)/2, and its covariance that of i and j, halved and added, and (x_i − x_j)(x_i − x_j)ᵀ/12.
+
+Derivatives are forward differences; the information is that of every sample's own score,
+
+    F = Σ_k ∂ℓ_k ∂ℓ_kᵀ,    ℓ_k = log p(y_k | y_0 … y_{k−1}).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.likelihoods.jumps import Jumps
-from deadtime.identification.likelihoods.likelihood import ExactLog, PlantLikelihood
-from deadtime.identification.likelihoods.mode_periods import Periods, Posterior
+from deadtime.identification.likelihoods.hidden_chain import (
+    Jumps,
+    Periods,
+    Posterior,
+    path_of,
+    posterior_of,
+)
+from deadtime.identification.likelihoods.kalman_kernel import filter_modes
+from deadtime.identification.likelihoods.likelihood import (
+    ExactLog,
+    PlantLikelihood,
+    add_score,
+    log_density,
+    rooted,
+)
+from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Cells, Vector, Window
-from deadtime.identification.regression import Term, add_score, log_density, rooted
+from deadtime.identification.sampling import Term
 from deadtime.identification.scoring import EvaluateIn, Evaluation
 
 
@@ -93,3 +121,146 @@ class HiddenLog(PlantLikelihood):
     def evaluate_in(self, low: float, high: float) -> EvaluateIn:
         log = self.over(low, high)
         return lambda cells: lambda theta: log.evaluate(theta, cells)
+
+
+_SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more
+_BLOCK = 4096  # samples whose derivatives, which nothing here needs, are there at a time
+
+
+class SingleMode(NamedTuple):
+    """Unknowns of a plant of one mode, L of its noise, W = L Lᵀ, and the cells of its delays."""
+
+    theta: Vector
+    L: Float[np.ndarray, "n n"]
+    cells: Int[np.ndarray, " m"]
+
+
+class PartPeriods(NamedTuple):
+    """The periods that lead to the samples of a part, all of one mode.
+
+    kind : (T,), the row of Phi and Q, how a state moves, and the noise; added : (T, n), by inputs
+    """
+
+    kind: Int[np.ndarray, " T"]
+    Phi: Float[np.ndarray, "kind n n"]
+    added: Float[np.ndarray, "T n"]
+    Q: Float[np.ndarray, "kind n n"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HiddenNoisyLog(SensorLikelihood):
+    """The likelihood of a recording with measurement noise and hidden modes, the chain held.
+
+    errors : standard errors of the vector, about
+    """
+
+    errors: Vector
+    jumps: Jumps
+    _kept: dict[tuple, PartPeriods] = field(default_factory=dict, repr=False)
+
+    gain: ClassVar[float] = 1e-3  # each step takes a filter for every unknown
+    profiled: ClassVar[bool] = False
+
+    def along(self, recording: Recording) -> NoisyLog:
+        """The likelihood if modes were those of a recording, and changed at its samples."""
+        return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
+
+    def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenNoisyLog:
+        """With modes in another order."""
+        errors, jumps = self.layout.ordered(self.errors, order), self.jumps.ordered(order)
+        return replace(self, errors=errors, jumps=jumps, _kept={})
+
+    @property
+    def most(self) -> Vector:
+        """Steps of noise beyond which differences tell little; of plants there are none."""
+        most = self.errors.copy()
+        most[: self.layout.size] = np.inf
+        return most
+
+    def stride(self, vector: Vector) -> Vector:
+        return np.full(vector.size, np.inf)
+
+    def filtered(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
+        """Of every part the densities of all periods, stay and change; and what samples add."""
+        layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
+        A, B, delays = layout.split(vector[: layout.size])
+        L, R, laid, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []
+        own = cells if cells is not None and cells.size else self.cells(vector)
+        own = layout.spread(own)
+        for number, start in enumerate(starts):
+            each = []
+            for i in range(layout.modes):
+                theta = one.join(A[i : i + 1], B[i : i + 1], delays[i : i + 1])
+                each.append(self._along(SingleMode(theta, L, own[i]), number, start))
+            Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
+            part = self.recording.parts[number]
+            stay = np.empty((part.time.size - 1, layout.modes))
+            move = np.empty((*stay.shape, layout.modes))
+            adds = np.empty(part.time.size)
+            given = (part.output, start, each[0].kind, Phi, added, Q, self.C)
+            given = (*given, R, self.P0, *self.jumps.over(part.time))
+            filter_modes(*map(np.ascontiguousarray, given), self.within, stay, move, adds)
+            laid.append((stay, move))
+            gained.append(adds)
+        return laid, np.concatenate(gained)
+
+    def _along(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        """The periods of a part; the last ones are kept: differences ask for few anew."""
+        key = number, start.tobytes(), *(one.tobytes() for one in mode)
+        if key not in self._kept:
+            if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
+                self._kept.clear()
+            self._kept[key] = self._periods(mode, number, start)
+        return self._kept[key]
+
+    def _periods(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        part, layout = self.recording.parts[number], replace(self.layout, modes=1, per_mode=False)
+        part = part._replace(mode=np.zeros(part.time.size, np.int64))
+        leading = self.sampling.periods_of(layout, *mode)
+        rows, each, tables = np.arange(start.size), [], 0
+        for first in range(0, start.size, _BLOCK):
+            own = rows[first : first + _BLOCK]
+            found = leading(part, own, start[own])
+            each.append((tables + found.kind, found.Phi, found.Q, found.added))
+            tables += len(found.Phi)
+        kind, Phi, Q, added = zip(*each, strict=True)
+        return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
+
+    def posterior(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> Posterior:
+        """What the log says of the modes; its weights are of all periods."""
+        laid, gained = self.filtered(vector, starts, cells)
+        parts = self.recording.parts
+        every = [np.arange(part.time.size - 1) for part in parts]
+        found = posterior_of(parts, laid, self.jumps, every, self.within)
+        return found._replace(value=float(gained.sum()))
+
+    def path(self, vector: Vector, starts: Starts) -> list[Int[np.ndarray, " sample"]]:
+        """The likeliest modes of the samples of every part."""
+        return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
+
+    def value(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> float:
+        """The log likelihood."""
+        return float(self.filtered(vector, starts, cells)[1].sum())
+
+    def evaluate(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> Evaluation:
+        size = vector.size
+        with np.errstate(all="ignore"):
+            now = self.filtered(vector, starts, cells)[1]
+            if not np.isfinite(now).all():
+                return Evaluation(-np.inf, np.zeros(size), np.eye(size))
+            slope = np.empty((size, now.size))
+            for a in range(size):
+                step = np.zeros(size)
+                step[a] = _SMALL * self.errors[a]
+                slope[a] = (self.filtered(vector + step, starts, cells)[1] - now) / step[a]
+        if not np.isfinite(slope).all():
+            return Evaluation(-np.inf, np.zeros(size), np.eye(size))
+        return Evaluation(float(now.sum()), slope.sum(axis=1), slope @ slope.T)

@@ -11,10 +11,13 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.log.mode_columns import absent_modes, label, labels_of, mode_column
 from deadtime.identification.log.read_tables import (
     LogTable,
+    absent_modes,
     chosen_columns,
+    label,
+    labels_of,
+    mode_column,
     numeric_column,
     table_of,
 )
