@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 import deadtime as dt
-from deadtime.identification.excitation.excited_loop import chain_of
-from deadtime.identification.excitation.given import root_of
-from deadtime.identification.excitation.input_information import Prospect
-from deadtime.identification.excitation.state_information import (
+from deadtime.identification.experiment import root_of
+from deadtime.identification.experiment_information import (
     ExactStates,
     NoiseTables,
     NoisyStates,
+    chain_of,
 )
+from deadtime.identification.input_design import Prospect
 from deadtime.identification.parameters import Layout
 
 

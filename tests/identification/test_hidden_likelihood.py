@@ -8,13 +8,12 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
-from deadtime.identification.hidden.hidden_information import information_of, lifted
+from deadtime.identification.hidden_estimate import information_of, lifted
+from deadtime.identification.likelihoods.hidden_chain import Jumps, Periods
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
-from deadtime.identification.likelihoods.jumps import Jumps
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods, UnevenPeriods
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout, cells_of
-from deadtime.identification.uneven import nodes_for
+from deadtime.identification.sampling import nodes_for, sampling_of
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -29,9 +28,10 @@ def likelihood(plant, count, last, per_mode=False, seed=0):
     part = Part(t, y, u, np.zeros(count, np.int64))
     record = Recording((part,), H, True, ("x",) * n, ("u",) * m, ("0", "1"), False)
     layout, S = Layout(modes, n, m, per_mode), [plant.covariance(i, H) for i in range(modes)]
-    periods = EvenPeriods.of((part,), 1, last, None, constant=False)
     nodes = nodes_for((part,), plant.A)
-    given = record, layout, False, (1e-8, last * H), nodes, periods
+    window = 1e-8, last * H
+    periods = Periods.of(sampling_of(record, nodes), (part,), window, None, constant=False)
+    given = record, layout, False, window, nodes, periods
     log = HiddenLog(*given, np.array(S), Jumps(CHAIN, H, rates=False))
     theta = layout.join(plant.A, plant.B, plant.D)
     return log, theta, cells_of(theta[layout.at_delays], H)
@@ -111,7 +111,8 @@ def test_uneven_rows_have_the_sum_over_all_paths_and_rates_are_scored_by_its_slo
     record = Recording((part,), H, False, ("x",) * 2, ("u",), ("0", "1"), False)
     layout, S = Layout(2, 2, 1, False), np.array([plant.covariance(i, H) for i in (0, 1)])
     nodes = nodes_for((part,), plant.A)
-    periods = UnevenPeriods.between((part,), 0.1, 0.12, None, H, constant=False)
+    sampling = sampling_of(record, nodes)
+    periods = Periods.of(sampling, (part,), (0.1, 0.12), None, constant=False)
     jumps = Jumps(rates, H, rates=True)
     log = HiddenLog(record, layout, False, (1e-8, 0.2), nodes, periods, S, jumps)
     theta = layout.join(plant.A, plant.B, plant.D)

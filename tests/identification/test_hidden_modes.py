@@ -9,18 +9,19 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
-from deadtime.identification.hidden.choice import HiddenFit
-from deadtime.identification.hidden.estimated import Decoded
-from deadtime.identification.hidden.identify_hidden import (
+from deadtime.identification.expectation_maximisation import drawn_start, stretches_of
+from deadtime.identification.hidden_estimate import Decoded
+from deadtime.identification.hidden_fit import HiddenFit
+from deadtime.identification.identify_hidden import (
     TriedNumbers,
     best_of,
     numbers_of,
     of_numbers,
 )
-from deadtime.identification.hidden.regressions import drawn_start, stretches_of
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods
+from deadtime.identification.likelihoods.hidden_chain import Periods
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
+from deadtime.identification.sampling import EvenSampling
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -265,7 +266,8 @@ def test_a_start_has_a_covariance_where_noise_enters_at_the_end_of_a_chain_of_st
     y, u = plant.log(h * np.arange(400), rng.standard_normal((400, 1)), rng)
     part = Part(h * np.arange(400), y, u, np.zeros(400, np.int64))
     layout = Layout(2, n, 1, per_mode=False)
-    periods = EvenPeriods.of((part,), 1, 4, None, constant=False)
+    sampling = EvenSampling(h, np.zeros(0))
+    periods = Periods.of(sampling, (part,), (0.0, 4 * h), None, constant=False)
     stretches = stretches_of(periods, layout)
     assert stretches is not None
     for _ in range(3):

@@ -10,16 +10,14 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.likelihoods.filters_kernel import carry_halves
-from deadtime.identification.likelihoods.hidden_log import HiddenLog
-from deadtime.identification.likelihoods.hidden_noisy_log import HiddenNoisyLog
-from deadtime.identification.likelihoods.jumps import Jumps
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods
+from deadtime.identification.likelihoods.hidden_chain import Jumps, Periods
+from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog
+from deadtime.identification.likelihoods.kalman_kernel import carry_halves
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.noise import variance_errors
+from deadtime.identification.noisy_estimate import variance_errors
 from deadtime.identification.parameters import Layout
-from deadtime.identification.uneven import nodes_for
+from deadtime.identification.sampling import nodes_for, sampling_of
 from synthetic_logs import Plant
 
 H = 0.05
@@ -118,7 +116,8 @@ def test_as_noise_of_sensors_vanishes_densities_become_those_of_exact_states():
     part = log.recording.parts[0]
     exact = log.recording._replace(parts=(part._replace(output=part.output[:, :2]),))
     S = np.array([plant.covariance(i, H) for i in (0, 1)])
-    periods = EvenPeriods.of(exact.parts, 1, 3, None, constant=False)
+    sampling = sampling_of(exact, log.nodes)
+    periods = Periods.of(sampling, exact.parts, (0.0, 3 * H), None, constant=False)
     other = HiddenLog(exact, log.layout, False, log.bounds, log.nodes, periods, S, log.jumps)
     theta = vector[: log.layout.size]
     node = log.posterior(vector, log.starts(0.1, 0.12)).node[0]

@@ -6,20 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from deadtime.identification.likelihoods.exact_log import ExactLog
+from deadtime.identification.likelihoods.likelihood import ExactLog, concentrated
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import (
-    concentrated,
-    even_terms,
-    lags_of,
-    rows_of,
-    stacked,
-)
-from deadtime.identification.scoring import Evaluation, climb, climb_cells
+from deadtime.identification.sampling import UsablePeriods, nodes_for, sampling_of
+from deadtime.identification.scoring import Climb, Evaluation, climb, climb_cells
 from deadtime.identification.transition import transitions_of
-from deadtime.identification.uneven import nodes_for, uneven_terms
 from synthetic_logs import Plant, oscillator
 
 H, T = 0.05, 40
@@ -110,28 +103,33 @@ def test_the_score_of_exact_states_is_the_derivative(record):
     assert np.abs((evaluate(THETA).score - by_hand) * size).max() < 1e-9
 
 
+def terms_of(record, periods=None):
+    """How a record is sampled, its periods for delays in cell 7, and the regressions over some."""
+    sampling, window = sampling_of(record, nodes_for(record.parts, TRUE.A)), (6.0 * H, 7.0 * H)
+    k = sampling_of(LOG, sampling.nodes).usable(LOG.parts[0], True, *window)
+    usable = UsablePeriods(record.parts, [k])
+    found = sampling.terms_in(LAYOUT, periods or usable, window)(np.array([7]))(THETA)
+    return sampling, usable, found
+
+
 def test_sums_of_an_even_log_tell_what_its_samples_tell():
     part = LOG.parts[0]
-    lags = lags_of(LOG.parts, LAYOUT, 6, 7, True)
-    rows = rows_of(part, 6, 7, True)
-    every = [stacked(part, rows[part.mode[rows] == i], 6, 7, False) for i in (0, 1)]
-    by_sample = lags._replace(root=every)
-    cells = np.full((2, 1), 7)
-    one, S = concentrated(even_terms(lags, LAYOUT, H, cells, THETA), LAYOUT.size)
-    other, S_other = concentrated(even_terms(by_sample, LAYOUT, H, cells, THETA), LAYOUT.size)
+    sampling, usable, terms = terms_of(LOG)
+    (k,), own = usable.k, np.array([7])
+    by_sample = [
+        term._replace(root=sampling.rows(part, k[part.mode[k] == i], own, False))
+        for i, term in enumerate(terms)
+    ]
+    one, S = concentrated(terms, LAYOUT.size)
+    other, S_other = concentrated(by_sample, LAYOUT.size)
     assert one.value == pytest.approx(other.value, rel=1e-10)
     np.testing.assert_allclose(one.score, other.score, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(S, S_other, rtol=1e-10)
 
 
 def test_an_even_log_may_be_taken_for_an_uneven_one():
-    rows = [rows_of(LOG.parts[0], 6, 7, True)]
-    lags = lags_of(LOG.parts, LAYOUT, 6, 7, True)
-    nodes = nodes_for(LOG.parts, TRUE.A)
-    even, S = concentrated(even_terms(lags, LAYOUT, H, np.full((2, 1), 7), THETA), LAYOUT.size)
-    uneven, S_uneven = concentrated(
-        uneven_terms(LOG.parts, rows, LAYOUT, H, nodes, THETA), LAYOUT.size
-    )
+    even, S = concentrated(terms_of(LOG)[2], LAYOUT.size)
+    uneven, S_uneven = concentrated(terms_of(LOG._replace(even=False))[2], LAYOUT.size)
     assert even.value == pytest.approx(uneven.value, rel=1e-10)
     np.testing.assert_allclose(even.score, uneven.score, rtol=1e-9)
     np.testing.assert_allclose(even.information, uneven.information, rtol=1e-8, atol=1e-8)
@@ -140,15 +138,35 @@ def test_an_even_log_may_be_taken_for_an_uneven_one():
 
 def test_the_same_uneven_log_six_times_tells_six_times_as_much():
     """Their rows are more than a root has, so that they are gathered."""
-    k = np.arange(7, T - 1)
-    nodes = nodes_for(UNEVEN.parts, TRUE.A)
-    once, six = (
-        concentrated(uneven_terms(parts, [k] * len(parts), LAYOUT, H, nodes, THETA), LAYOUT.size)
-        for parts in (UNEVEN.parts, UNEVEN.parts * 6)
-    )
+    every = [UsablePeriods(UNEVEN.parts * n, [np.arange(7, T - 1)] * n) for n in (1, 6)]
+    once, six = (concentrated(terms_of(UNEVEN, own)[2], LAYOUT.size) for own in every)
     assert six[0].value == pytest.approx(6.0 * once[0].value, rel=1e-10)
     np.testing.assert_allclose(six[0].score, 6.0 * once[0].score, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(six[1], once[1], rtol=1e-10)
+
+
+@pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])
+def test_weights_of_one_and_zero_are_modes_that_were_logged(record):
+    part = record.parts[0]
+    _, usable, terms = terms_of(record)
+    weight = np.eye(2)[part.mode[usable.k[0]]]
+    weighted = terms_of(record, usable._replace(weight=weight))[2]
+    (one, S), (other, S_other) = (concentrated(each, LAYOUT.size) for each in (terms, weighted))
+    assert one.value == pytest.approx(other.value, rel=1e-10)
+    np.testing.assert_allclose(one.score, other.score, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(S, S_other, rtol=1e-10)
+
+
+@pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])
+def test_a_period_of_weight_two_counts_as_if_it_were_logged_twice(record):
+    _, usable, _ = terms_of(record)
+    weight = 2.0 * np.eye(2)[record.parts[0].mode[usable.k[0]]]
+    twice = UsablePeriods(record.parts * 2, usable.k * 2)
+    own = usable._replace(weight=weight), twice
+    one, other = (concentrated(terms_of(record, each)[2], LAYOUT.size) for each in own)
+    assert one[0].value == pytest.approx(other[0].value, rel=1e-10)
+    np.testing.assert_allclose(one[0].score, other[0].score, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(one[1], other[1], rtol=1e-10)
 
 
 @pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])
@@ -195,7 +213,7 @@ def test_scoring_crosses_kinks_to_the_larger_side_and_stays_at_one_that_is_the_t
 
     free = np.full(1, -np.inf), np.full(1, np.inf)
     best, cells = climb_cells(
-        roof(4.0), np.array([1.5]), slice(0, 1), np.array([2]), 1.0, (0.0, 9.0), free
+        roof(4.0), np.array([1.5]), 1.0, (0.0, 9.0), Climb(slice(0, 1), free, np.zeros(1, bool))
     )
     assert (best.theta[0], cells[0]) == (4.0, 4)
     start = np.array([1.0])

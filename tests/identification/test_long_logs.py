@@ -39,7 +39,7 @@ def test_where_a_long_log_begins_does_not_move_its_estimate(monkeypatch, delay):
     log = pd.DataFrame({"t": t, "x": y[:, 0], "u": u[:, 0]})
     found = []
     for most in (10_000, 100):
-        monkeypatch.setattr("deadtime.identification.noisy.noise._ENOUGH", most)
+        monkeypatch.setattr("deadtime.identification.noisy_estimate._ENOUGH", most)
         found.append(dt.identify(log, modes=None, delay=(delay - 0.15, delay + 0.3), noise=True))
     whole, some = found
     for name in whole.names:

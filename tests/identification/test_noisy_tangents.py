@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from deadtime.identification.likelihoods.embedding import Embedding
-from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
+from deadtime.identification.likelihoods.noisy_log import Embedding, NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.uneven import nodes_for
+from deadtime.identification.sampling import nodes_for
 from synthetic_logs import Plant
 
 H, T = 0.05, 32

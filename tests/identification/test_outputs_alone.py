@@ -10,13 +10,12 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.cli import main
-from deadtime.identification.likelihoods.embedding import Embedding
 from deadtime.identification.likelihoods.likelihood import maximise
-from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
+from deadtime.identification.likelihoods.noisy_log import Embedding, NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
+from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Evaluation, climb
-from deadtime.identification.uneven import nodes_for
 from deadtime.problems import load_problem
 from deadtime.reports.identification_report import interval_rows
 from output_logs import MOTOR, OUTPUTS, H, logged, misses

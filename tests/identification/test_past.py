@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.identification.likelihoods.noisy_log import Embedding
 from deadtime.identification.log.recording import Part
-from deadtime.identification.outputs.begin import chains_by_past
+from deadtime.identification.outputs_maxima import chains_by_past
 from output_logs import OUTPUTS, H, logged, truth_of
 from synthetic_logs import Plant
 

@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification import noisy_estimate as restricted_noise
 from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy import noise as restricted_noise
-from deadtime.identification.noisy.noise import restricted
+from deadtime.identification.noisy_estimate import restricted
 from deadtime.identification.parameters import Layout
 from synthetic_logs import Plant
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm, solve_continuous_are
 
 import deadtime as dt
-from deadtime.identification.results.problem_text import filter_noise
+from deadtime.identification.problem_text import filter_noise
 from deadtime.problems import load_problem
 
 H, DELAY = 0.1, 0.73

@@ -6,8 +6,8 @@ import pytest
 from scipy.linalg import expm
 
 import deadtime as dt
+from deadtime.identification.log.logged_states import resting
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.log.rest import resting
 from shares import mostly_long
 
 H, DELAY, RATE = 0.02, 0.23, 2.0

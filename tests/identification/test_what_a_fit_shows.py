@@ -10,7 +10,7 @@ import pytest
 import deadtime as dt
 from deadtime.base.errors import ArgumentError
 from deadtime.cli import main
-from deadtime.identification.results.identification_figure import quick_figures
+from deadtime.identification.identification_figure import quick_figures
 from deadtime.reports.identification_report import interval_rows
 
 H, X0, U0 = 0.1, 62.0, 30.0

@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import t as t_of
 
 import deadtime as dt
-from deadtime.identification.delay_intervals import fresh_rise
 from deadtime.identification.estimate import variance_ends
-from deadtime.identification.results.delay_verdict import delays_beside, failure_of
-from deadtime.identification.results.problem_text import problem_text
+from deadtime.identification.intervals import fresh_rise
+from deadtime.identification.problem_text import problem_text
+from deadtime.identification.sentences import delays_beside, failure_of
 from synthetic_logs import Plant, oscillator
 
 H = 0.05

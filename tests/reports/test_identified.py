@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.identification.results.identification_figure import figures_of
+from deadtime.identification.identification_figure import figures_of
 from deadtime.reports.identification_report import write_identification
 from synthetic_logs import Plant
 

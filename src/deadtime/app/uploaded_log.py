@@ -13,6 +13,7 @@ from deadtime.app.documents import Document, file_stem, open_upload
 from deadtime.app.page_run import MOST_MODES
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
+from deadtime.identification.identification_figure import likelihood_figure, quick_figures
 from deadtime.identification.log.read_tables import (
     TIMES,
     LogTable,
@@ -20,7 +21,6 @@ from deadtime.identification.log.read_tables import (
     numeric_column,
     read_table,
 )
-from deadtime.identification.results.identification_figure import likelihood_figure, quick_figures
 from deadtime.margins import delay_margin
 from deadtime.problems import load_problem
 from deadtime.reports.identification_report import (

@@ -25,7 +25,7 @@ from deadtime.cli.problems import problem_of
 if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.identification import Identification
-    from deadtime.identification.hidden_modes import HiddenModes
+    from deadtime.identification.estimate import HiddenModes
 
 
 @app.command(

@@ -8,28 +8,30 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.delay_intervals import delay_intervals, ends_over_peaks
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.identifiability import reasons
-from deadtime.identification.intervals import Spread, spread_of
+from deadtime.identification.intervals import Spread, delay_intervals, ends_over_peaks, spread_of
 from deadtime.identification.levels import without_level
-from deadtime.identification.likelihoods.exact_log import ExactLog
-from deadtime.identification.likelihoods.likelihood import PlantLikelihood, maximise
+from deadtime.identification.likelihoods.likelihood import (
+    ExactLog,
+    PlantLikelihood,
+    concentrated,
+    maximise,
+)
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import continuous, intensity_errors
 from deadtime.identification.parameters import Layout, Window
-from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
+from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start, start_of
-from deadtime.identification.uneven import gridded, nodes_for
+from deadtime.identification.transition import continuous, intensity_errors
 
 
 def estimate_exactly(
     recording: Recording, layout: Layout, bounds: Window, within: bool
 ) -> Estimate:
     """The estimate if states are measured without noise."""
-    start = start_of(gridded(recording), layout, bounds, within)
+    start = start_of(recording.gridded(), layout, bounds, within)
     nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)

@@ -9,7 +9,6 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.uneven import gridded
 
 _LIKE = 0.95  # a correlation of samples so large: one may stand for the other
 _FELL = 0.7  # what it must fall below before: a slow input is like itself a moment later
@@ -176,7 +175,7 @@ def fed_back(recording: Recording) -> Bool[np.ndarray, " m"]:
     >>> [bool(fed_back(log(u))[0]) for u in (-2.0 * y, -2.0 * np.cumsum(y, axis=0), r - 0.5 * y)]
     [True, True, False]
     """
-    grid = gridded(recording)
+    grid = recording.gridded()
     m = grid.parts[0].input.shape[1]
     new, left, total = np.zeros(m), np.zeros(m), np.zeros(m)
     for i in range(len(grid.modes)):

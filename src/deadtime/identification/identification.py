@@ -12,13 +12,13 @@ from deadtime.base.checks import positive
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
-from deadtime.identification.results.sentences import doubts_of, odd_readings, sentences_of
+from deadtime.identification.sentences import doubts_of, odd_readings, sentences_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
-    from deadtime.identification.results.delay_verdict import Margin
+    from deadtime.identification.sentences import Margin
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,7 +62,7 @@ class Identification(Findings):
     @classmethod
     def of(cls, answer: IdentifiedLog) -> Identification:
         """What there is to hand over of an answer."""
-        from deadtime.identification.results.problem_text import filter_noise
+        from deadtime.identification.problem_text import filter_noise
 
         found, recording, model, why, C, states, said, doubts, modes = answer
         found.require_inside()
@@ -126,7 +126,7 @@ class Identification(Findings):
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
         Delay 0.2594 s (0.2589 … 0.26); the law bears 0 … 1.054 s: enough.
         """
-        from deadtime.identification.results.delay_verdict import verdict_of
+        from deadtime.identification.sentences import verdict_of
 
         period = self.step if step is None else positive("step", step)
         return verdict_of(self, margin, law, period)
@@ -148,13 +148,13 @@ class Identification(Findings):
             Length of its run, seconds; by default 20 times the longest delay, and at least 5 mean
             sojourns of the mode that lasts longest.
         """
-        from deadtime.identification.results.problem_text import problem_text, write_problem
+        from deadtime.identification.problem_text import problem_text, write_problem
 
         write_problem(problem_text(self, title, horizon), path)
 
     def plot(self) -> Figure:
         """The likelihood over the delays, predictions against the log, residuals, and modes."""
-        from deadtime.identification.results.identification_figure import plot_identification
+        from deadtime.identification.identification_figure import plot_identification
 
         return plot_identification(self)
 

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
-from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden_modes import HiddenModes
+from deadtime.identification.estimate import Estimate, HiddenModes
 from deadtime.identification.levels import Rest
+from deadtime.identification.likelihoods.noisy_log import largest_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel

@@ -12,28 +12,32 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, reporter
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.closed_loop import estimate_in_loop
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
-from deadtime.identification.hidden.identify_hidden import Sensed, identify_hidden, numbers_of
 from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
-from deadtime.identification.levels import level_of
-from deadtime.identification.log.logged_states import (
-    as_states,
-    fit_switching,
-    require_sizes,
-    require_states,
-    sensors_of,
-)
-from deadtime.identification.log.recording import Recording, read_recording
-from deadtime.identification.log.rest import disproved, resting
-from deadtime.identification.log.unit_changes import require_same_units, require_seconds
-from deadtime.identification.noisy.noise import estimate_with_noise, exact_holds
-from deadtime.identification.outputs.identify_outputs import (
+from deadtime.identification.identify_hidden import Sensed, identify_hidden, numbers_of
+from deadtime.identification.identify_outputs import (
     identify_outputs,
     is_states,
     require_logged,
+)
+from deadtime.identification.levels import level_of
+from deadtime.identification.log.logged_states import (
+    as_states,
+    disproved,
+    fit_switching,
+    require_sizes,
+    require_states,
+    resting,
+    sensors_of,
+)
+from deadtime.identification.log.recording import Recording, read_recording
+from deadtime.identification.log.unit_changes import require_same_units, require_seconds
+from deadtime.identification.noisy_estimate import (
+    estimate_in_loop,
+    estimate_with_noise,
+    exact_holds,
 )
 from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.residuals import alternates

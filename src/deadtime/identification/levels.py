@@ -26,8 +26,8 @@ from jaxtyping import Float, Int
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import inverse
 from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.log.logged_states import rest_rows
 from deadtime.identification.log.recording import Level, Recording
-from deadtime.identification.log.rest import rest_rows
 from deadtime.identification.parameters import Layout, Vector
 from deadtime.plant import OperatingPoint
 

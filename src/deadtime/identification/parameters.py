@@ -18,6 +18,7 @@ from deadtime.plant import SwitchedSystem
 
 Vector = Float[np.ndarray, " size"]  # unknowns, those of a plant first
 Window = tuple[float, float]  # the least and the largest delay, seconds
+Cells = Int[np.ndarray, " delay"]  # of every delay of a layout
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,11 @@ class Layout:
         if self.per_mode:
             return start + np.arange(self.modes * self.m).reshape(self.modes, self.m)
         return start + np.tile(np.arange(self.m), (self.modes, 1))
+
+    def of_mode(self, mode: int) -> Int[np.ndarray, " own"]:
+        """Places of all that a mode has: A_i, B_i and D_i."""
+        each = self.of_A[mode], self.of_B[mode], self.of_delay[mode]
+        return np.concatenate([one.ravel() for one in each])
 
     @property
     def delays(self) -> int:

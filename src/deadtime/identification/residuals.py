@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.sampling import acting_in, fed, known_ends
 from deadtime.identification.transition import interpolation, plain_transitions
-from deadtime.identification.uneven import acting_in, fed, usable
 from deadtime.plant import SwitchedSystem
 
 _BLOCK = 20_000
@@ -82,7 +82,7 @@ def residuals_of(
     longest, shortest = float(plant.delays.max()), float(plant.delays.min())
     found = []
     for part in recording.parts:
-        k = np.flatnonzero(usable(part, within, longest, shortest))
+        k = np.flatnonzero(known_ends(part, within) & fed(part, longest, shortest))
         rest = part.output[k + 1] - one_step(part, plant, constant, nodes, k, part.output[k])
         rest /= np.sqrt((part.time[k + 1] - part.time[k]) / recording.step)[:, None]
         white = np.full(part.output.shape, np.nan)

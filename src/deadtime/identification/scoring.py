@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deadtime.identification.parameters import Vector, Window
+from deadtime.identification.parameters import Vector, Window, cells_of
 
 GAIN = 1e-10  # of log likelihood that is still worth a step
-_STEPS = 200
+STEPS = 200
 _AS_PROMISED = 0.25  # of a rise: after less of it the damping stays, or steps overshoot in turn
 _CLOSE = 0.1  # of a period: so near a cell's end a climb of coarse steps may be on its way beyond
 
@@ -40,7 +40,34 @@ class Maximum(NamedTuple):
 
 
 Evaluate = Callable[[np.ndarray], Evaluation]
+EvaluateIn = Callable[[np.ndarray], Evaluate]  # of the cells of delays
 Stride = Callable[[np.ndarray], np.ndarray]
+
+
+class Climb(NamedTuple):
+    """How a maximum is climbed to.
+
+    delays : where they lie; limits : the least and the largest value of all unknowns
+    fixed : which unknowns stay; stride, gain, steps : see `climb`
+    """
+
+    delays: slice
+    limits: tuple[np.ndarray, np.ndarray]
+    fixed: Bool[np.ndarray, " size"]
+    stride: Stride | None = None
+    gain: float = GAIN
+    steps: int = STEPS
+
+    def within(
+        self, theta: Vector, low: np.ndarray, high: np.ndarray
+    ) -> tuple[Vector, Vector, Vector]:
+        """A start, and bounds of all unknowns, with delays between two; what is fixed stays."""
+        bounds = self.limits[0].copy(), self.limits[1].copy()
+        bounds[0][self.delays], bounds[1][self.delays] = low, high
+        start = np.where(self.fixed, theta, np.clip(theta, *bounds))
+        for bound in bounds:
+            bound[self.fixed] = start[self.fixed]
+        return start, *bounds
 
 
 def best_in_turn(
@@ -71,7 +98,7 @@ def climb(
     theta: Vector,
     low: Vector,
     high: Vector,
-    steps: int = _STEPS,
+    steps: int = STEPS,
     gain: float = GAIN,
     stride: Stride | None = None,
 ) -> Maximum:
@@ -132,38 +159,27 @@ def _step(
 
 
 def climb_cells(
-    evaluate_in: Callable[[np.ndarray], Evaluate],
-    theta: Vector,
-    delays: slice,
-    cells: np.ndarray,
-    step: float,
-    bounds: Window,
-    limits: tuple[np.ndarray, np.ndarray],
-    fixed: np.ndarray | None = None,
-    stride: Stride | None = None,
-    gain: float = GAIN,
+    evaluate_in: EvaluateIn, theta: Vector, step: float, bounds: Window, how: Climb
 ) -> tuple[Maximum, np.ndarray]:
     """The maximum with delays free, from cell to cell; and the cells that it lies in.
 
-    Cell N of a delay is [(N − 1) h, N h], cut at `bounds`; `limits` are those of all unknowns.
-    `evaluate_in` gives the likelihood in cells. Where `fixed` tells, unknowns stay.
+    Cell N of a delay is [(N − 1) h, N h], cut at `bounds`. `evaluate_in` gives the likelihood in
+    cells.
     """
-    still = np.zeros(theta.size, bool) if fixed is None else fixed
+    delays, gain, free = how.delays, how.gain, ~how.fixed[how.delays]
 
     def highest(cells: np.ndarray, start: np.ndarray) -> Maximum:
-        low, high = limits[0].copy(), limits[1].copy()
-        low[delays] = np.maximum((cells - 1) * step, bounds[0])
-        high[delays] = np.minimum(cells * step, bounds[1])
-        start = np.clip(start, low, high)
-        low[still], high[still] = start[still], start[still]
-        return climb(evaluate_in(cells), start, low, high, stride=stride, gain=gain)
+        low = np.maximum((cells - 1) * step, bounds[0])
+        within = how.within(start, low, np.minimum(cells * step, bounds[1]))
+        return climb(evaluate_in(cells), *within, how.steps, gain, how.stride)
 
+    cells = cells_of(theta[delays], step)
     best, tried = highest(cells, theta), {tuple(cells)}
     while True:
         options = []
         whole = best.theta[delays] / step
         close = (gain > GAIN) & (np.abs(whole - np.round(whole)) < _CLOSE)
-        for j in np.flatnonzero((best.bound[delays] | close) & ~still[delays]):
+        for j in np.flatnonzero((best.bound[delays] | close) & free):
             D, beyond = best.theta[delays][j], cells.copy()
             beyond[j] += 1 if (cells[j] - 0.5) * step < D else -1
             reach = (beyond[j] - 1) * step < bounds[1] and beyond[j] * step > bounds[0]

@@ -18,7 +18,13 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.identifiability import require_enough
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout, Vector, Window
-from deadtime.identification.regression import known_ends, lags_of, stacked
+from deadtime.identification.sampling import (
+    UsablePeriods,
+    known_ends,
+    lag_sums,
+    stacked,
+    usable_lags,
+)
 from deadtime.identification.scoring import best_in_turn
 from deadtime.identification.transition import transitions_of
 
@@ -67,14 +73,16 @@ def _sums_of(
 
     And where the log is shorter than twice the range of delays, which is refused as too short.
     """
-    lags = lags_of(recording.parts, layout, first - 1, last, within, root=False)
+    usable = [usable_lags(part, within, first - 1, last) for part in recording.parts]
+    periods = UsablePeriods(recording.parts, usable)
+    counts = np.array(periods.counts(layout.modes))
     every = np.zeros(layout.modes)
     for part in recording.parts:
         own = part.mode[:-1][known_ends(part, within)]
         every += np.bincount(own, minlength=layout.modes)
     longest = max(part.time.size for part in recording.parts)
-    if (lags.periods >= _MOST_OF * every).all() or longest <= 2 * last:
-        return _CommonPeriods(lags.root, lags.periods)
+    if (counts >= _MOST_OF * every).all() or longest <= 2 * last:
+        return _CommonPeriods(lag_sums(layout, periods, first - 1, last, root=False), counts)
     some, z = recording.stretches(_ENOUGH, last), [[] for _ in range(layout.modes)]
     for part in some.parts:
         k = np.flatnonzero(known_ends(part, within))

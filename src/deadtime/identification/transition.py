@@ -1,9 +1,13 @@
-"""What a plant does in a while, and how that moves with its matrix.
+"""A plant over a while: its transition, what noise adds, and how both move with its matrix.
 
     Φ(τ) = e^{Aτ},   W(τ) = ∫₀^τ e^{As} ds,   ∂Φ/∂A_ab, ∂W/∂A_ab
 
 Both are in exp τ[[A, I], [0, 0]], and the derivative of an exponential in the direction E is the
-corner of exp[[Z, E], [0, Z]] (Van Loan, IEEE Trans. Automat. Control 23(3), 1978).
+corner of exp[[Z, E], [0, Z]] (Van Loan, IEEE Trans. Automat. Control 23(3), 1978). Likewise
+
+    ∂Q/∂A_ab = ∫₀^τ (∂Φ W Φᵀ + Φ W ∂Φᵀ) ds,    Q(τ) = ∫₀^τ Φ W Φᵀ ds
+
+is a corner of the covariance that noise of intensity diag(0, W) adds to [[A, E_ab], [0, A]].
 """
 
 from __future__ import annotations
@@ -11,7 +15,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from deadtime.numerics.covariance import noise_covariances
 
 
 class TransitionMaps(NamedTuple):
@@ -95,3 +101,88 @@ def interpolation(
     weight = sign / np.where(at, 1.0, apart)
     weight = np.where(at.any(axis=1, keepdims=True), at.astype(float), weight)
     return weight / weight.sum(axis=1, keepdims=True)
+
+
+def noise_tables(
+    A: Float[np.ndarray, "n n"], L: Float[np.ndarray, "n n"], times: Float[np.ndarray, " time"]
+) -> tuple[Float[np.ndarray, "time n n"], Float[np.ndarray, "time q n n"]]:
+    """Q after times, W = L Lᵀ, and its derivatives by A and by the lower triangle of L.
+
+    The diagonal of L is known by its logarithm.
+
+    Examples
+    --------
+    >>> Q, by_Q = noise_tables(np.zeros((1, 1)), np.array([[2.0]]), np.array([0.5]))
+    >>> Q.ravel(), by_Q.ravel()    # W τ, its derivatives W τ² and 2 W τ
+    (array([2.]), array([1., 4.]))
+    """
+    n, count = len(A), times.size
+    joint, noise = np.zeros((n * n, 2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
+    a, b = np.divmod(np.arange(n * n), n)
+    joint[:, :n, :n] = joint[:, n:, n:] = A
+    joint[np.arange(n * n), a, n + b] = 1.0
+    noise[n:, n:] = L @ L.T
+    found = noise_covariances(np.repeat(joint, count, 0), noise, np.tile(times, n * n))
+    found = found.reshape(n * n, count, 2 * n, 2 * n).swapaxes(0, 1)
+    of_A = found[..., :n, n:] + found[..., n:, :n]
+    of_L = []
+    for row, column in zip(*(place.tolist() for place in np.tril_indices(n)), strict=True):
+        change = np.zeros((n, n))
+        change[row] = L[:, column] * (L[row, row] if row == column else 1.0)
+        of_L.append(noise_covariances(np.repeat(A[None], count, 0), change + change.T, times))
+    return found[:, 0, n:, n:].copy(), np.concatenate((of_A, np.stack(of_L, axis=1)), axis=1)
+
+
+def continuous(
+    A: Float[np.ndarray, "mode n n"], S: Float[np.ndarray, "mode n n"], step: float
+) -> Float[np.ndarray, "mode n n"]:
+    """W of which a period makes S = ∫₀^h e^{As} W e^{Aᵀs} ds, mode by mode, positive semidefinite.
+
+    Examples
+    --------
+    >>> W = continuous(np.array([[[-1.0]]]), np.array([[[0.5 * (1.0 - np.exp(-0.4))]]]), 0.2)
+    >>> W.round(12)
+    array([[[1.]]])
+    """
+    result = np.empty(S.shape)
+    for i, one in enumerate(A):
+        W = np.linalg.lstsq(_images(one, step), S[i].ravel(), rcond=None)[0].reshape(one.shape)
+        values, vectors = np.linalg.eigh(0.5 * (W + W.T))
+        W = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        result[i] = 0.5 * (W + W.T)  # to the last bit, as who reads it makes it
+    return result
+
+
+def _images(A: Float[np.ndarray, "n n"], step: float) -> Float[np.ndarray, "nn nn"]:
+    """From W to S, line by line, of a W that is symmetric."""
+    n = len(A)
+    units = np.eye(n * n).reshape(n * n, n, n)
+    units = 0.5 * (units + units.transpose(0, 2, 1))
+    S = noise_covariances(np.repeat(A[None], n * n, axis=0), units, np.full(n * n, step))
+    return S.reshape(n * n, n * n).T
+
+
+def intensity_errors(
+    A: Float[np.ndarray, "mode n n"],
+    W: Float[np.ndarray, "mode n n"],
+    step: float,
+    spare: Int[np.ndarray, " mode"],
+) -> Float[np.ndarray, " variance"]:
+    """The standard errors of the diagonals of W, mode by mode, from `spare` periods of each.
+
+    W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. A
+    position has noise in S that its speed has brought there, and with it an error.
+
+    Examples
+    --------
+    >>> A, W = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([np.diag([0.0, 3.0])])
+    >>> (intensity_errors(A, W, 0.1, np.array([200])) * [1000.0, 1.0]).round(3)
+    array([0.354, 0.3  ])
+    """
+    modes, n, _ = A.shape
+    errors, S = np.empty((modes, n)), noise_covariances(A, W, np.full(modes, step))
+    for i, one in enumerate(A):
+        G = np.linalg.pinv(_images(one, step))[:: n + 1].reshape(n, n, n)
+        GS = 0.5 * (G + G.transpose(0, 2, 1)) @ S[i]
+        errors[i] = np.sqrt(2.0 * np.einsum("abc,acb->a", GS, GS) / spare[i])
+    return errors.ravel()

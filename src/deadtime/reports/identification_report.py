@@ -12,7 +12,7 @@ import numpy as np
 
 from deadtime.base.staging import replacing
 from deadtime.identification import Identification
-from deadtime.identification.results.identification_figure import figures_of
+from deadtime.identification.identification_figure import figures_of
 from deadtime.reports.report_folder import render
 
 if TYPE_CHECKING:

@@ -5,35 +5,49 @@
 
 The second is Fisher's identity. Steps are scaled by the information that the log would hold if the
 modes were known with these weights; what not knowing them takes from it is in `information`.
+
+The likelihood of a log whose modes are hidden and whose sensors are noisy.
+
+Exact, it is a sum over all paths, each with Kalman's filter of its own. Here all filters that lead
+to a mode are mixed after every sample (`kalman_kernel`), so that the modes' filters give densities
+b_k of what every period leads to, and log L = log Σ_σ p(σ) Π b_k(σ_k, σ_{k+1}) as of exact states.
+A period within which the mode changes from i to j does what a share f of i and the rest of j do, f
+uniform, to first order in the period: with x_i and x_j where either alone would lead, its mean is
+(x_i + x_j)/2, and its covariance that of i and j, halved and added, and (x_i − x_j)(x_i − x_j)ᵀ/12.
+
+Derivatives are forward differences; the information is that of every sample's own score,
+
+    F = Σ_k ∂ℓ_k ∂ℓ_kᵀ,    ℓ_k = log p(y_k | y_0 … y_{k−1}).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.likelihoods.jumps import Jumps
-from deadtime.identification.likelihoods.likelihood import PlantLikelihood
-from deadtime.identification.likelihoods.mode_periods import (
-    EvenPeriods,
-    PooledRegression,
+from deadtime.identification.likelihoods.hidden_chain import (
+    Jumps,
+    Periods,
     Posterior,
-    UnevenPeriods,
+    path_of,
+    posterior_of,
 )
-from deadtime.identification.parameters import Window, cell_of
-from deadtime.identification.regression import (
-    LagRoots,
-    Term,
+from deadtime.identification.likelihoods.kalman_kernel import filter_modes
+from deadtime.identification.likelihoods.likelihood import (
+    ExactLog,
+    PlantLikelihood,
     add_score,
-    even_terms,
     log_density,
     rooted,
 )
-from deadtime.identification.scoring import Evaluate, Evaluation
-from deadtime.identification.uneven import node_columns, node_term
+from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.parameters import Cells, Vector, Window
+from deadtime.identification.sampling import Term
+from deadtime.identification.scoring import EvaluateIn, Evaluation
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +57,7 @@ class HiddenLog(PlantLikelihood):
     periods : those that are usable in a window of the delays
     """
 
-    periods: EvenPeriods | UnevenPeriods = field(repr=False)
+    periods: Periods = field(repr=False)
     S: Float[np.ndarray, "mode n n"]
     jumps: Jumps
 
@@ -53,92 +67,50 @@ class HiddenLog(PlantLikelihood):
 
     def over(self, low: float, high: float) -> HiddenLog:
         """The likelihood of the periods that are usable for delays between two, seconds."""
-        h, old = self.recording.step, self.periods
-        if isinstance(old, UnevenPeriods):
-            new = UnevenPeriods.between(old.parts, low, high, old.pooled, h, old.constant)
-            return self if (low, high) == (old.low, old.high) else replace(self, periods=new)
-        first, last = cell_of(low, h, up=True), cell_of(high, h)
-        if (first, last) == (old.first, old.last):
-            return self
-        pooled = old.pooled if isinstance(old.pooled, PooledRegression) else None
-        return replace(self, periods=EvenPeriods.of(old.parts, first, last, pooled, old.constant))
+        return replace(self, periods=self.periods.over(low, high))
 
     @property
     def window(self) -> Window:
         """The range of delays that the periods are usable for."""
-        h, periods = self.recording.step, self.periods
-        if isinstance(periods, UnevenPeriods):
-            return periods.low, periods.high
-        ends = (periods.first - 1) * h, periods.last * h
-        return max(self.bounds[0], ends[0]), min(self.bounds[1], ends[1])
+        low, high = self.periods.window
+        return max(self.bounds[0], low), min(self.bounds[1], high)
 
-    def _cut(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> list[Term]:
-        """The regressions' matrices, of no rows yet."""
-        layout, step = self.layout, self.recording.step
-        if isinstance(self.periods, UnevenPeriods):
-            A, B, _ = layout.split(theta)
-            none = np.zeros((0, node_columns(layout, self.nodes)))
-            each = range(layout.modes)
-            return [node_term(none, 0, layout, i, A[i], B[i], self.nodes) for i in each]
-        low, high = int(cells.min()) - 1, int(cells.max())
-        none = np.zeros((0, 2 * layout.n + (high - low + 1) * layout.m + layout.constant))
-        lags = LagRoots([none] * layout.modes, np.zeros(layout.modes, np.int64), low, high)
-        return even_terms(lags, layout, step, layout.spread(cells), theta)
+    def known(self, weight: Float[np.ndarray, "period mode"]) -> ExactLog:
+        """The likelihood if each period were in a mode as likely as that, its noise eliminated."""
+        given = self.recording, self.layout, self.within, self.bounds, self.nodes
+        return ExactLog(*given, self.periods.usable, weight)
 
-    def densities(
-        self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]
-    ) -> Float[np.ndarray, "period mode"]:
+    def densities(self, theta: Vector, cells: Cells) -> Float[np.ndarray, "period mode"]:
         """The log density of every usable period in each mode."""
-        return self._given(self._cut(theta, cells), self.rows(theta, cells))
+        maps = self.sampling.maps(self.layout, theta, cells)
+        each = zip(self._rows(theta, cells), maps, self.S, strict=True)
+        return np.column_stack([log_density(z, own.P, S) for z, own, S in each])
 
-    def posterior(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> Posterior:
+    def posterior(self, theta: Vector, cells: Cells) -> Posterior:
         """What the log says of the modes."""
         return self.periods.posterior(self.densities(theta, cells), self.jumps)
 
-    def path(
-        self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]
-    ) -> list[Int[np.ndarray, " sample"]]:
+    def path(self, theta: Vector, cells: Cells) -> list[Int[np.ndarray, " sample"]]:
         """The likeliest modes of the samples of every part."""
         return self.periods.path(self.densities(theta, cells), self.jumps)
 
-    def rows(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> list[np.ndarray]:
+    def _rows(self, theta: Vector, cells: Cells) -> list[np.ndarray]:
         """The rows of every mode's regression: all usable periods, as if they were of it."""
-        if not isinstance(self.periods, UnevenPeriods):
-            return self.periods.rows_of_modes(self.layout.spread(cells))
-        _, _, delays = self.layout.split(theta)
-        if not self.layout.per_mode:
-            return [self.periods.rows(delays[0], self.nodes)] * self.layout.modes
-        return [self.periods.rows(own, self.nodes) for own in delays]
+        return self.periods.rows_of_modes(self.sampling.reads(self.layout, theta, cells))
 
-    def _given(self, terms: list[Term], rows: list[np.ndarray]) -> np.ndarray:
-        each = zip(rows, terms, self.S, strict=True)
-        return np.column_stack([log_density(z, term.P, S) for z, term, S in each])
+    def weighted(self, theta: Vector, cells: Cells) -> tuple[list[Term], Posterior]:
+        """The regressions over the periods of each mode, as likely as that is; and what is said."""
+        found, maps = self.posterior(theta, cells), self.sampling.maps(self.layout, theta, cells)
+        each = zip(self._rows(theta, cells), found.weight.T, maps, strict=True)
+        return [Term(rooted(z, own), float(own.sum()), *one) for z, own, one in each], found
 
-    def terms(
-        self,
-        theta: np.ndarray,
-        cells: Int[np.ndarray, " delay"],
-        weight: Float[np.ndarray, "period mode"],
-    ) -> list[Term]:
-        """The regressions over the periods of each mode, as likely as that is."""
-        each = zip(self._cut(theta, cells), self.rows(theta, cells), weight.T, strict=True)
-        return [
-            term._replace(root=rooted(z, own), periods=float(own.sum())) for term, z, own in each
-        ]
-
-    def weighted(
-        self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]
-    ) -> tuple[list[Term], Posterior]:
-        """The same as likely as the log says, and what it says."""
-        found = self.posterior(theta, cells)
-        return self.terms(theta, cells, found.weight), found
-
-    def evaluate(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> Evaluation:
+    def evaluate(self, theta: Vector, cells: Cells) -> Evaluation:
         """The log likelihood, its score, and the information if the modes were known."""
         size = self.layout.size
         score, information = np.zeros(size), np.zeros((size, size))
         with np.errstate(all="ignore"):
-            if not all(np.isfinite(term.P).all() for term in self._cut(theta, cells)):
+            maps = self.sampling.maps(self.layout, theta, cells)
+            if not all(np.isfinite(one.P).all() for one in maps):
                 return Evaluation(-np.inf, score, np.eye(size))
             terms, found = self.weighted(theta, cells)
             for term, S in zip(terms, self.S, strict=True):
@@ -146,6 +118,149 @@ class HiddenLog(PlantLikelihood):
                 add_score(term, e, np.linalg.cholesky(S), score, information)
         return Evaluation(found.value, score, information)
 
-    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
+    def evaluate_in(self, low: float, high: float) -> EvaluateIn:
         log = self.over(low, high)
         return lambda cells: lambda theta: log.evaluate(theta, cells)
+
+
+_SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more
+_BLOCK = 4096  # samples whose derivatives, which nothing here needs, are there at a time
+
+
+class SingleMode(NamedTuple):
+    """Unknowns of a plant of one mode, L of its noise, W = L Lᵀ, and the cells of its delays."""
+
+    theta: Vector
+    L: Float[np.ndarray, "n n"]
+    cells: Int[np.ndarray, " m"]
+
+
+class PartPeriods(NamedTuple):
+    """The periods that lead to the samples of a part, all of one mode.
+
+    kind : (T,), the row of Phi and Q, how a state moves, and the noise; added : (T, n), by inputs
+    """
+
+    kind: Int[np.ndarray, " T"]
+    Phi: Float[np.ndarray, "kind n n"]
+    added: Float[np.ndarray, "T n"]
+    Q: Float[np.ndarray, "kind n n"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HiddenNoisyLog(SensorLikelihood):
+    """The likelihood of a recording with measurement noise and hidden modes, the chain held.
+
+    errors : standard errors of the vector, about
+    """
+
+    errors: Vector
+    jumps: Jumps
+    _kept: dict[tuple, PartPeriods] = field(default_factory=dict, repr=False)
+
+    gain: ClassVar[float] = 1e-3  # each step takes a filter for every unknown
+    profiled: ClassVar[bool] = False
+
+    def along(self, recording: Recording) -> NoisyLog:
+        """The likelihood if modes were those of a recording, and changed at its samples."""
+        return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
+
+    def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenNoisyLog:
+        """With modes in another order."""
+        errors, jumps = self.layout.ordered(self.errors, order), self.jumps.ordered(order)
+        return replace(self, errors=errors, jumps=jumps, _kept={})
+
+    @property
+    def most(self) -> Vector:
+        """Steps of noise beyond which differences tell little; of plants there are none."""
+        most = self.errors.copy()
+        most[: self.layout.size] = np.inf
+        return most
+
+    def stride(self, vector: Vector) -> Vector:
+        return np.full(vector.size, np.inf)
+
+    def filtered(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
+        """Of every part the densities of all periods, stay and change; and what samples add."""
+        layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
+        A, B, delays = layout.split(vector[: layout.size])
+        L, R, laid, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []
+        own = cells if cells is not None and cells.size else self.cells(vector)
+        own = layout.spread(own)
+        for number, start in enumerate(starts):
+            each = []
+            for i in range(layout.modes):
+                theta = one.join(A[i : i + 1], B[i : i + 1], delays[i : i + 1])
+                each.append(self._along(SingleMode(theta, L, own[i]), number, start))
+            Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
+            part = self.recording.parts[number]
+            stay = np.empty((part.time.size - 1, layout.modes))
+            move = np.empty((*stay.shape, layout.modes))
+            adds = np.empty(part.time.size)
+            given = (part.output, start, each[0].kind, Phi, added, Q, self.C)
+            given = (*given, R, self.P0, *self.jumps.over(part.time))
+            filter_modes(*map(np.ascontiguousarray, given), self.within, stay, move, adds)
+            laid.append((stay, move))
+            gained.append(adds)
+        return laid, np.concatenate(gained)
+
+    def _along(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        """The periods of a part; the last ones are kept: differences ask for few anew."""
+        key = number, start.tobytes(), *(one.tobytes() for one in mode)
+        if key not in self._kept:
+            if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
+                self._kept.clear()
+            self._kept[key] = self._periods(mode, number, start)
+        return self._kept[key]
+
+    def _periods(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        part, layout = self.recording.parts[number], replace(self.layout, modes=1, per_mode=False)
+        part = part._replace(mode=np.zeros(part.time.size, np.int64))
+        leading = self.sampling.periods_of(layout, *mode)
+        rows, each, tables = np.arange(start.size), [], 0
+        for first in range(0, start.size, _BLOCK):
+            own = rows[first : first + _BLOCK]
+            found = leading(part, own, start[own])
+            each.append((tables + found.kind, found.Phi, found.Q, found.added))
+            tables += len(found.Phi)
+        kind, Phi, Q, added = zip(*each, strict=True)
+        return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
+
+    def posterior(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> Posterior:
+        """What the log says of the modes; its weights are of all periods."""
+        laid, gained = self.filtered(vector, starts, cells)
+        parts = self.recording.parts
+        every = [np.arange(part.time.size - 1) for part in parts]
+        found = posterior_of(parts, laid, self.jumps, every, self.within)
+        return found._replace(value=float(gained.sum()))
+
+    def path(self, vector: Vector, starts: Starts) -> list[Int[np.ndarray, " sample"]]:
+        """The likeliest modes of the samples of every part."""
+        return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
+
+    def value(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> float:
+        """The log likelihood."""
+        return float(self.filtered(vector, starts, cells)[1].sum())
+
+    def evaluate(
+        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+    ) -> Evaluation:
+        size = vector.size
+        with np.errstate(all="ignore"):
+            now = self.filtered(vector, starts, cells)[1]
+            if not np.isfinite(now).all():
+                return Evaluation(-np.inf, np.zeros(size), np.eye(size))
+            slope = np.empty((size, now.size))
+            for a in range(size):
+                step = np.zeros(size)
+                step[a] = _SMALL * self.errors[a]
+                slope[a] = (self.filtered(vector + step, starts, cells)[1] - now) / step[a]
+        if not np.isfinite(slope).all():
+            return Evaluation(-np.inf, np.zeros(size), np.eye(size))
+        return Evaluation(float(now.sum()), slope.sum(axis=1), slope @ slope.T)

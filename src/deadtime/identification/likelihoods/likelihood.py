@@ -1,10 +1,22 @@
-"""The likelihood of a log: value, score and information over unknowns that begin with a plant's."""
+"""The likelihood of a log: value, score and information over unknowns that begin with a plant's.
+
+Where states are measured exactly, a period adds noise of any covariance:
+
+    x_{k+1} = P_σ(θ) r_k + w_k,    w ~ N(0, S_σ),    r_k: the state and the inputs that act
+
+The covariance that maximises that likelihood is that of the residuals, so
+
+    log L(θ) = −½ Σ_i N_i (log det S_i(θ) + n (1 + log 2π)),    S_i = Σ e eᵀ / N_i.
+
+All that it asks of the log of mode i is Σ z zᵀ, z = (x_{k+1}, r_k), of which a square root is kept:
+the triangular factor of the stacked z, block by block, so that no digit is lost to squaring.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -12,8 +24,21 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout, Vector, Window, cells_of
-from deadtime.identification.scoring import GAIN, Evaluate, Maximum, climb, climb_cells
+from deadtime.identification.parameters import Cells, Layout, Vector, Window, cells_of
+from deadtime.identification.sampling import Sampling, Term, TermsIn, UsablePeriods, sampling_of
+from deadtime.identification.scoring import (
+    GAIN,
+    STEPS,
+    Climb,
+    Evaluate,
+    EvaluateIn,
+    Evaluation,
+    Maximum,
+    climb,
+)
+
+_APART = 1e-8  # of variances: information to which double precision does not lose another one
+
 
 REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
 
@@ -52,13 +77,18 @@ class Likelihood(Frozen, ABC):
         """The places of unknowns that an information is of."""
 
     @abstractmethod
-    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
+    def evaluate_in(self, low: float, high: float) -> EvaluateIn:
         """The likelihood for delays between two, seconds; of even rows in cells of theirs.
 
         What is usable of a log depends on these, so likelihoods compare between the same ones only.
         """
 
-    def cells(self, theta: Vector) -> Int[np.ndarray, " delay"]:
+    @cached_property
+    def sampling(self) -> Sampling:
+        """How the recording was sampled."""
+        return sampling_of(self.recording, self.nodes)
+
+    def cells(self, theta: Vector) -> Cells:
         """The cells that delays lie in."""
         return cells_of(theta[self.layout.at_delays], self.recording.step)
 
@@ -101,32 +131,115 @@ def maximise(
     fixed: Bool[np.ndarray, " size"] | None = None,
     window: Window | None = None,
     gain: float | None = None,
+    steps: int = STEPS,
 ) -> tuple[Maximum, Window]:
     """The maximum that a start leads to, and the window of delays that it was sought in.
 
     What is usable of a log depends on the window, so likelihoods compare in the same one only.
     `gain` is the rise of log likelihood that is worth a step; by default the likelihood's own.
     """
-    place = log.layout.at_delays
+    place, still = log.layout.at_delays, np.zeros(theta.size, bool) if fixed is None else fixed
     gain = log.gain if gain is None else gain
-    h, asked = log.recording.step, window
     while True:
-        low, high = asked or window_of(log, theta[place])
-        evaluate_in, ends = log.evaluate_in(low, high), log.limits
-        if log.recording.even:
-            cells = log.cells(theta)
-            reach = (low, high), ends, fixed, log.stride, gain
-            best, _ = climb_cells(evaluate_in, theta, place, cells, h, *reach)
-        else:
-            ends[0][place], ends[1][place] = low, high
-            if fixed is not None:
-                ends[0][fixed], ends[1][fixed] = theta[fixed], theta[fixed]
-            evaluate = evaluate_in(np.zeros(0, np.int64))
-            best = climb(evaluate, theta, *ends, stride=log.stride, gain=gain)
-        D, free = best.theta[place], np.ones(log.layout.delays, bool)
-        if fixed is not None:
-            free = ~fixed[place]
+        low, high = window or window_of(log, theta[place])
+        how = Climb(place, log.limits, still, log.stride, gain, steps)
+        best = log.sampling.climb(log.evaluate_in(low, high), theta, (low, high), how)
+        D = best.theta[place]
         edge = ((low >= D) & (low > log.bounds[0])) | ((high <= D) & (high < log.bounds[1]))
-        if asked or not (edge & free).any() or np.array_equal(best.theta, theta):
+        if window or not (edge & ~still[place]).any() or np.array_equal(best.theta, theta):
             return best, (low, high)
         theta = best.theta
+
+
+def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.ndarray, "mode n n"]]:
+    """The log likelihood of all modes, and the covariances S_i that it is largest with."""
+    value, score, information, covariances = 0.0, np.zeros(size), np.zeros((size, size)), []
+    for term in terms:
+        count, P, n = term.periods, term.P, len(term.P)
+        y, r = term.root[:, :n], term.root[:, n:]
+        e = y - r @ P.T
+        S = e.T @ e / count
+        if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows
+            nothing = Evaluation(-np.inf, score, np.eye(size))
+            return nothing, np.full((len(terms), n, n), np.nan)
+        S = floored(S, P[:, :n], y, count)
+        L = np.linalg.cholesky(S)
+        add_score(term, e, L, score, information)
+        value -= 0.5 * count * (2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi * np.e))
+        covariances.append(S)
+    return Evaluation(value, score, information), np.array(covariances)
+
+
+def add_score(
+    term: Term, e: np.ndarray, L: np.ndarray, score: Vector, information: np.ndarray
+) -> None:
+    """What residuals e (rows, n) of covariance L Lᵀ tell of P, in place."""
+    place, r = term.place, term.root[:, len(L) :]
+    white = np.linalg.solve(L, e.T)
+    moved = np.linalg.solve(L, term.by_P @ r.T).reshape(len(place), -1)
+    score[place] += moved @ white.ravel()
+    information[np.ix_(place, place)] += moved @ moved.T
+
+
+def floored(
+    S: Float[np.ndarray, "n n"], Phi: Float[np.ndarray, "n n"], y: np.ndarray, total: float
+) -> Float[np.ndarray, "n n"]:
+    """The covariance S of residuals of y, of weight `total`, never singular: of no noise, too.
+
+    A state without noise beside noisy ones, or noises that are multiples of each other, would tell
+    some combinations of unknowns so well that beside them others are lost to round-off. So each
+    state has 1e-4 of the deviation of its noise by itself, and of what Φ − I makes of the others',
+    once and again, as noise that acts on dx/dt spreads from state to state.
+    """
+    M = Phi - np.eye(len(S))
+    M /= max(1.0, float(np.abs(np.linalg.eigvals(M)).max()))
+    spread, moved = np.diag(np.diagonal(S)), S
+    for _ in range(len(S) - 1):
+        moved = M @ moved @ M.T
+        spread = spread + moved
+    least = 1e-24 * (y**2).sum(axis=0) / total + np.finfo(float).tiny
+    return S + _APART * spread + np.diag(least)
+
+
+def log_density(
+    z: Float[np.ndarray, "period z"], P: Float[np.ndarray, "n r"], S: Float[np.ndarray, "n n"]
+) -> Float[np.ndarray, " period"]:
+    """log N(x_{k+1} − P r_k; 0, S) of rows z = (x_{k+1}, r_k)."""
+    n, L = len(P), np.linalg.cholesky(S)
+    white = np.linalg.solve(L, (z[:, :n] - z[:, n:] @ P.T).T)
+    constant = 2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi)
+    return -0.5 * ((white**2).sum(axis=0) + constant)
+
+
+def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"]) -> np.ndarray:
+    """R with RᵀR = Σ w z zᵀ, R triangular."""
+    return np.asarray(np.linalg.qr(np.sqrt(weight)[:, None] * z, mode="r"))
+
+
+@dataclass(frozen=True, eq=False)
+class ExactLog(PlantLikelihood):
+    """The likelihood of a recording whose states are measured without noise: regressions.
+
+    usable : the periods of every part; by default those that are usable in a window
+    weight : how likely each of them is in a mode; by default modes are those that were logged
+    """
+
+    usable: tuple[Int[np.ndarray, " period"], ...] | None = field(default=None, repr=False)
+    weight: Float[np.ndarray, "period mode"] | None = field(default=None, repr=False)
+
+    def terms_in(self, low: float, high: float) -> TermsIn:
+        """The regressions for delays between two, seconds, in cells of theirs."""
+        parts, k = self.recording.parts, self.usable
+        if k is None:
+            k = [self.sampling.usable(part, self.within, low, high) for part in parts]
+        periods = UsablePeriods(parts, k, self.weight)
+        return self.sampling.terms_in(self.layout, periods, (low, high))
+
+    def evaluate_in(self, low: float, high: float) -> EvaluateIn:
+        terms_in = self.terms_in(low, high)
+
+        def within(cells: np.ndarray) -> Evaluate:
+            terms = terms_in(cells)
+            return lambda theta: concentrated(terms(theta), self.layout.size)[0]
+
+        return within

@@ -10,13 +10,34 @@ foretell, and the variance s of that,
     score = Σ (∂s (e²/s − 1)/2 − e ∂e)/s,    F = Σ (∂s²/2s² + ∂e²/s).
 
 The filter carries ∂e and ∂s along with e and s (`switched_filter`).
+
+States from outputs alone: of every output itself, and what follows from it.
+
+From y = C x with fewer outputs than states, A and B are known only up to a change of states. It is
+fixed by `order`, how many states n_j each output y_j has, in one chain:
+
+    x_j,1 = y_j,    dx_j,k/dt = x_j,k+1 + (b u)_j,k,    k < n_j,
+
+so that row k of a chain is known but for B, and its last row of A is free. Any plant has such
+states in which the rows C_j A^k, k < n_j, are independent (overlapping observability indices:
+van Overbeek and Ljung, Automatica 18(5), 1982). Without `zeros` B acts on the last state of a chain
+alone: then the states are the outputs and their derivatives.
+
+Several modes have the same states if all share the C_j A^k, k < n_j, as position and speed do; else
+a chain of each mode jumps at a switch. So with `jumps` the chains are those of the first mode, and
+all of A is free in the others, where of B the inputs' weights in y_j' alone are known to be 0.
+
+W is diagonal, but for the last states of all chains, whose forces may be correlated: with a
+deviation of each sensor no more numbers than what outputs tell, n p + p (p + 1)/2.
+
+How a plant from outputs alone follows a log: its states, and what it foretells.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -24,17 +45,92 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.identification.likelihoods.embedding import Embedding
+from deadtime.base.frozen import Frozen
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.likelihoods.switched_filter import (
     Places,
     Sensors,
     SwitchedKalmanFilter,
-    periods_of,
 )
-from deadtime.identification.parameters import Vector
+from deadtime.identification.log.recording import Part
+from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.sampling import fed
 from deadtime.identification.scoring import Evaluate, Evaluation
-from deadtime.identification.uneven import fed
+
+
+@dataclass(frozen=True, eq=False)
+class Embedding(Frozen):
+    """Which states outputs have.
+
+    order : how many of each output; zeros : whether inputs act on all of them
+    size : (n,), how large each state is about, for a state of which nothing is known
+    lead : the order by which first measurements are left out, that likelihoods of several orders
+        are of the same ones; its own by default
+    jumps : whether chains are those of the first mode alone
+    """
+
+    order: tuple[int, ...]
+    zeros: bool
+    size: Float[np.ndarray, " n"]
+    lead: tuple[int, ...] | None = None
+    jumps: bool = False
+
+    @property
+    def last(self) -> Int[np.ndarray, " p"]:
+        """The last state of every chain."""
+        return np.cumsum(self.order) - 1
+
+    @property
+    def C(self) -> Float[np.ndarray, "p n"]:
+        """The outputs: the first state of every chain."""
+        return np.eye(sum(self.order))[self.last - np.array(self.order) + 1]
+
+    @property
+    def upper(self) -> Int[np.ndarray, " row"]:
+        """The states that are not last in a chain."""
+        return np.setdiff1d(np.arange(sum(self.order)), self.last)
+
+    def shift(self) -> Float[np.ndarray, "n n"]:
+        """A of chains of integrators: what is known of A, and 0 elsewhere."""
+        n = sum(self.order)
+        A = np.zeros((n, n))
+        A[self.upper, self.upper + 1] = 1.0
+        return A
+
+    def known(
+        self, layout: Layout
+    ) -> tuple[Int[np.ndarray, " known"], Float[np.ndarray, " known"]]:
+        """Which unknowns of a layout with W's triangle are none, and what they are."""
+        n, upper = layout.n, self.upper
+        chained = 1 if self.jumps else layout.modes
+        at_A = layout.of_A[:chained, upper].reshape(-1)
+        values = np.tile(self.shift()[upper], (chained, 1, 1)).reshape(-1)
+        at_B = layout.of_constant[:chained, upper].reshape(-1)  # it would only shift a state
+        if not self.zeros:
+            first = np.intersect1d(upper, self.last - np.array(self.order) + 1)
+            at_B = layout.of_B[:chained, upper].reshape(-1)
+            at_B = np.append(at_B, layout.of_B[chained:, first, : layout.m].reshape(-1))
+        i, j = np.tril_indices(n)
+        off = (i != j) & ~(np.isin(i, self.last) & np.isin(j, self.last))
+        at_W = layout.size + np.flatnonzero(off)
+        places = np.concatenate((at_A, at_B, at_W))
+        return places, np.concatenate((values, np.zeros(at_B.size + at_W.size)))
+
+    def initial(
+        self, output: Float[np.ndarray, "sample p"], start: Bool[np.ndarray, " sample"]
+    ) -> Bool[np.ndarray, "sample p"]:
+        """The measurements that only tell where the state begins: until output j has n_j of them.
+
+        They are left out of the likelihood, which is that of all others given these: how vague the
+        state is at a start then does not matter, nor does it depend on the states' coordinates.
+        """
+        measured = np.isfinite(output)
+        before = np.cumsum(measured, axis=0) - measured
+        latest = np.maximum.accumulate(np.where(start, np.arange(start.size), 0))
+        lead = np.array(self.lead or self.order)
+        few = np.any(before - before[latest] < lead, axis=1, keepdims=True)
+        return measured & few
+
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
 _UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
@@ -206,12 +302,10 @@ class NoisyLog(SensorLikelihood):
         """The filter over all parts; of an even log in cells of delays, by default their own."""
         theta = vector[: self.layout.size]
         own = self.cells(theta) if cells is None else cells
-        given = self.recording, self.layout, theta, self.root(vector), own, self.nodes
+        periods_of = self.sampling.periods_of(self.layout, theta, self.root(vector), own)
         sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
         left_out = self.initial(starts)
-        return SwitchedKalmanFilter(
-            self.recording.parts, starts, left_out, periods_of(*given), sensors
-        )
+        return SwitchedKalmanFilter(self.recording.parts, starts, left_out, periods_of, sensors)
 
     def innovations(self, vector: Vector, starts: Starts) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
@@ -234,3 +328,38 @@ class NoisyLog(SensorLikelihood):
         score[free], information[np.ix_(free, free)] = found.score, found.information
         known = np.isfinite(score).all() and np.isfinite(information).all()
         return Evaluation(found.value if known else -np.inf, score, information)
+
+
+_MOST = 10_000  # samples of a long log whose states are looked at
+
+
+class Following(NamedTuple):
+    """States of every sample of a part: given all of it, all before, and the first one alone.
+
+    NaN where they are not known yet.
+    """
+
+    states: Float[np.ndarray, "sample n"]
+    ahead: Float[np.ndarray, "sample n"]
+    free: Float[np.ndarray, "sample n"]
+
+
+def following(log: NoisyLog, vector: Vector, part: Part, window: Window) -> Following:
+    """States of a part by the likeliest plant."""
+    own = replace(log, recording=log.recording._replace(parts=(part,)))
+    (start,) = starts = own.starts(*window)
+    one_ahead, states, periods = own.filter(vector, starts).states(0)
+    known = ~start & (np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n)
+    ahead = np.where(known[:, None], one_ahead, np.nan)
+    free = np.full(states.shape, np.nan)
+    for k in np.flatnonzero(~start).tolist():
+        before = free[k - 1] if np.isfinite(free[k - 1]).all() else states[k - 1]
+        free[k] = periods.Phi[periods.kind[k]] @ before + periods.added[k]
+    return Following(np.where(known[:, None], states, np.nan), ahead, free)
+
+
+def largest_of(log: NoisyLog, vector: Vector, window: Window) -> Float[np.ndarray, " n"]:
+    """The largest |x| of every state; of a long log in stretches from all over it."""
+    parts = log.recording.stretches(_MOST, log.recording.lag(window[1])).parts
+    states = np.vstack([following(log, vector, part, window).states for part in parts])
+    return np.nanmax(np.abs(states), axis=0)

@@ -11,10 +11,13 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.log.mode_columns import absent_modes, label, labels_of, mode_column
 from deadtime.identification.log.read_tables import (
     LogTable,
+    absent_modes,
     chosen_columns,
+    label,
+    labels_of,
+    mode_column,
     numeric_column,
     table_of,
 )
@@ -44,6 +47,13 @@ class Part(NamedTuple):
         first = self.time[own][:1] == self.time[:1]
         columns = (column[own] for column in self[:4])
         return Part(*columns, rests=self.rests and bool(first.all()))
+
+    def on_a_grid(self, step: float) -> Part:
+        """The part as if it were sampled evenly: states between samples on lines."""
+        time = self.time[0] + step * np.arange(int((self.time[-1] - self.time[0]) / step) + 1)
+        before = np.searchsorted(self.time, time * (1.0 + 1e-15), side="right") - 1
+        output = np.column_stack([np.interp(time, self.time, one) for one in self.output.T])
+        return Part(time, output, self.input[before], self.mode[before], self.rests)
 
 
 class Level(NamedTuple):
@@ -109,6 +119,13 @@ class Recording(NamedTuple):
             every = np.array_split(np.arange(part.time.size), count)
             parts += [part.rows(k[: max(2, int(np.ceil(share * k.size)) + lag)]) for k in every]
         return self._replace(parts=tuple(parts))
+
+    def gridded(self) -> Recording:
+        """The recording as if it were sampled evenly, states between samples on lines."""
+        if self.even:
+            return self
+        parts = tuple(part.on_a_grid(self.step) for part in self.parts)
+        return self._replace(parts=parts, even=True)
 
     def lag(self, delay: float) -> int:
         """How many samples ago an input was given, at most, that acts so many seconds late."""

@@ -8,19 +8,45 @@ the likelihood of the noise η alone, over which Harville maximises:
 
 The gradient g of the second term hardly moves with η, the logarithms of deviations: of one
 regression it is p whatever η, so log L + gᵀη is maximised instead, which gives N − p exactly.
+
+Closed loops: inputs that are hardly more than a function of what was measured.
+
+With sensors of noise v, y_k = x_k + v_k, and one state, a period is
+
+    y_{k+1} = Φ y_k + Γ₁ u_{k−N} + Γ₂ u_{k−N+1} + ε_k,    ε_k = w_k + v_{k+1} − Φ v_k.
+
+ε_k is correlated with y_k, by −Φ V, and with its neighbours, so that of all predictors the best one
+reads y_k, y_{k−1}, y_{k−2}, … with weights that fall by the ratio of the filter. Where u_k = K y_k,
+an input of a period or two ago *is* such a measurement: as if sensors had no noise, a delay that
+short lets B K stand for a weight of the predictor. That is a maximum of the likelihood which is
+higher than the plant's own, with another B, often of the other sign, and it leaves white residuals.
+
+With the noise of sensors among the unknowns it is none any more. What is left of a delay is how y
+follows itself after D + h, a B K part of it that noise hides: there may be many maxima. So the
+likelihood is maximised in every cell of the delay, from several beginnings, and intervals go over
+all cells that are plausible. Where these are most of the range, the log tells A + B K, no more.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.delay_intervals import delay_intervals, ends_over_peaks
+from deadtime.identification.delay_scan import largest_maximum
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
+from deadtime.identification.intervals import (
+    Spread,
+    delay_intervals,
+    ends_over_peaks,
+    inverse,
+    plausible_fall,
+    require_seen,
+    spread_of,
+)
 from deadtime.identification.levels import (
     at_zero,
     likelier_than_chance,
@@ -28,15 +54,13 @@ from deadtime.identification.levels import (
     with_constant,
     without_level,
 )
-from deadtime.identification.likelihoods.likelihood import maximise
+from deadtime.identification.likelihoods.likelihood import climb_within, maximise
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog, SensorLikelihood
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.delay_scan import largest_maximum
 from deadtime.identification.parameters import Vector, Window
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
-from deadtime.identification.start import Start
-from deadtime.numerics.covariance import noise_covariances
+from deadtime.identification.start import Start, cell_range
 from deadtime.numerics.kernels import expect_many_calls
 
 _ENOUGH = 10_000  # samples that tell how noise is restricted
@@ -46,61 +70,6 @@ _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # of log likelihood that is still worth a step
 _TOLD = 1.0  # information on a logarithm: one that is told to less than a factor of e stays
 _FEWEST = 3.0  # degrees of freedom: of fewer Student's has no variance
-
-
-def continuous(
-    A: Float[np.ndarray, "mode n n"], S: Float[np.ndarray, "mode n n"], step: float
-) -> Float[np.ndarray, "mode n n"]:
-    """W of which a period makes S = ∫₀^h e^{As} W e^{Aᵀs} ds, mode by mode, positive semidefinite.
-
-    Examples
-    --------
-    >>> W = continuous(np.array([[[-1.0]]]), np.array([[[0.5 * (1.0 - np.exp(-0.4))]]]), 0.2)
-    >>> W.round(12)
-    array([[[1.]]])
-    """
-    result = np.empty(S.shape)
-    for i, one in enumerate(A):
-        W = np.linalg.lstsq(_images(one, step), S[i].ravel(), rcond=None)[0].reshape(one.shape)
-        values, vectors = np.linalg.eigh(0.5 * (W + W.T))
-        W = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        result[i] = 0.5 * (W + W.T)  # to the last bit, as who reads it makes it
-    return result
-
-
-def _images(A: Float[np.ndarray, "n n"], step: float) -> Float[np.ndarray, "nn nn"]:
-    """From W to S, line by line, of a W that is symmetric."""
-    n = len(A)
-    units = np.eye(n * n).reshape(n * n, n, n)
-    units = 0.5 * (units + units.transpose(0, 2, 1))
-    S = noise_covariances(np.repeat(A[None], n * n, axis=0), units, np.full(n * n, step))
-    return S.reshape(n * n, n * n).T
-
-
-def intensity_errors(
-    A: Float[np.ndarray, "mode n n"],
-    W: Float[np.ndarray, "mode n n"],
-    step: float,
-    spare: Int[np.ndarray, " mode"],
-) -> Float[np.ndarray, " variance"]:
-    """The standard errors of the diagonals of W, mode by mode, from `spare` periods of each.
-
-    W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. A
-    position has noise in S that its speed has brought there, and with it an error.
-
-    Examples
-    --------
-    >>> A, W = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([np.diag([0.0, 3.0])])
-    >>> (intensity_errors(A, W, 0.1, np.array([200])) * [1000.0, 1.0]).round(3)
-    array([0.354, 0.3  ])
-    """
-    modes, n, _ = A.shape
-    errors, S = np.empty((modes, n)), noise_covariances(A, W, np.full(modes, step))
-    for i, one in enumerate(A):
-        G = np.linalg.pinv(_images(one, step))[:: n + 1].reshape(n, n, n)
-        GS = 0.5 * (G + G.transpose(0, 2, 1)) @ S[i]
-        errors[i] = np.sqrt(2.0 * np.einsum("abc,acb->a", GS, GS) / spare[i])
-    return errors.ravel()
 
 
 def estimate_with_noise(
@@ -368,3 +337,103 @@ def exact_holds(exact: Estimate, noisy: Estimate) -> bool:
     low = np.maximum(exact.intervals, noisy.intervals)[:, 0]
     high = np.minimum(exact.intervals, noisy.intervals)[:, 1]
     return bool((low <= high).all()) and all(least == 0.0 for least, _ in noisy.sensor_intervals)
+
+
+_MANY = 40  # cells: in so many all beginnings are tried, in others only the neighbour's maximum
+_LOOK = 2_000  # samples of a first look at all cells
+_CELL_GAIN = 1e-3  # of log likelihood that is worth a step
+_SAME = 0.1  # of log likelihood: a neighbour that is so much likelier leads elsewhere
+
+
+def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
+    """The estimate with the likelihood of every cell of each delay as what tells it.
+
+    begins : vectors of the likelihood to climb from, in each cell
+    """
+    recording, bounds = log.recording, log.bounds
+    lag = recording.lag(bounds[1])
+    some = replace(log, recording=recording.stretches(_LOOK, lag))
+    theta, curves, vectors = begins[0], [], []
+    first, last = cell_range(recording.step, bounds, log.layout.m)
+    every = np.arange(first, last + 1)
+    for row in range(log.layout.delays):
+        tops = _in_cells(some, begins, row, every)
+        if some.recording is not recording:
+            tops = _anew(log, tops, row, every)
+        values = np.array([top.found.value for top in tops])
+        theta = tops[int(values.argmax())].theta
+        begins = [theta, *begins]
+        curves.append(values)
+        vectors.append([top.theta for top in tops])
+    best, window = maximise(log, theta, gain=_CELL_GAIN)
+    log, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(log.C))
+    if kept.size < best.theta.size:
+        best, window = maximise(log, best.theta[kept], gain=_CELL_GAIN)
+        vectors = [[vector[kept] for vector in each] for each in vectors]
+    cells = log.cells(best.theta)
+    for row, cell in enumerate(cells):  # a climb over kinks may have gone further
+        own = log.evaluate_in(*bounds)(cells)(best.theta).value
+        curves[row][cell - first] = max(curves[row][cell - first], own)
+        vectors[row][cell - first] = best.theta
+    told = np.array(curves), log.acting.size, np.array(vectors)
+    start = Start(best.theta[: log.layout.size], cells, first, *told)
+    return estimated_of(log, best, window, start)
+
+
+def _in_cells(
+    log: NoisyLog, begins: list[np.ndarray], row: int, every: Int[np.ndarray, " cell"]
+) -> list[Maximum]:
+    """The likeliest vector with one delay in each of its cells."""
+    evaluate_in, tops = log.evaluate_in(*log.bounds), []
+    often = max(1, every.size // _MANY)
+    for place, cell in enumerate(every.tolist()):
+        near = [tops[-1].theta] if tops else []
+        own = near if place % often else [*near, *begins]
+        tops.append(_highest([_top(log, evaluate_in, theta, row, cell) for theta in own]))
+    for place in range(every.size - 2, -1, -1):
+        if tops[place + 1].found.value > tops[place].found.value + _SAME:
+            again = _top(log, evaluate_in, tops[place + 1].theta, row, int(every[place]))
+            tops[place] = _highest([tops[place], again])
+    return tops
+
+
+def _anew(
+    log: NoisyLog, tops: list[Maximum], row: int, every: Int[np.ndarray, " cell"]
+) -> list[Maximum]:
+    """The same of a whole log, where a part of it leaves a cell plausible."""
+    evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
+    fall = values.max() - values
+    near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
+    found = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
+    most = max(one.found.value for one in found.values())
+    return [
+        found.get(i, one._replace(found=one.found._replace(value=most - float(fall[i]))))
+        for i, one in enumerate(tops)
+    ]
+
+
+def _top(
+    log: NoisyLog,
+    evaluate_in: Callable[[np.ndarray], Evaluate],
+    theta: np.ndarray,
+    row: int,
+    cell: int,
+) -> Maximum:
+    """The maximum that a vector leads to with one delay in a cell, the others in theirs."""
+    cells, begin = log.cells(theta), theta
+    if cells[row] != cell:
+        begin, cells[row] = theta.copy(), cell
+        begin[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
+    return climb_within(log, evaluate_in(cells), begin, cells, _CELL_GAIN)
+
+
+def _highest(found: list[Maximum]) -> Maximum:
+    return max(found, key=lambda one: one.found.value)
+
+
+def estimate_in_loop(
+    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate, sure: bool
+) -> Estimate:
+    """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
+    found = over_all_cells(*begun_with_noise(recording, C, exact))
+    return exact if not sure and exact_holds(exact, found) else found

@@ -10,17 +10,18 @@ import numpy as np
 
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
-from deadtime.identification.delay_intervals import profile
+from deadtime.identification.intervals import profile
+from deadtime.identification.likelihoods.noisy_log import following
 from deadtime.identification.log.recording import Part
-from deadtime.identification.outputs.following import following
 from deadtime.identification.residuals import LAGS, autocorrelation, forecast, with_inputs
-from deadtime.identification.results.sentences import delay_names
+from deadtime.identification.sentences import delay_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from deadtime.identification.identified_plant import Findings
+
 
 _SHOWN = 400  # samples of the log, at most
 _POINTS = 13  # of a likelihood, where each takes a filter over the log

@@ -24,11 +24,10 @@ from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.likelihoods.switched_filter import FilterPeriods, Places
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout, Vector, Window
-from deadtime.identification.regression import inputs_at
+from deadtime.identification.sampling import inputs_at
 from deadtime.identification.scoring import Maximum, best_in_turn
 from deadtime.identification.start import cell_range
 from deadtime.identification.transition import transitions_of
-from deadtime.identification.uneven import gridded
 
 _PARTS = 4  # of a period: delays that are tried
 _SWEEPS = 4  # over all delays, each in turn
@@ -199,7 +198,7 @@ def largest_maximum(
     """
     begins, climbed = list(begins), list(climbed)
     log = replace(log, bounds=_searched(log, (*begins, *climbed)[0]))
-    scan, grid = None, replace(log, recording=gridded(log.recording))
+    scan, grid = None, replace(log, recording=log.recording.gridded())
     found = [_climbed(log, begin) for begin in climbed]
     for begin in begins:
         scan = scanned(grid, begin)

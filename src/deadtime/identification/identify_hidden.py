@@ -13,21 +13,26 @@ from jaxtyping import Float
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
-from deadtime.identification.estimate import IdentifiedLog
+from deadtime.identification.estimate import HiddenModes, IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
-from deadtime.identification.hidden.choice import HiddenFit, Log, fitted, refined, search_of
-from deadtime.identification.hidden.estimated import (
+from deadtime.identification.hidden_estimate import (
     Decoded,
     ModesTold,
     decoded,
     estimated,
     estimated_with_noise,
 )
-from deadtime.identification.hidden.noisy_choice import fitted_with_noise
-from deadtime.identification.hidden_modes import HiddenModes
+from deadtime.identification.hidden_fit import (
+    HiddenFit,
+    Log,
+    fitted,
+    fitted_with_noise,
+    refined,
+    search_of,
+)
 from deadtime.identification.log.logged_states import fit_switching
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy.noise import estimate_with_noise, exact_holds
+from deadtime.identification.noisy_estimate import estimate_with_noise, exact_holds
 from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls

@@ -8,20 +8,34 @@ dozen periods have one mode. Each has a regression of its own, whatever the mode
 which these fit best together are those of the delays. Then as many stretches as there are modes are
 drawn, each from those that the ones before explain badly (the seeding of k-means++: Arthur and
 Vassilvitskii, SODA 2007).
+
+Expectation–maximisation over the plant: matrices, delays at any fraction of a period, noise.
+
+Each step maximises, over A, B and D and with S that of the weighted residuals, the likelihood that
+periods would have if their modes were known, weighted by how likely they are. That never lowers the
+likelihood of the log (Dempster, Laird and Rubin, J. Royal Statistical Society B 39(1), 1977).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.likelihoods.jumps import Jumps
-from deadtime.identification.likelihoods.mode_periods import EvenPeriods, Posterior
-from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import floored, log_density, rooted
-from deadtime.identification.scoring import best_in_turn
+from deadtime.identification.likelihoods.hidden_chain import Jumps, Periods, Posterior
+from deadtime.identification.likelihoods.hidden_log import HiddenLog
+from deadtime.identification.likelihoods.likelihood import (
+    concentrated,
+    floored,
+    log_density,
+    maximise,
+    rooted,
+    window_of,
+)
+from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.scoring import STEPS, best_in_turn
 
 _MOST = 150  # stretches
 _PURE = (0.4, 0.8)  # of all stretches, those that fit best, are drawn from
@@ -37,7 +51,7 @@ class PeriodRuns(NamedTuple):
     rows: Int[np.ndarray, "stretch period"]
 
 
-def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> PeriodRuns | None:
+def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> PeriodRuns | None:
     """Half overlapping, some at most, spread over the log; None if there are less than modes.
 
     Short ones have periods for little more than a regression, and more often one mode.
@@ -57,20 +71,20 @@ def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> P
     return PeriodRuns(np.array(places)[chosen, None] + np.arange(length))
 
 
-def first_cells(
-    periods: EvenPeriods, stretches: PeriodRuns, layout: Layout
-) -> Int[np.ndarray, " m"]:
+def first_cells(periods: Periods, stretches: PeriodRuns, layout: Layout) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
-    options, begin = range(periods.first, periods.last + 1), (None,) * layout.m
-    found = best_in_turn(begin, options, lambda own: _together(periods, stretches, own, layout), 2)
+    begin = (None,) * layout.m
+    found = best_in_turn(
+        begin, periods.cells.tolist(), lambda own: _together(periods, stretches, own, layout), 2
+    )
     return np.array(found)
 
 
 def _together(
-    periods: EvenPeriods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
+    periods: Periods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
-    z = periods.rows(np.array([periods.first if c is None else c for c in cells]))
+    z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
     n = layout.n
     known = np.array([c is not None for c in cells])
     keep = np.concatenate((np.ones(2 * n, bool), known, known, np.ones(int(layout.constant), bool)))
@@ -92,7 +106,7 @@ def _own_covariances(
 
 
 def drawn_start(
-    periods: EvenPeriods,
+    periods: Periods,
     stretches: PeriodRuns,
     cells: Int[np.ndarray, " m"],
     layout: Layout,
@@ -147,7 +161,7 @@ def regressed(
     return P, floored(e.T @ e / total, P[:, : y.shape[1]], y, total)
 
 
-def expected(periods: EvenPeriods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
+def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
     """What the log says of the modes under regressions."""
     each = zip(rows, model.P, model.S, strict=True)
     return periods.posterior(
@@ -177,7 +191,7 @@ def maximised(
 
 
 def climbed(
-    periods: EvenPeriods, model: Regressions, steps: int, least: float, common: bool, gain: float
+    periods: Periods, model: Regressions, steps: int, least: float, common: bool, gain: float
 ) -> tuple[Regressions, Posterior] | None:
     """The regressions after some steps; None where a mode has less periods than `least`."""
     rows, before = periods.rows_of_modes(model.cells), -np.inf
@@ -194,7 +208,7 @@ def climbed(
 
 
 def scanned(
-    periods: EvenPeriods,
+    periods: Periods,
     weight: Float[np.ndarray, "period mode"],
     cells: Int[np.ndarray, "mode m"],
     layout: Layout,
@@ -203,7 +217,7 @@ def scanned(
 
     One delay after the other, the others in their cells.
     """
-    options, count = np.arange(periods.first, periods.last + 1), weight.sum(axis=0)
+    options, count = periods.cells, weight.sum(axis=0)
     groups = [[i] for i in range(layout.modes)] if layout.per_mode else [list(range(layout.modes))]
     cells = cells.copy()
 
@@ -225,3 +239,55 @@ def scanned(
         if (cells == before).all():
             break
     return cells, curves.reshape(-1, options.size)
+
+
+_GAIN = 1e-6  # of log likelihood that is still worth a step
+_STEPS = 400
+_FEW = 4  # steps up the plant for one of the modes, where each takes a look at all of the log
+
+
+class Ascent(NamedTuple):
+    """Where the steps lead: the likelihood with its S and P, the unknowns, and the way up.
+
+    values : log likelihood after every step; found : what the log says of the modes at the end
+    """
+
+    log: HiddenLog
+    theta: Vector
+    values: Float[np.ndarray, " step"]
+    found: Posterior
+
+
+def ascended(
+    log: HiddenLog, theta: Vector, least: float, found: Posterior | None = None
+) -> Ascent | None:
+    """The maximum that a start leads to; None where a mode is left with less periods than `least`.
+
+    The first step takes the modes as `found`, by default as the log's own S and P have them. S of
+    regressions without a plant must not judge a plant that is near them alone: of little noise no
+    period would seem to be of a mode.
+    """
+    values = []
+    if found is None:
+        found = log.posterior(theta, log.cells(theta))
+        values.append(found.value)
+    for _ in range(_STEPS):
+        if found.weight.sum(axis=0).min() < least:
+            return None
+        log, theta = _stepped(log, theta, found)
+        found = log.posterior(theta, log.cells(theta))
+        values.append(found.value)
+        if len(values) > 1 and values[-1] - values[-2] < _GAIN:
+            break
+    return Ascent(log, theta, np.array(values), found)
+
+
+def _stepped(log: HiddenLog, theta: np.ndarray, found: Posterior) -> tuple[HiddenLog, Vector]:
+    """The next unknowns, S and the chain, given how likely each mode was."""
+    known, near = log.known(found.weight), window_of(log, theta[log.layout.at_delays])
+    window = max(log.window[0], near[0]), min(log.window[1], near[1])
+    steps = STEPS if log.sampling.summed_up else _FEW  # a rise is all that is asked for
+    best, _ = maximise(known, theta, window=window, steps=steps)
+    terms = known.terms_in(*window)(log.cells(best.theta))(best.theta)
+    S = concentrated(terms, log.layout.size)[1]
+    return replace(log, S=S, jumps=log.jumps.next(found.counts)), best.theta

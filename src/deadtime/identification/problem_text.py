@@ -28,6 +28,7 @@ from deadtime.plant import SwitchedSystem
 if TYPE_CHECKING:
     from deadtime.identification.identified_plant import Findings
 
+
 _LEFT_OUT = "# Noise of the sensors is left out: it is of y = C x, and the file's would be of x."
 _DELAYS = 20.0  # a run lasts so many of the longest one,
 _SOJOURNS = 5.0  # and so many mean ones of the mode that lasts longest

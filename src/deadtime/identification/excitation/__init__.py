@@ -1,1 +1,0 @@
-"""What to do to a plant so that its log tells it: input sequences of the most information."""

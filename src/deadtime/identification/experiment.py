@@ -1,0 +1,520 @@
+"""Experiment: inputs to send to a plant, and how well their log will tell it.
+
+What `design_experiment` is given, checked: modes of rows, periods that count, noise, the law.
+
+`design_experiment`: what to send to a plant so that its log tells the delays best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import as_floats, bound, brief, count, instance, positive, read_only
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.base.staging import replacing
+from deadtime.identification.experiment_information import (
+    ExactStates,
+    NoiseTables,
+    NoisyStates,
+    chain_of,
+    require_bounded,
+)
+from deadtime.identification.identify import require_switches
+from deadtime.identification.input_design import (
+    CLOCKS,
+    SIGMAS,
+    Prospect,
+    best_sequence,
+    binary_sequence,
+    steps,
+    within_limits,
+)
+from deadtime.identification.likelihoods.likelihood import REACH
+from deadtime.identification.parameters import Layout, cells_of
+from deadtime.numerics.covariance import noise_covariances
+from deadtime.plant import OperatingPoint, SwitchedSystem
+from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import modes_at
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from deadtime.feedback import Feedback, Law
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Experiment(Frozen):
+    """Inputs within limits that tell a plant's delays and matrices well (immutable).
+
+    Attributes
+    ----------
+    plant : SwitchedSystem
+        What they were designed for.
+    time : (T,) array
+        Seconds; an input is held from its row's time to the next one's.
+    inputs : (m, T) array
+        To be sent, as deviations from rest; with a law, to be added to what it asks for.
+    mode : (T,) array
+        To be held from each row to the next.
+    delay_errors : dict of (delays,) arrays
+        Standard errors of the delays that are to be expected, seconds: "experiment", and beside it
+        "prbs", the best maximum-length binary sequence within the same limits, and "step".
+    clock : int
+        For how many rows each value of that sequence is held.
+    errors : (size,) array
+        Standard errors of all unknowns, in the order of `names`.
+    largest : (n + m,) array
+        What every |state| and |input| stays below, at three standard deviations of the noise.
+    added : bool
+        Whether the inputs are added to a law's.
+    sentences : tuple of str
+        What there is to say, in words.
+
+    Examples
+    --------
+    See `design_experiment`.
+    """
+
+    plant: SwitchedSystem
+    time: Float[np.ndarray, " T"]
+    inputs: Float[np.ndarray, "m T"]
+    mode: Int[np.ndarray, " T"]
+    delay_errors: Mapping[str, Float[np.ndarray, " delay"]]
+    clock: int
+    errors: Float[np.ndarray, " size"]
+    largest: Float[np.ndarray, " y"]
+    added: bool
+    sentences: tuple[str, ...]
+    _layout: Layout = field(repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        plant: SwitchedSystem,
+        step: float,
+        prospect: Prospect,
+        r: Float[np.ndarray, "T m"],
+        peers: Mapping[str, Float[np.ndarray, "T m"]],
+        clock: int,
+        averaged: bool,
+    ) -> Experiment:
+        """What there is to hand over of inputs r, and of others beside them.
+
+        averaged : whether modes have a noise of their own each, and its mean was counted with
+        """
+        layout, chain = prospect.layout, prospect.chain
+        every = {name: prospect.errors(one)[layout.at_delays] for name, one in peers.items()}
+        errors = prospect.errors(r)
+        told = {"experiment": errors[layout.at_delays], **every}
+        told = {name: read_only(one) for name, one in told.items()}
+        largest = prospect.reach(r).max(axis=0)
+        said = _sentences(plant, step, layout, told, clock, largest)
+        if chain.V.any():
+            noise = ", ".join(f"{v:.3g}" for v in np.sqrt(chain.V))
+            said += (f"Sensors are taken to be noisy, with deviations of {noise}.",)
+        if averaged:
+            said += (
+                "Noise of the plant is taken to be the same in all modes, the mean of theirs over "
+                "the rows, as identify finds one for all where sensors are noisy.",
+            )
+        time = step * np.arange(len(r))
+        closed = not chain.open
+        return cls(plant, time, r.T, chain.mode, told, clock, errors, largest, closed, said, layout)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The unknowns, as an `Identification` of the log will name them."""
+        return tuple(self._layout.names())
+
+    def standard_error(self, name: str) -> float:
+        """The standard error of an unknown that is to be expected, by its name in `names`."""
+        if name not in self.names:
+            known = ", ".join(self.names)
+            raise ArgumentError(f"name must be one of {known}, got {brief(name)}.")
+        return float(self.errors[self.names.index(name)])
+
+    @property
+    def message(self) -> str:
+        """The sentences, as one text."""
+        return " ".join(self.sentences)
+
+    def sent(self, operating_point: OperatingPoint | None) -> Float[np.ndarray, "m T"]:
+        """`inputs` as the actuators get them, u₀ + u; what is added to a law's stays as it is."""
+        if operating_point is None or self.added:
+            return self.inputs
+        return operating_point.u[:, None] + self.inputs
+
+    def to_pandas(self, operating_point: OperatingPoint | None = None) -> pd.DataFrame:
+        """A table with columns t, u1, … (add_u1, … where a law's are added to) and mode.
+
+        With an operating point u1, … are u₀ + u.
+        """
+        import pandas as pd
+
+        head, sent = "add_u" if self.added else "u", self.sent(operating_point)
+        columns = {"t": self.time} | {f"{head}{j + 1}": u for j, u in enumerate(sent)}
+        return pd.DataFrame({**columns, "mode": self.mode})
+
+    def to_csv(
+        self, path: str | PathLike[str], operating_point: OperatingPoint | None = None
+    ) -> None:
+        """Write that table as CSV: a row per period, to be replayed.
+
+        Raises
+        ------
+        ArgumentError
+            If the file cannot be written.
+        """
+        table = self.to_pandas(operating_point)
+        table["t"] = [f"{t:.12g}" for t in self.time]
+        with replacing(path) as place:
+            table.to_csv(place, index=False, float_format="%.12g")
+
+
+def _sentences(
+    plant: SwitchedSystem,
+    step: float,
+    layout: Layout,
+    told: Mapping[str, np.ndarray],
+    clock: int,
+    largest: np.ndarray,
+) -> tuple[str, ...]:
+    """What to expect, beside what is usual; and where the promise is weaker."""
+    names = layout.names()[layout.at_delays]
+    held = "" if clock == 1 else f", each value held for {clock} periods"
+    said = []
+    for place, name in enumerate(names):
+        own, prbs, edge = (1e3 * float(told[key][place]) for key in ("experiment", "prbs", "step"))
+        said.append(
+            f"Standard error of {name} to be expected: {own:.3g} ms; of the best binary sequence "
+            f"(PRBS{held}) {_milliseconds(prbs)}, of a step {_milliseconds(edge)}."
+        )
+    D = plant.delays if layout.per_mode else plant.delays[0]
+    off = np.abs(D - step * np.rint(D / step)).ravel()
+    near = [n for n, o, e in zip(names, off, told["experiment"], strict=True) if o < 2.0 * e]
+    if near:
+        are, its = ("are", "their intervals") if len(near) > 1 else ("is", "its interval")
+        said.append(
+            f"{', '.join(near)} {are} within two standard errors of a whole number of periods, "
+            f"where the likelihood has a kink: {its} may be longer or shorter than promised."
+        )
+    n = plant.states
+    states, inputs = (", ".join(f"{v:.3g}" for v in part) for part in np.split(largest, [n]))
+    said.append(
+        f"At three standard deviations of the noise |x| stays below {states}, |u| below {inputs}."
+    )
+    return tuple(said)
+
+
+def _milliseconds(value: float) -> str:
+    return f"{value:.3g} ms" if np.isfinite(value) else "infinite: it does not tell it"
+
+
+_FLOOR = 1e-9  # of all noise, that W has in every direction: its root has an inverse
+
+
+def modes_of_rows(
+    plant: SwitchedSystem, signal: SwitchingSignal | None, step: float, samples: int
+) -> Int[np.ndarray, " sample"]:
+    """The mode of every row."""
+    if signal is None:
+        if plant.modes > 1:
+            raise ArgumentError(
+                f"signal must be given for a plant of {plant.modes} modes: those that it is put "
+                "into, such as SwitchingSignal.periodic([2.0, 2.0], [0, 1], horizon)."
+            )
+        return np.zeros(samples, np.int64)
+    instance("signal", signal, SwitchingSignal)
+    signal.require_modes(plant.modes)
+    return np.asarray(modes_at(signal, step * np.arange(samples), step), np.int64)
+
+
+def used_periods(
+    plant: SwitchedSystem, mode: np.ndarray, step: float, layout: Layout, anywhere: bool
+) -> Bool[np.ndarray, " sample"]:
+    """The periods that an identification uses: those whose inputs it knows."""
+    first = int(cells_of(plant.delays.max(keepdims=True).ravel() + REACH * step, step)[0])
+    used = np.arange(mode.size) >= first
+    used[-1:] = False
+    if anywhere:
+        used[:-1] &= mode[1:] == mode[:-1]
+    least = layout.least_periods
+    visits = np.bincount(mode[used], minlength=layout.modes)
+    for i in np.flatnonzero(visits < least):
+        what = f"signal must hold mode {i} for" if layout.modes > 1 else "horizon must have"
+        raise ArgumentError(
+            f"{what} at least {least} periods after the first "
+            f"{first * step:g} s, got {visits[i]}: so short a log hardly tells it. "
+            "Lengthen the horizon, or visit the mode for longer."
+        )
+    return used
+
+
+def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Float[np.ndarray, "mode n n"]:
+    """W of every mode."""
+    n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
+    given = as_floats("disturbance", disturbance, form)
+    each = {0: lambda W: W * np.eye(n), 1: np.diag}.get(given.ndim, lambda W: W)(given)
+    if each.shape not in ((n, n), (plant.modes, n, n)) or not np.isfinite(each).all():
+        raise ArgumentError(f"disturbance must be {form}, finite, got shape {given.shape}.")
+    W = np.broadcast_to(each, (plant.modes, n, n))
+    size = np.abs(W).max()
+    askew = np.abs(W - W.swapaxes(1, 2)).max() > 1e-9 * size
+    if askew or np.linalg.eigvalsh(W).min() < -1e-9 * size:
+        raise ArgumentError(
+            f"disturbance must be symmetric and positive semidefinite, got {given.tolist()}."
+        )
+    return W
+
+
+def deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, " n"]:
+    """The standard deviations of the sensors of the states."""
+    deviation = bound("noise", noise, plant.states)
+    if not ((deviation >= 0.0) & np.isfinite(deviation)).all():
+        raise ArgumentError(
+            "noise must be the standard deviation of every state's sensor, finite and at least 0, "
+            f"got {deviation.tolist()}."
+        )
+    return deviation
+
+
+def one_for_all(
+    W: Float[np.ndarray, "mode n n"], mode: Int[np.ndarray, " sample"]
+) -> tuple[Float[np.ndarray, "mode n n"], bool]:
+    """The mean of W over the rows, in every mode, and whether modes had another one."""
+    share = np.bincount(mode, minlength=len(W)) / mode.size
+    mean = np.broadcast_to(np.tensordot(share, W, 1), W.shape)
+    own = np.abs(W - W[0]).max() > 1e-9 * np.abs(W).max()
+    return (mean, True) if own else (W, False)
+
+
+def added_noise(
+    plant: SwitchedSystem,
+    W: Float[np.ndarray, "mode n n"],
+    step: float,
+    deviation: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "mode n n"]:
+    """S of every mode: what noise adds in a period."""
+    S = np.array(
+        [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
+    )
+    try:
+        np.linalg.cholesky(S + np.diag(deviation**2))
+    except np.linalg.LinAlgError:
+        raise ArgumentError(
+            "disturbance must move every state within a period, in every mode, or its sensor be "
+            "noisy: without noise a log tells a delay exactly, whatever the inputs. Give a W that "
+            "reaches all states, or their noise=."
+        ) from None
+    return S
+
+
+def root_of(
+    W: Float[np.ndarray, "n n"], deviation: Float[np.ndarray, " n"], step: float
+) -> Float[np.ndarray, "n n"]:
+    """L with W = L Lᵀ, of a W that has a little in every direction."""
+    floor = _FLOOR * (float(np.trace(W)) + float((deviation**2).sum()) / step)
+    return np.linalg.cholesky(W + floor * np.eye(len(W)))
+
+
+def table_of(
+    law: Law | None, plant: SwitchedSystem, step: float, mode: np.ndarray
+) -> Feedback | None:
+    """The law's table."""
+    if law is None:
+        return None
+    from deadtime.feedback import Law
+
+    instance("law", law, Law)
+    if law.outputs is not None:
+        raise ArgumentError(
+            "law must be one of the measured states here: an observer's error is not followed. "
+            "Give the law that the observer feeds."
+        )
+    times = step * np.arange(mode.size)
+    at = np.flatnonzero(np.diff(mode, prepend=-1))
+    along = SwitchingSignal(times[at], mode[at])
+    table = law.digital(step, along, mode.size)
+    m, n = table.state_gain.shape[1:]
+    if (n, m) != (plant.states, plant.inputs) or table.memory:
+        raise ArgumentError(
+            f"law must be a table of {plant.states} states and {plant.inputs} inputs without a "
+            f"memory of its own, got {n} and {m}."
+        )
+    return table
+
+
+_MOST_SAMPLES = 20_000
+
+
+def design_experiment(
+    plant: SwitchedSystem,
+    horizon: float,
+    step: float,
+    input_limit: ArrayLike,
+    *,
+    disturbance: ArrayLike,
+    noise: ArrayLike = 0.0,
+    signal: SwitchingSignal | None = None,
+    law: Law | None = None,
+    state_limit: ArrayLike | None = None,
+    criterion: str = "delay",
+    hold: int = 1,
+    switches: str = "samples",
+    effort: int = 10,
+    seed: int = 0,
+) -> Experiment:
+    """The inputs within limits whose log tells the plant's delays best, of all that a search found.
+
+    They maximise Fisher's information: the least product of the delays' variances that any unbiased
+    estimate from the log can have, with A, B and the noise unknown, too. It is exact, for states
+    that are measured with noise or without: docs/theory/identification.md.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        What is known of the plant so far, such as `fit.plant` of a first, short log.
+    horizon : float
+        Length of the experiment, seconds; at most 20,000 periods.
+    step : float
+        Sampling period, seconds.
+    input_limit : float or (m,) array_like
+        What |u| must not exceed.
+    disturbance : array_like
+        W, the intensity of the process noise, x² per second: a number for number·I, (n,) for a
+        diagonal, (n, n), or (modes, n, n) for one per mode, such as `fit.disturbance`.
+    noise : float or (n,) array_like
+        Standard deviation of every state's sensor, in its units, such as `fit.noise`; then the mean
+        of W over the rows is counted with in every mode, as `identify` will find one for all.
+    signal : SwitchingSignal, optional
+        The modes that the plant is put into; read at samples. Not needed for one mode.
+    law : Law, optional
+        To whose inputs those of the experiment are added; an unstable plant needs one. It must be
+        told what was sent (`applied` of `Controller.update`), where it remembers inputs.
+    state_limit : float or (n,) array_like, optional
+        What every |x| must not exceed at samples of a run from rest, by its mean and three standard
+        deviations.
+    criterion : "delay" or "all"
+        Whether the delays alone are to be told well, or all unknowns (D-optimal).
+    hold : int
+        For how many periods each value is held at least.
+    switches : "samples" or "anywhere"
+        As `identify` will be told; with "anywhere" it leaves out periods in which the mode changes.
+    effort : int
+        How often the search starts anew from the best it found.
+    seed : int
+        Of the search.
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, a mode is hardly visited, the run is unstable, noise alone
+        exceeds a limit, or no inputs tell all unknowns apart.
+
+    References
+    ----------
+    Goodwin and Payne, "Dynamic System Identification", Academic Press 1977, chapter 6.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], 0.27)
+    >>> found = dt.design_experiment(plant, 10.0, 0.1, 1.0, disturbance=1e-3, effort=0)
+    >>> round(1e3 * found.standard_error("delay"), 1), found.inputs.shape
+    (0.7, (1, 100))
+    >>> errors = found.delay_errors
+    >>> bool(errors["experiment"] < errors["prbs"] < errors["step"])
+    True
+    """
+    instance("plant", plant, SwitchedSystem)
+    if criterion not in ("delay", "all"):
+        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
+    require_switches(switches)
+    step, horizon = positive("step", step), positive("horizon", horizon)
+    if horizon / step > _MOST_SAMPLES + 0.5:
+        raise ArgumentError(
+            f"horizon must be at most {_MOST_SAMPLES:,} periods of {step:g} s, got "
+            f"{horizon / step:,.6g}: repeat a shorter experiment."
+        )
+    samples = round(horizon / step)
+    limit = bound("input_limit", input_limit, plant.inputs)
+    if not ((limit > 0.0) & np.isfinite(limit)).all():
+        raise ArgumentError(
+            f"input_limit must be positive and finite, got {limit.tolist()}: the more an input "
+            "moves the more a log tells."
+        )
+    mode = modes_of_rows(plant, signal, step, samples)
+    per_mode = bool((plant.delays != plant.delays[0]).any())
+    layout = Layout(plant.modes, plant.states, plant.inputs, per_mode)
+    cells = cells_of(plant.delays.ravel(), step).reshape(plant.delays.shape)
+    used = used_periods(plant, mode, step, layout, switches == "anywhere")
+    W = intensity_of(plant, disturbance)
+    deviation, averaged = deviations_of(plant, noise), False
+    if deviation.any():
+        W, averaged = one_for_all(W, mode)
+    S = added_noise(plant, W, step, deviation)
+    table = table_of(law, plant, step, mode)
+    chain = chain_of(plant, step, mode, S, cells, layout, table, deviation**2)
+    require_bounded(chain)
+    if deviation.any():
+        tables = NoiseTables.of(layout, plant.A, root_of(W[0], deviation, step), step)
+        measured = NoisyStates.of(chain, used, layout.size, tables)
+    else:
+        measured = ExactStates.of(chain, used, layout.size)
+    prospect = Prospect.of(chain, layout, measured, criterion)
+    room = _room(prospect, limit, state_limit)
+    prospect = prospect.within(room)
+    seed, effort = count("seed", seed, 0), count("effort", effort, 0)
+    r = best_sequence(prospect, limit, count("hold", hold), effort, seed)
+    _require_told(prospect, r)
+    usual = {
+        clock: within_limits(prospect, binary_sequence(samples, limit, hold * clock))
+        for clock in CLOCKS
+    }
+    clock = min(usual, key=lambda clock: prospect.errors(usual[clock])[layout.at_delays].prod())
+    peers = {"prbs": usual[clock], "step": within_limits(prospect, steps(samples, limit))}
+    return Experiment.of(plant, step, prospect, r, peers, hold * clock, averaged)
+
+
+def _require_told(prospect: Prospect, r: Float[np.ndarray, "sample m"]) -> None:
+    """Refuse a plant that no inputs tell."""
+    if np.isfinite(prospect.errors(r)).all():
+        return
+    raise ArgumentError(
+        "horizon must leave inputs that tell all unknowns apart, got none such: lengthen it, hold "
+        "values for fewer periods, or leave out an input that does nothing."
+    )
+
+
+def _room(
+    prospect: Prospect, limit: Float[np.ndarray, " m"], state_limit: ArrayLike | None
+) -> Float[np.ndarray, "sample y"]:
+    """What means of states and inputs may reach: their limits less that of the noise."""
+    n, m = prospect.layout.n, prospect.layout.m
+    largest = np.full(n + m, np.inf)
+    if state_limit is not None:
+        largest[:n] = bound("state_limit", state_limit, n)
+    if not prospect.chain.open:
+        largest[n:] = limit
+    room = largest - SIGMAS * prospect.deviation
+    least = room.min(axis=0)
+    for place in np.flatnonzero(~(least > 0.0)):
+        what = f"state_limit[{place}]" if place < n else f"input_limit[{place - n}]"
+        raise ArgumentError(
+            f"{what} must be above {largest[place] - least[place]:.3g}, three standard deviations "
+            "of what the noise does alone, got "
+            f"{largest[place]:g}: widen it, or give a law that holds the plant tighter."
+        )
+    return room

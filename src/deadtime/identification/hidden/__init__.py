@@ -1,1 +1,0 @@
-"""Modes that nobody logged: a hidden Markov chain, by expectation–maximisation."""

@@ -1,0 +1,326 @@
+"""What not knowing the modes costs: the information of the log, in place of that of known modes.
+
+The score in all unknowns, θ, S and P, is that of Fisher's identity, and the observed information is
+minus its derivative, by central differences: what Louis' formula gives (J. Royal Statistical
+Society B 44(2), 1982). S and P are estimated, too, so that of θ there remains Schur's complement
+
+    J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: S as L M Lᵀ about M = I, P by the logarithms of its odds.
+
+Estimates of plants whose modes were hidden, with intervals that count that in.
+
+With noisy sensors, of the vector θ of plant and noise and the odds η of the chain, J is minus the
+second differences of the log likelihood; J_θθ − J_θη J_ηη⁻¹ J_ηθ is left, at most what the filter
+of logged modes would give along the likeliest path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Generic, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.estimate import Estimate
+from deadtime.identification.exact_estimate import estimate_of_plant
+from deadtime.identification.expectation_maximisation import scanned
+from deadtime.identification.hidden_fit import HiddenFit, Log
+from deadtime.identification.intervals import left_of, spread_of
+from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog, Starts
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.noisy_estimate import estimate_of_sensors
+from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.scoring import Maximum
+from deadtime.identification.start import Start
+
+_FAINT = 1e-8  # of information: beside one that is so much larger, differences lose it
+_SMALL = 1e-3  # of a standard error, a step of differences
+_NEVER = 1e-6  # a jump of less probability is none that could be estimated
+_ROUND_OFF = 1e-12  # of the unknowns: a step so small is lost in them
+_CERTAIN = 1e-6  # Σ γ (1 − γ) of modes that are known
+_LEAST = 1e-4  # of the information of known modes that is left in every direction
+
+
+class Information(NamedTuple):
+    """Of θ: with S and P held, and with these estimated; and that if the modes were known.
+
+    told : the least share, over all directions, of what is left of the last
+    of_noise : (modes,), the least share that is left of what would be told of S's diagonal
+    """
+
+    held: Float[np.ndarray, "size size"]
+    left: Float[np.ndarray, "size size"]
+    known: Float[np.ndarray, "size size"]
+    told: float
+    of_noise: Float[np.ndarray, " mode"]
+
+    @property
+    def widening(self) -> float:
+        """How many times longer than with known modes the longest interval is."""
+        errors = [np.diagonal(np.linalg.inv(F)) for F in (self.left, self.known)]
+        return float(np.sqrt((errors[0] / errors[1]).max()))
+
+
+class _Noise:
+    """M and the odds as a vector about where a likelihood has S and P."""
+
+    def __init__(self, log: HiddenLog) -> None:
+        self.log, n = log, log.layout.n
+        self.i, self.j = np.tril_indices(n)
+        self.L = np.linalg.cholesky(log.S)
+        self.jumps = log.jumps.likelier(_NEVER)
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are."""
+        return len(self.L) * self.i.size + len(self.jumps)
+
+    def at(self, eta: np.ndarray) -> HiddenLog:
+        """The likelihood with other S and P."""
+        cut = len(self.L) * self.i.size
+        M = np.tile(np.eye(self.L.shape[1]), (len(self.L), 1, 1))
+        shift = eta[:cut].reshape(len(self.L), -1)
+        M[:, self.i, self.j] += shift
+        M[:, self.j, self.i] += np.where(self.i == self.j, 0.0, shift)
+        odds = np.ones(self.log.jumps.matrix.shape)
+        for (i, j), change in zip(self.jumps, eta[cut:], strict=True):
+            odds[i, j] = np.exp(change)
+        S = self.L @ M @ self.L.transpose(0, 2, 1)
+        return replace(self.log, S=S, jumps=self.log.jumps.scaled(odds))
+
+    @property
+    def known(self) -> Float[np.ndarray, "M M"]:
+        """The information on M if the modes were known, per period."""
+        return np.diag(np.where(self.i == self.j, 0.5, 1.0))
+
+    def shares(
+        self, J: Float[np.ndarray, "M M"], counts: Float[np.ndarray, " mode"]
+    ) -> Float[np.ndarray, " mode"]:
+        """Of the information on log S_aa that is left of known modes', the least of all a."""
+        known = np.kron(np.diag(counts), self.known)
+        covariance, own = np.linalg.inv(lifted(J, known)[0]), self.i.size
+        found = np.empty(len(self.L))
+        for mode, L in enumerate(self.L):
+            twice = np.where(self.i == self.j, 1.0, 2.0)
+            slope = twice * L[:, self.i] * L[:, self.j] / (L**2).sum(axis=1)[:, None]
+            at = slice(mode * own, (mode + 1) * own)
+            spread = np.einsum("as,st,at->a", slope, covariance[at, at], slope)
+            found[mode] = (2.0 / counts[mode] / spread).min()
+        return found
+
+    def score(self, theta: np.ndarray, eta: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """The score in θ and in these."""
+        log = self.at(eta)
+        n, parts = log.layout.n, [log.evaluate(theta, cells).score]
+        terms, found = log.weighted(theta, cells)
+        for term, L, S in zip(terms, self.L, log.S, strict=True):
+            e = np.linalg.solve(L, (term.root[:, :n] - term.root[:, n:] @ term.P.T).T)
+            back = np.linalg.inv(np.linalg.solve(L, np.linalg.solve(L, S).T))
+            total = found.weight[:, len(parts) - 1].sum()
+            slope = 0.5 * (back @ (e @ e.T) @ back - total * back)
+            twice = np.where(self.i == self.j, 1.0, 2.0)
+            parts.append(twice * slope[self.i, self.j])
+        leave = log.jumps.slope(found.counts)
+        return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
+
+
+def information_of(log: HiddenLog, theta: Vector, cells: Int[np.ndarray, " delay"]) -> Information:
+    """The information on θ at the maximum, delays within their cells."""
+    noise, known = _Noise(log), log.evaluate(theta, cells).information
+    weight = log.posterior(theta, cells).weight
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(known), 1e-300))
+    coarse = (_SMALL * unit).min() < _ROUND_OFF * np.abs(theta).max()
+    coarse |= np.linalg.eigvalsh(known * unit * unit[:, None])[0] < _FAINT
+    if coarse or (weight * (1.0 - weight)).sum() < _CERTAIN:
+        # of no noise differences tell nothing
+        return Information(known, known, known, 1.0, np.ones(log.layout.modes))
+    of_S = np.repeat(1.0 / np.sqrt(weight.sum(axis=0)), noise.i.size)
+    steps = _SMALL * np.concatenate((unit, of_S, np.full(len(noise.jumps), 0.3)))
+    size = theta.size
+    J = np.empty((steps.size, steps.size))
+    for a, step in enumerate(steps):
+        moved = np.zeros(steps.size)
+        moved[a] = step
+        up = noise.score(theta + moved[:size], moved[size:], cells)
+        down = noise.score(theta - moved[:size], -moved[size:], cells)
+        J[a] = (down - up) / (2.0 * step)
+    J = 0.5 * (J + J.T)
+    held, _ = lifted(J[:size, :size], known)
+    left, told = lifted(left_of(J, np.arange(size)), known)
+    of_noise = left_of(J, np.arange(size, steps.size - len(noise.jumps)))
+    return Information(held, left, known, told, noise.shares(of_noise, weight.sum(axis=0)))
+
+
+def lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
+    """J with some share, up to all, of what known modes would give in every direction; the least.
+
+    More it cannot be, but for what differences and one log's own curvature add.
+    """
+    unit = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
+    try:
+        L = np.linalg.cholesky(known / unit / unit[:, None])
+    except np.linalg.LinAlgError:
+        return known, 1.0  # nothing can be seen in some direction: that is refused by its name
+    inner = np.linalg.solve(L, np.linalg.solve(L, J / unit / unit[:, None]).T)
+    values, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
+    whole = L @ (vectors * np.clip(values, _LEAST, 1.0)) @ vectors.T @ L.T
+    return whole * unit * unit[:, None], float(values[0])
+
+
+_BROAD = 0.1  # of a standard error, a step of second differences
+_VAGUE = 1e-2  # information on the logarithm of a noise: its standard error is 10 at most
+_ODDS = 0.03  # the same of the logarithm of a jump's odds
+_SELDOM = 1e-4  # a jump of less probability is none that could be estimated
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded(Generic[Log]):
+    """A fit whose modes are in the order of its likeliest path, and the recording with that path.
+
+    order : of its modes in those of the fit; theta : its vector
+    """
+
+    fit: HiddenFit[Log]
+    log: Log
+    theta: Vector
+    order: Int[np.ndarray, " mode"]
+    recording: Recording
+
+
+class ModesTold(NamedTuple):
+    """An estimate, how likely each mode was in every row, and how many times longer intervals are.
+
+    These are the plant's longest, beside those with known modes.
+    """
+
+    estimate: Estimate
+    node: list[Float[np.ndarray, "sample mode"]]
+    widening: float
+
+
+def decoded(fit: HiddenFit[Log]) -> Decoded[Log]:
+    """The likeliest path, modes in the order in which it visits them.
+
+    Raises
+    ------
+    ArgumentError
+        If it leaves a mode out.
+    """
+    paths = fit.log.path(fit.theta, fit.given)
+    order, record = _ordered_by_path(paths, fit.log.recording, fit.layout)
+    return Decoded(fit, fit.log.ordered(order), fit.layout.ordered(fit.theta, order), order, record)
+
+
+def _ordered_by_path(
+    paths: list[Int[np.ndarray, " sample"]], recording: Recording, layout: Layout
+) -> tuple[Int[np.ndarray, " mode"], Recording]:
+    """Modes in the order in which paths visit them, and the recording with these as its modes.
+
+    Raises
+    ------
+    ArgumentError
+        If the paths leave a mode out.
+    """
+    seen, first = np.unique(np.concatenate(paths), return_index=True)
+    if seen.size < layout.modes:
+        raise ArgumentError(
+            f"modes = {layout.modes} is too many for this log: its likeliest path has only "
+            f"{seen.size} of them: ask for fewer, or log for longer."
+        )
+    order = seen[np.argsort(first)]
+    back = np.argsort(order)
+    each = zip(recording.parts, paths, strict=True)
+    parts = tuple(part._replace(mode=back[path]) for part, path in each)
+    return order, recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
+
+
+def estimated(found: Decoded[HiddenLog]) -> ModesTold:
+    """With exact states."""
+    log, theta, record = found.log, found.theta, found.recording
+    layout, cells = log.layout, log.cells(theta)
+    posterior = log.posterior(theta, cells)
+    best = Maximum(theta, log.evaluate(theta, cells), np.zeros(theta.size, bool))
+    told = information_of(log, theta, cells)
+    counts = posterior.weight.sum(axis=0)
+    spare = np.maximum(counts - layout.n - layout.m - 1, 1.0)
+    share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
+    known = told.left * share[:, None] * share
+    spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
+    peak = log, best, found.fit.window, spread, _start(found)
+    S = log.S * (counts / spare)[:, None, None]
+    free = np.maximum(spare * told.of_noise, 1.0).astype(np.int64)
+    estimate = estimate_of_plant(*peak, S, free, record, told=log.periods.usable)
+    return ModesTold(estimate, posterior.node, told.widening)
+
+
+def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
+    """With noisy sensors."""
+    fit, log, theta, record = found.fit, found.log, found.theta, found.recording
+    layout, window, starts = log.layout, fit.window, fit.given
+    cells = log.cells(theta)
+    path = log.along(record)
+    of_path = path.evaluate_in(*window)(cells)(theta)
+    path = replace(path, within=log.within)
+    told = _information(log, theta, starts, cells, of_path.information + _vague(log))
+    observations = sum(int(np.isfinite(part.output).sum()) for part in record.parts)
+    spare = max(observations - theta.size, 1)
+    every = np.full(theta.size, float(spare))
+    spread = spread_of(told.held, layout.names(), told.left * (spare / observations), every)
+    now = log.evaluate(theta, starts, cells)
+    best = Maximum(theta, now._replace(information=told.held), np.zeros(theta.size, bool))
+    posterior = log.posterior(theta, starts)
+    rows = np.maximum(np.vstack(posterior.node).sum(axis=0), 1.0).astype(np.int64)
+    peak = log, best, window, spread, _start(found)
+    estimate = estimate_of_sensors(*peak, theta, path, rows)
+    return ModesTold(estimate, posterior.node, told.widening)
+
+
+def _start(found: Decoded) -> Start:
+    """What other cells of the delays would be like: other peaks may lie far from those found."""
+    fit, theta = found.fit, found.theta[: found.log.layout.size]
+    whole, cells, layout = fit.grid.over(*fit.grid.bounds), fit.grid.cells(fit.on_grid), fit.layout
+    periods, weight = whole.periods, whole.posterior(fit.on_grid, cells).weight
+    _, curves = scanned(periods, weight, layout.spread(cells), fit.grid.layout)
+    if layout.per_mode:
+        curves = curves.reshape(layout.modes, layout.m, -1)[found.order].reshape(curves.shape)
+    return Start(theta, found.log.cells(theta), int(periods.cells[0]), curves, 2 * layout.n)
+
+
+def _information(
+    log: HiddenNoisyLog,
+    theta: Vector,
+    starts: Starts,
+    cells: Int[np.ndarray, " delay"],
+    known: Float[np.ndarray, "size size"],
+) -> Information:
+    """J of the vector, with the chain held and estimated; and that of the modes of the path."""
+    jumps, size, vague = log.jumps.likelier(_SELDOM), theta.size, _vague(log)
+    unit = _BROAD * np.minimum(1.0 / np.sqrt(np.maximum(np.diagonal(known), 1e-300)), log.most)
+    steps = np.diag(np.concatenate((unit, np.full(len(jumps), _ODDS))))
+
+    def value(moved: np.ndarray) -> float:
+        odds = np.ones(log.jumps.matrix.shape)
+        odds[tuple(jumps.T)] = np.exp(moved[size:])
+        shifted = log if not moved[size:].any() else replace(log, jumps=log.jumps.scaled(odds))
+        return shifted.value(theta + moved[:size], starts, cells)
+
+    top, ends = value(np.zeros(len(steps))), [[value(s * e) for e in steps] for s in (1, -1)]
+    single, J = np.array(ends).sum(axis=0) - 2.0 * top, np.empty(steps.shape)
+    for a in range(len(steps)):
+        J[a, a] = -single[a]
+        for b in range(a):
+            both = steps[a] + steps[b]
+            twice = value(both) + value(-both) - 2.0 * top
+            J[a, b] = J[b, a] = -0.5 * (twice - single[a] - single[b])
+    scale = np.diagonal(steps)
+    J = J / scale / scale[:, None]
+    J[:size, :size] += vague
+    held, _ = lifted(J[:size, :size], known)
+    left, told = lifted(left_of(J, np.arange(size)), known)
+    return Information(held, left, known, told, np.ones(log.layout.modes))
+
+
+def _vague(log: HiddenNoisyLog) -> Float[np.ndarray, "size size"]:
+    """Next to no information on the noise, so that one which the log does not tell may be any."""
+    return np.diag(_VAGUE / log.most**2)

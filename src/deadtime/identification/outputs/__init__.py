@@ -1,1 +1,0 @@
-"""Plants from outputs alone: positions are logged, speeds are not."""

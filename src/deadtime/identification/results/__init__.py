@@ -1,1 +1,0 @@
-"""Results of an identification: sentences, the verdict, figures, and its problem file."""

@@ -1,0 +1,560 @@
+"""Sampling, even or uneven: which periods of a log are usable, and what the unknowns make of them.
+
+    x_{k+1} = P_σ(θ) r_k + w_k,    w_k ~ N(0, S_σ τ_k / h),    τ_k = t_{k+1} − t_k
+
+**Even**, τ_k = h. With D_j in its cell (N − 1) h … N h, u_{k−N} acts until D_j − (N − 1) h and
+u_{k−N+1} after it:
+
+    x_{k+1} = Φ(h) x_k + Σ_j [(W(h) − W(s_j)) b_j u_{j,k−N} + W(s_j) b_j u_{j,k−N+1}] + W(h) c
+              + w_k,    s_j = N h − D_j
+
+All that this asks of the log of a mode, for all delays of a window, is one triangular root over
+x_{k+1}, x_k and the inputs of all lags. A likelihood has a kink at every whole number of periods.
+
+**Uneven.** A period is cut where each input arrives, at t_i + D. With c the arrivals within
+(t_k, t_{k+1}) and Δu what each of them changes,
+
+    x_{k+1} = Φ(τ_k) x_k + Σ_j [W(τ_k) b_j u_j(t_k − D_j) + Σ_c W(t_{k+1} − c) b_j Δu_j(c)] + w_k,
+
+and ∂x_{k+1}/∂D_j = −Σ_c Φ(t_{k+1} − c) b_j Δu_j(c). Φ and W of the many times are interpolated
+between nodes, to round-off, so that all this is a regression again, on the weights of the nodes.
+
+Rows that were lost divide a log in parts (`Recording`), each sampled as the whole is.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from deadtime.base.frozen import Frozen
+from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.parameters import Cells, Layout, Vector, Window, cell_of
+from deadtime.identification.scoring import Climb, EvaluateIn, Maximum, climb, climb_cells
+from deadtime.identification.transition import (
+    interpolation,
+    nodes_of,
+    noise_tables,
+    transitions_of,
+)
+
+_BLOCK = 2_000_000  # numbers of a log that are stacked at a time
+_ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
+
+Roots = Callable[[np.ndarray], list[np.ndarray]]  # of what modes read, a root for each
+
+
+class WeightMap(NamedTuple):
+    """P (n, r) of a mode, its derivatives by the unknowns of the mode, and where these lie."""
+
+    P: Float[np.ndarray, "n r"]
+    by_P: Float[np.ndarray, "own n r"]
+    place: Int[np.ndarray, " own"]
+
+
+class Term(NamedTuple):
+    """The regression of one mode.
+
+    root : (rows, n + r), rootᵀ root = Σ z zᵀ
+    periods : N_i, or the sum of weights
+    P : (n, r), by_P : (unknowns, n, r) its derivatives, place : (unknowns,) whose
+    """
+
+    root: Float[np.ndarray, "row z"]
+    periods: float
+    P: Float[np.ndarray, "n r"]
+    by_P: Float[np.ndarray, "own n r"]
+    place: Int[np.ndarray, " own"]
+
+
+TermsIn = Callable[[np.ndarray], Callable[[np.ndarray], list[Term]]]  # of cells, then unknowns
+
+
+class FilterPeriods(NamedTuple):
+    """The periods that lead to samples.
+
+    mode : (T,), and kind : (T,), the row of the next four
+    Phi, Q : (kinds, n, n); by_Phi : (kinds, n², n, n) by its mode's A; by_Q : by A and then by L,
+    W = L Lᵀ, (kinds, n² + n (n + 1)/2, n, n)
+    added : (T, n), what inputs add; by_added : (T, own, n), by A, B and the delays of its mode
+    """
+
+    mode: Int[np.ndarray, " T"]
+    kind: Int[np.ndarray, " T"]
+    Phi: Float[np.ndarray, "kind n n"]
+    by_Phi: Float[np.ndarray, "kind a n n"]
+    Q: Float[np.ndarray, "kind n n"]
+    by_Q: Float[np.ndarray, "kind q n n"]
+    added: Float[np.ndarray, "T n"]
+    by_added: Float[np.ndarray, "T own n"]
+
+
+# Of a part's samples, and which of them nothing leads to
+PeriodsOf = Callable[[Part, Int[np.ndarray, " T"], Bool[np.ndarray, " T"]], FilterPeriods]
+
+
+class UsablePeriods(NamedTuple):
+    """The usable periods k of every part, and how likely each is in a mode; None: as logged."""
+
+    parts: tuple[Part, ...]
+    k: Sequence[Int[np.ndarray, " period"]]
+    weight: Float[np.ndarray, "period mode"] | None = None
+
+    def counts(self, modes: int) -> list[float]:
+        """How many each mode has, or the sum of their weights."""
+        if self.weight is not None:
+            return self.weight.sum(axis=0).tolist()
+        each = zip(self.parts, self.k, strict=True)
+        return sum(np.bincount(part.mode[k], minlength=modes) for part, k in each).tolist()
+
+    def blocks(self, mode: int, most: int) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
+        """Of a mode, block by block, its periods and the roots of their weights."""
+        first = 0
+        for part, every in zip(self.parts, self.k, strict=True):
+            own = every if self.weight is not None else every[part.mode[every] == mode]
+            for start in range(0, own.size, most):
+                k = own[start : start + most]
+                at = slice(first + start, first + start + k.size)
+                weight = np.ones(k.size) if self.weight is None else self.weight[at, mode]
+                yield part, k, np.sqrt(weight)[:, None]
+            first += every.size
+
+    def summed(
+        self,
+        mode: int,
+        size: int,
+        rows: Callable[[Part, np.ndarray], np.ndarray],
+        root: bool = True,
+    ) -> Float[np.ndarray, "some z"]:
+        """R with RᵀR = Σ w z zᵀ over the rows z of a mode; RᵀR itself where `root` is False."""
+        total, most = np.zeros((0 if root else size, size)), max(size, _BLOCK // size)
+        for part, k, weight in self.blocks(mode, most):
+            z = weight * rows(part, k)
+            total = np.linalg.qr(np.vstack((total, z)), mode="r") if root else total + z.T @ z
+        return np.asarray(total)
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling(Frozen, ABC):
+    """How logs were sampled, as far as likelihoods ask.
+
+    step : the sampling period, the median of all, seconds; nodes : of interpolation over a period
+    summed_up : whether what a log tells of all delays of a window is summed up once
+    """
+
+    step: float
+    nodes: Float[np.ndarray, " node"] = field(repr=False)
+
+    summed_up: ClassVar[bool]
+
+    @abstractmethod
+    def window(self, low: float, high: float) -> Window:
+        """The widest range of delays that has the usable periods of one, seconds."""
+
+    @abstractmethod
+    def span(self, reads: np.ndarray) -> Window:
+        """The range of delays that have such reads, seconds."""
+
+    @abstractmethod
+    def usable(self, part: Part, within: bool, low: float, high: float) -> Int[np.ndarray, " k"]:
+        """The periods of which all that acts is known, for delays in a range, seconds.
+
+        `within`: whether the mode may change at any time, so that of a period that begins and ends
+        in other modes nothing is known.
+        """
+
+    @abstractmethod
+    def reads(self, layout: Layout, theta: Vector, cells: Cells) -> np.ndarray:
+        """What tells which inputs act in each mode, (modes, m): cells of delays, or delays."""
+
+    @abstractmethod
+    def rows(
+        self, part: Part, k: np.ndarray, reads: np.ndarray, constant: bool
+    ) -> Float[np.ndarray, "period z"]:
+        """z = (x_{k+1}, r_k) of periods k, all of one mode, their noise scaled to a period of h."""
+
+    @abstractmethod
+    def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
+        """What each mode makes of r_k."""
+
+    @abstractmethod
+    def roots_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> Roots:
+        """Roots of Σ z zᵀ of every mode, for delays in a window."""
+
+    @abstractmethod
+    def periods_of(
+        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
+    ) -> PeriodsOf:
+        """What leads a filter from sample to sample, W = L Lᵀ, delays in given cells."""
+
+    @abstractmethod
+    def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
+        """The maximum that a start leads to with delays in a window."""
+
+    @abstractmethod
+    def to_kink(self, delay: float) -> float:
+        """How far a delay is from the nearest kink of the likelihood, seconds."""
+
+    def terms_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> TermsIn:
+        """The regressions of all modes, for delays in a window, in cells of theirs."""
+        roots, counts = self.roots_in(layout, periods, window), periods.counts(layout.modes)
+
+        def terms(theta: np.ndarray, cells: np.ndarray) -> list[Term]:
+            own = roots(self.reads(layout, theta, cells)), counts, self.maps(layout, theta, cells)
+            return [Term(root, count, *one) for root, count, one in zip(*own, strict=True)]
+
+        return lambda cells: lambda theta: terms(theta, cells)
+
+
+def sampling_of(recording: Recording, nodes: Float[np.ndarray, " node"]) -> Sampling:
+    """That of a recording."""
+    return (EvenSampling if recording.even else UnevenSampling)(recording.step, nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class EvenSampling(Sampling):
+    """Samples a period apart, but for rounded times and rows that were lost."""
+
+    summed_up: ClassVar[bool] = True
+
+    def lags(self, low: float, high: float) -> tuple[int, int]:
+        """The latest and the oldest input that may act, in periods before."""
+        return cell_of(low, self.step, up=True) - 1, cell_of(high, self.step)
+
+    def window(self, low: float, high: float) -> Window:
+        latest, oldest = self.lags(low, high)
+        return latest * self.step, oldest * self.step
+
+    def span(self, reads: np.ndarray) -> Window:
+        return (int(reads.min()) - 1) * self.step, int(reads.max()) * self.step
+
+    def usable(self, part: Part, within: bool, low: float, high: float) -> Int[np.ndarray, " k"]:
+        return usable_lags(part, within, *self.lags(low, high))
+
+    def reads(self, layout: Layout, theta: Vector, cells: Cells) -> np.ndarray:
+        return layout.spread(cells)
+
+    def rows(
+        self, part: Part, k: np.ndarray, reads: np.ndarray, constant: bool
+    ) -> Float[np.ndarray, "period z"]:
+        acting = acting_evenly(part, k, reads[None], constant)
+        return np.hstack((part.output[k + 1], part.output[k], acting))
+
+    def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
+        A, B, delays = layout.split(theta)
+        late = layout.spread(cells) * self.step - delays
+        return [
+            WeightMap(*period_weights(A[i], B[i], late[i], self.step), layout.of_mode(i))
+            for i in range(layout.modes)
+        ]
+
+    def roots_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> Roots:
+        n, m, (low, high) = layout.n, layout.m, self.lags(*window)
+        every = lag_sums(layout, periods, low, high)
+        ends = np.arange(2 * n), np.arange(every[0].shape[1])[-1:][: int(layout.constant)]
+
+        def roots(reads: np.ndarray) -> list[np.ndarray]:
+            columns = 2 * n + (reads - low) * m + np.arange(m)
+            each = zip(every, columns, strict=True)
+            return [R[:, np.concatenate((ends[0], at, at - m, ends[1]))] for R, at in each]
+
+        return roots
+
+    def periods_of(
+        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
+    ) -> PeriodsOf:
+        n, reads = layout.n, layout.spread(cells)
+        P, by_P = (
+            np.array(one) for one in list(zip(*self.maps(layout, theta, cells), strict=True))[:2]
+        )
+        noise = [noise_tables(A, L, np.array([self.step])) for A in layout.split(theta)[0]]
+        Q, by_Q = (np.concatenate(one) for one in zip(*noise, strict=True))
+        tables = P[:, :, :n].copy(), by_P[:, : n * n, :, :n].copy(), Q, by_Q
+
+        def periods(part: Part, rows: np.ndarray, _: np.ndarray) -> FilterPeriods:
+            before = np.maximum(rows - 1, 0)
+            mode = part.mode[before]
+            z = np.nan_to_num(acting_evenly(part, before, reads[mode], layout.constant))
+            added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, by_P.shape[1], n))
+            for i in np.unique(mode):
+                own = np.flatnonzero(mode == i)
+                added[own] = z[own] @ P[i, :, n:].T
+                by_added[own] = np.tensordot(z[own], by_P[i, :, :, n:], (1, 2))
+            return FilterPeriods(mode, mode, *tables, added, by_added)
+
+        return periods
+
+    def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
+        return climb_cells(within, theta, self.step, window, how)[0]
+
+    def to_kink(self, delay: float) -> float:
+        return abs(delay - self.step * round(delay / self.step))
+
+
+@dataclass(frozen=True, eq=False)
+class UnevenSampling(Sampling):
+    """Samples at any times."""
+
+    summed_up: ClassVar[bool] = False
+
+    def window(self, low: float, high: float) -> Window:
+        return low, high
+
+    def span(self, reads: np.ndarray) -> Window:
+        return float(reads.min()), float(reads.max())
+
+    def usable(self, part: Part, within: bool, low: float, high: float) -> Int[np.ndarray, " k"]:
+        return np.flatnonzero(known_ends(part, within) & fed(part, high, low))
+
+    def reads(self, layout: Layout, theta: Vector, cells: Cells) -> np.ndarray:
+        return layout.split(theta)[2]
+
+    def rows(
+        self, part: Part, k: np.ndarray, reads: np.ndarray, constant: bool
+    ) -> Float[np.ndarray, "period z"]:
+        length = part.time[k + 1] - part.time[k]
+        one = part._replace(mode=np.zeros(part.time.size, np.int64))
+        acts = acting_in(one, k, reads[None], self.nodes)
+        over = interpolation(self.nodes, length)[:, :, None]
+        held = np.concatenate((acts.held, over), axis=2) if constant else acts.held
+        x = over * part.output[k][:, None]
+        flat = (one.reshape(k.size, -1) for one in (x, held, acts.moved))
+        return np.hstack((part.output[k + 1], *flat)) / np.sqrt(length / self.step)[:, None]
+
+    def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
+        A, B, _ = layout.split(theta)
+        each = (node_weights(A[i], B[i], layout.m, self.nodes) for i in range(layout.modes))
+        return [WeightMap(*one, layout.of_mode(i)) for i, one in enumerate(each)]
+
+    def roots_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> Roots:
+        size = layout.n + self.nodes.size * (layout.n + layout.acting + layout.m)
+
+        def root(mode: int, reads: np.ndarray) -> np.ndarray:
+            def rows(part: Part, k: np.ndarray) -> np.ndarray:
+                return self.rows(part, k, reads, layout.constant)
+
+            return periods.summed(mode, size, rows)
+
+        return lambda reads: [root(i, own) for i, own in enumerate(reads)]
+
+    def periods_of(
+        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
+    ) -> PeriodsOf:
+        A, B, delays = layout.split(theta)
+        n, m, acting, modes = layout.n, layout.m, layout.acting, range(layout.modes)
+        over = [transitions_of(A[i], self.nodes) for i in modes]
+        noise = [noise_tables(A[i], L, self.nodes) for i in modes]
+        tables = [(one.Phi, one.Phi_by_A, *own) for one, own in zip(over, noise, strict=True)]
+        forced = [(over[i].W @ B[i], over[i].W_by_A @ B[i], over[i].Phi @ B[i]) for i in modes]
+
+        def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
+            mode = part.mode[np.maximum(rows - 1, 0)]
+            found = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
+            added = np.zeros((rows.size, n))
+            by_added = np.zeros((rows.size, n * (n + acting) + m, n))
+            for i in np.unique(mode):
+                own = np.flatnonzero(~fresh & (mode == i))
+                k = rows[own] - 1
+                weight = interpolation(self.nodes, part.time[k + 1] - part.time[k])
+                for result, table in zip(found, tables[i], strict=True):
+                    result[own] = np.tensordot(weight, table, (1, 0))
+                held, moved = acting_in(part, k, delays, self.nodes)
+                if layout.constant:
+                    held = np.concatenate((held, weight[:, :, None]), axis=2)
+                steady, by_A, pushed = forced[i]
+                added[own] = np.tensordot(held, steady, ((1, 2), (0, 2)))
+                by_added[own, : n * n] = np.tensordot(held, by_A, ((1, 2), (0, 3)))
+                for j in range(acting):
+                    by_B = np.tensordot(held[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
+                    by_added[own[:, None], n * n + np.arange(n) * acting + j] = by_B
+                for j in range(m):
+                    by_D = -np.tensordot(moved[:, :, j], pushed[:, :, j], (1, 0))
+                    by_added[own, n * (n + acting) + j] = by_D
+            Phi, by_Phi, Q, by_Q = found
+            kind = np.arange(rows.size)
+            return FilterPeriods(mode, kind, Phi, by_Phi, Q, by_Q, added, by_added)
+
+        return periods
+
+    def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
+        evaluate, start = within(np.zeros(0, np.int64)), how.within(theta, *map(np.array, window))
+        return climb(evaluate, *start, how.steps, how.gain, how.stride)
+
+    def to_kink(self, delay: float) -> float:
+        return np.inf
+
+
+def known_ends(part: Part, within: bool) -> Bool[np.ndarray, " period"]:
+    """Whether states at both ends of a period are known, and the mode in it: see `Sampling`."""
+    known = np.asarray(np.isfinite(part.output).all(axis=1))
+    good = known[:-1] & known[1:]
+    return good & (part.mode[:-1] == part.mode[1:]) if within else good
+
+
+def usable_lags(part: Part, within: bool, low: int, high: int) -> Int[np.ndarray, " period"]:
+    """The periods of even samples of which inputs from `low` to `high` periods before are known."""
+    good, count = known_ends(part, within), part.time.size - 1
+    if not part.rests:
+        good[: min(high, count)] = False
+    lost = np.concatenate(([0], np.cumsum(~np.isfinite(part.input).all(axis=1))))
+    k = np.flatnonzero(good)
+    return k[lost[np.maximum(k - low + 1, 0)] == lost[np.maximum(k - high, 0)]]
+
+
+def fed(part: Part, longest: float, shortest: float) -> Bool[np.ndarray, " period"]:
+    """The periods in which all that can act is known, for delays between two, seconds."""
+    t = part.time
+    lost = np.concatenate(([0], np.cumsum(~np.isfinite(part.input).all(axis=1))))
+    slack = _ROUND_OFF * float(np.median(np.diff(t)))
+    oldest = np.searchsorted(t, t[:-1] - longest + slack, side="right") - 1
+    newest = np.searchsorted(t, t[1:] - shortest - slack, side="left")
+    newest = np.maximum(np.minimum(newest, t.size), oldest + 1)
+    known = lost[newest] == lost[np.maximum(oldest, 0)]
+    return known if part.rests else known & (oldest >= 0)
+
+
+def inputs_at(part: Part, rows: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape m"]:
+    """The inputs of rows of a part; before its first row that one's if it rests, else NaN."""
+    u = part.input[np.maximum(rows, 0)]
+    return u if part.rests or not (rows < 0).any() else np.where(rows[..., None] < 0, np.nan, u)
+
+
+def stacked(part: Part, k: np.ndarray, low: int, high: int, constant: bool) -> np.ndarray:
+    """z = (x_{k+1}, x_k, u_{k−low}, …, u_{k−high}) of periods, and 1 for a constant term."""
+    lags = np.arange(low, high + 1)
+    u = inputs_at(part, k[:, None] - lags).reshape(k.size, lags.size * part.input.shape[1])
+    return np.hstack((part.output[k + 1], part.output[k], u, np.ones((k.size, int(constant)))))
+
+
+def lag_sums(
+    layout: Layout, periods: UsablePeriods, low: int, high: int, root: bool = True
+) -> list[np.ndarray]:
+    """Of every mode the root of Σ z zᵀ over the z of `stacked`; where `root` is False the sum."""
+    size = 2 * layout.n + (high - low + 1) * layout.m + layout.constant
+
+    def rows(part: Part, k: np.ndarray) -> np.ndarray:
+        return stacked(part, k, low, high, layout.constant)
+
+    return [periods.summed(i, size, rows, root) for i in range(layout.modes)]
+
+
+def acting_evenly(
+    part: Part, k: Int[np.ndarray, " T"], cells: Int[np.ndarray, "some m"], constant: bool
+) -> Float[np.ndarray, "T r"]:
+    """u_{k−N} of every input, then u_{k−N+1}, of periods k, and 1 for a constant term.
+
+    cells : N of every period, or one row for all. Inputs before the log are its first ones: such
+    periods are used where it rests there.
+    """
+    oldest = k[:, None] - cells
+    rows = np.concatenate((oldest, oldest + 1), axis=1)
+    u = part.input[np.maximum(rows, 0), np.tile(np.arange(cells.shape[1]), 2)]
+    return np.hstack((u, np.ones((k.size, int(constant)))))
+
+
+class ActingInputs(NamedTuple):
+    """What acts in periods: `held` (periods, nodes, m), W's weights; `moved`, those of −∂/∂D."""
+
+    held: Float[np.ndarray, "period node m"]
+    moved: Float[np.ndarray, "period node m"]
+
+
+def acting_in(
+    part: Part,
+    k: np.ndarray,
+    delays: Float[np.ndarray, "mode m"],
+    nodes: Float[np.ndarray, " node"],
+) -> ActingInputs:
+    """What acts in periods k of a part, each with the delays of its mode.
+
+    Before the part's first row its first inputs act: such periods are used where it rests there.
+    """
+    t, m = part.time, part.input.shape[1]
+    held = np.zeros((k.size, nodes.size, m))
+    moved = np.zeros(held.shape)
+    if k.size == 0:
+        return ActingInputs(held, moved)
+    slack = _ROUND_OFF * float(np.median(t[k + 1] - t[k]))
+    over = interpolation(nodes, t[k + 1] - t[k])
+    for j in range(m):
+        u, D = part.input[:, j], delays[part.mode[k], j]
+        first = np.maximum(np.searchsorted(t, t[k] - D + slack, side="right") - 1, 0)
+        last = np.searchsorted(t, t[k + 1] - D - slack, side="left") - 1
+        held[:, :, j] = over * u[first][:, None]
+        for later in range(1, int((last - first).max(initial=0)) + 1):
+            has = np.flatnonzero(first + later <= last)
+            index = first[has] + later
+            change = (u[index] - u[index - 1])[:, None]
+            weight = interpolation(nodes, t[k[has] + 1] - t[index] - D[has]) * change
+            held[has, :, j] += weight
+            moved[has, :, j] += weight
+    return ActingInputs(held, moved)
+
+
+def nodes_for(parts: tuple[Part, ...], A: Float[np.ndarray, "mode n n"]) -> np.ndarray:
+    """Nodes that serve plants about A over all periods of a recording."""
+    longest = max(float(np.diff(part.time).max()) for part in parts)
+    rate = 2.0 * float(np.abs(np.linalg.eigvals(A)).max()) + 1.0 / longest
+    return nodes_of(longest * (1.0 + 1e-9), min(rate, 200.0 / longest))
+
+
+def period_weights(
+    A: Float[np.ndarray, "n n"],
+    B: Float[np.ndarray, "n acting"],
+    rest: Float[np.ndarray, " m"],
+    step: float,
+) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
+    """What a period makes of x_k, u_{k−N} and u_{k−N+1}, and of 1; with its derivatives.
+
+    rest : s_j = N h − D_j, how long the newer input acts, seconds. Derivatives are by A, B, and D.
+    """
+    (n, acting), m = B.shape, rest.size
+    over, width = transitions_of(A, np.append(rest, step)), n + m + acting
+    P, by_P = np.zeros((n, width)), np.zeros((n * n + n * acting + m, n, width))
+    P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
+    for j in range(m):
+        b, own, old, new = B[:, j], over.W[j], n + j, n + m + j
+        whole = over.W[-1] - own
+        P[:, old], P[:, new] = whole @ b, own @ b
+        by_P[: n * n, :, new] = over.W_by_A[j] @ b
+        by_P[: n * n, :, old] = over.W_by_A[-1] @ b - by_P[: n * n, :, new]
+        of_b = n * n + np.arange(n) * acting + j
+        by_P[of_b, :, old], by_P[of_b, :, new] = whole.T, own.T
+        by_P[n * n + n * acting + j, :, old] = over.Phi[j] @ b
+        by_P[n * n + n * acting + j, :, new] = -over.Phi[j] @ b
+    if acting > m:  # the constant term
+        P[:, -1], by_P[: n * n, :, -1] = over.W[-1] @ B[:, m], over.W_by_A[-1] @ B[:, m]
+        by_P[n * n + np.arange(n) * acting + m, :, -1] = over.W[-1].T
+    return P, by_P
+
+
+def node_weights(
+    A: Float[np.ndarray, "n n"],
+    B: Float[np.ndarray, "n acting"],
+    m: int,
+    nodes: Float[np.ndarray, " node"],
+) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
+    """What periods make of states, inputs and changes of inputs by the weights of nodes.
+
+    With its derivatives by A, B and D; columns are those of `UnevenSampling.rows`.
+    """
+    (n, acting), over = B.shape, transitions_of(A, nodes)
+    whole = n + acting
+    # (entry, node, row, column): a node has n columns of x, `acting` of W, and m of −∂/∂D.
+    M = np.zeros((1 + n * whole + m, nodes.size, n, whole + m))
+    M[0, :, :, :n], M[0, :, :, n:whole] = over.Phi, over.W @ B
+    by_A, by_B, by_D = np.split(M[1:], [n * n, n * whole])
+    by_A[..., :n] = over.Phi_by_A.swapaxes(0, 1)
+    by_A[..., n:whole] = (over.W_by_A @ B).swapaxes(0, 1)
+    for j in range(acting):  # ∂(W B)/∂B_aj has W's column a as its column j
+        by_B[j::acting, :, :, n + j] = over.W.transpose(2, 0, 1)
+    for j in range(m):
+        by_D[j, :, :, whole + j] = -over.Phi @ B[:, j]
+    groups = np.split(M.swapaxes(1, 2), [n, whole], axis=-1)
+    P = np.concatenate([one.reshape(*M.shape[:1], n, -1) for one in groups], axis=-1)
+    return P[0], P[1:]
