@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.leaving_ages import least_periods
 from deadtime.certificates.proof.validate import MOST_TOLD
@@ -26,7 +24,8 @@ def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, s
             f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
             "is no one loop to certify."
         )
-    dwell_time, tolerance = float(np.min(signals.dwell_time)), signals.clock_tolerance
+    dwell_time = min(signals.limits(plants[0].modes).dwell_time)
+    tolerance = signals.clock_tolerance
     several = plants[0].modes > 1 and signals.at == "anywhere"
     if several and least_periods(dwell_time, step, tolerance) < 1:
         return (

@@ -50,8 +50,9 @@ class SignalClass:
 
     Parameters
     ----------
-    dwell_time : float, or one per mode
-        Shortest sojourn τ_d, seconds.
+    dwell_time : float, or one per mode, optional
+        Shortest sojourn τ_d, seconds; nothing can be asked about a class without one, which is all
+        that a problem file may know.
     maximum_dwell : float, or one per mode, optional
         Longest sojourn, seconds, inf for none; by default a mode may last without end.
     transitions : (modes, modes) of bool, optional
@@ -89,7 +90,7 @@ class SignalClass:
     'for every switching signal whose sojourns last between 0.5 s and 2.0 s, and every loss of ...'
     """
 
-    dwell_time: float | tuple[float, ...]
+    dwell_time: float | tuple[float, ...] | None
     maximum_dwell: float | tuple[float, ...]
     transitions: tuple[tuple[bool, ...], ...] | None
     at: Instants
@@ -100,7 +101,7 @@ class SignalClass:
 
     def __init__(
         self,
-        dwell_time: PerMode,
+        dwell_time: PerMode | None = None,
         maximum_dwell: PerMode | None = None,
         transitions: ArrayLike | tuple[tuple[bool, ...], ...] | None = None,
         at: Instants = "anywhere",
@@ -109,7 +110,7 @@ class SignalClass:
         lost_samples: int = 0,
         chatter: int = 1,
     ) -> None:
-        least = time_or_each("dwell_time", dwell_time)
+        least = None if dwell_time is None else time_or_each("dwell_time", dwell_time)
         most = math.inf
         if maximum_dwell is not None:
             most = time_or_each("maximum_dwell", maximum_dwell, unbounded=True)
@@ -147,15 +148,19 @@ class SignalClass:
     @classmethod
     def of(cls, dwell_time: PerMode | SignalClass, **signals: Unpack[SignalOptions]) -> SignalClass:
         """What a function was given: a class of signals, or a dwell time with keywords."""
-        if not isinstance(dwell_time, SignalClass):
-            return cls(dwell_time, **signals)
-        if signals:
+        if isinstance(dwell_time, SignalClass) and signals:
             name = next(iter(signals))
             raise ArgumentError(
                 f"{name} must not be given beside a SignalClass, which says it: make it "
                 f"SignalClass(…, {name}=…)."
             )
-        return dwell_time
+        given = dwell_time if isinstance(dwell_time, SignalClass) else cls(dwell_time, **signals)
+        if given.dwell_time is None:
+            raise ArgumentError(
+                "dwell_time must be a number of seconds, or one for each mode, got none: give the "
+                "shortest time that a mode lasts."
+            )
+        return given
 
     def limits(self, modes: int) -> SwitchingConstraint:
         """The sojourns and the switches of a plant with so many modes."""
