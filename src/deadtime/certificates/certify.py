@@ -20,19 +20,22 @@ from deadtime.base.checks import instance, number, positive, reporter
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates.certificate import Certificate
 from deadtime.certificates.dwell.evidence_search import EvidenceSearch, Freedom
-from deadtime.certificates.dwell.frame import whole
+from deadtime.certificates.dwell.stretch_program import whole
 from deadtime.certificates.dwell.stretch_search import StretchSearch
-from deadtime.certificates.plants import delays_of, extremes, plants_of
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.reach import (
+    delays_of,
+    extremes,
+    neutral,
     out_of_reach,
+    plants_of,
     told_late,
     too_large,
     too_many_told,
     why_no_table,
+    why_unmoved,
 )
-from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows

@@ -16,11 +16,12 @@ import numpy as np
 from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.wording import number_of
+from deadtime.certificates.certificate import statement
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Delays
-from deadtime.certificates.proof.statement import decay_rate, statement
+from deadtime.certificates.proof.stretches import decay_rate
 from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows

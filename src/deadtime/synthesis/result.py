@@ -10,7 +10,7 @@ from jaxtyping import Float
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Law
 from deadtime.laws import LowPassPredictor
-from deadtime.margins.constant_modes import DelayMargin
+from deadtime.margins.delay import DelayMargin
 from deadtime.plant import Weight
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.initial_states import InitialStates

@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.certificates.dwell.centre import CentreFloats
-from deadtime.certificates.dwell.centre_response import ResponseForms
-from deadtime.certificates.dwell.cones import STOPPED, maximise, squares
+from deadtime.certificates.dwell.centre import CentreFloats, ResponseForms
+from deadtime.certificates.dwell.solvers import STOPPED, maximise, squares
 from deadtime.certificates.proof.ellipsoid import Sway
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.numerics.lmi import pack, packing, unpack

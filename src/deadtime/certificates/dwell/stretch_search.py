@@ -14,10 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.frame import balancing_units, functionals, metric, whole
 from deadtime.certificates.dwell.leaps import Leap, Leaps, Node
-from deadtime.certificates.dwell.lyapunov_shape import LyapunovShape
-from deadtime.certificates.dwell.stretch_program import ADDED, Looked, decrease, solve
+from deadtime.certificates.dwell.stretch_program import (
+    ADDED,
+    Looked,
+    LyapunovShape,
+    balancing_units,
+    decrease,
+    functionals,
+    metric,
+    solve,
+    whole,
+)
 from deadtime.certificates.proof import Check, StretchEvidence, check
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition

@@ -26,8 +26,7 @@ from deadtime.base.text_files import read_text
 from deadtime.base.version import __version__
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.family import Delays
-from deadtime.certificates.proof.statement import decay_rate
-from deadtime.certificates.proof.stretches import StretchEvidence
+from deadtime.certificates.proof.stretches import StretchEvidence, decay_rate
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import one_or_each
 from deadtime.switching.signal_class import Instants

@@ -30,8 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family
-from deadtime.certificates.proof.proof_steps import Steps
+from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family, Steps
 from deadtime.plant import Window
 
 TOLERANCE = 1e-9  # of a period: marks nearer than that are one

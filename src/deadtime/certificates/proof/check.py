@@ -1,7 +1,7 @@
 """The check: whether evidence proves what it claims, in balls and one large factorisation.
 
 Nothing is taken from whoever made the evidence but its numbers. There are two kinds:
-`evidence` has the inequalities of one, `small` and `large` how they are verified, `stretches`
+`evidence` has the inequalities of one, `split_inequalities` how they are verified, `stretches`
 those of the other.
 """
 
@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from deadtime.base.wording import number_of
-from deadtime.certificates.proof.channels import Channels
-from deadtime.certificates.proof.evidence import Evidence
-from deadtime.certificates.proof.large import LargeInequalities
-from deadtime.certificates.proof.small import SmallInequalities
+from deadtime.certificates.proof.evidence import Channels, Evidence
+from deadtime.certificates.proof.split_inequalities import LargeInequalities, SmallInequalities
 from deadtime.certificates.proof.stretches import StretchEvidence, StretchInequalities
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.validate import why_malformed

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.balls import congruent
 from deadtime.certificates.proof.box import POLYTOPE, Box
-from deadtime.certificates.proof.box_enclosure import BoxEnclosures
-from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.ellipsoid import Sway, weight_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import (
+    BoxEnclosures,
     Enclosure,
     Enclosures,
     ParameterCell,

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.certificates.proof import balls
-from deadtime.certificates.proof.definite import congruent
+from deadtime.certificates.proof.balls import congruent
 
 ROUNDS = 60  # of fitting W and X in turn
 FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1

@@ -19,10 +19,13 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.theorem.constants import Constants, FunctionalConstants, distance
-from deadtime.certificates.theorem.own_delays import own_delay_constants
-from deadtime.certificates.theorem.paper import paper_constants
-from deadtime.certificates.theorem.sharp import sharp_constants
+from deadtime.certificates.theorem.constants import (
+    Constants,
+    FunctionalConstants,
+    distance,
+    paper_constants,
+)
+from deadtime.certificates.theorem.sharp import own_delay_constants, sharp_constants
 from deadtime.gains import CommonLyapunov, common_lyapunov
 from deadtime.gains.lyapunov import check_lyapunov, hurwitz_gains
 from deadtime.numerics.logarithms import exp, log

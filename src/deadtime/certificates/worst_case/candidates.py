@@ -5,7 +5,7 @@ to five rounds, for their own length need be no whole number of periods. Where s
 one period and two, no word on the grid is near them. They are evaluated on the loop itself.
 
 Switches fall on samples; for a law that knows the mode also right after samples, where it sees
-them a period late (`kinds`), which is often worse.
+them a period late (`products`), which is often worse.
 """
 
 from __future__ import annotations
@@ -20,14 +20,11 @@ import numpy as np
 from jaxtyping import Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
-from deadtime.certificates.worst_case.cycle_words import Word, climb
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.kinds import Kinds
-from deadtime.certificates.worst_case.products import Sojourns, compress
-from deadtime.certificates.worst_case.switch_instants import COARSE
-from deadtime.certificates.worst_case.word_search import LETTERS, branch_and_bound
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+from deadtime.certificates.worst_case.products import Kinds, Sojourns, compress
+from deadtime.certificates.worst_case.word_search import LETTERS, Word, branch_and_bound, climb
+from deadtime.certificates.worst_case.worst_cycle import COARSE
 
 LENGTHS = 200  # of sojourns that the compressed loop knows
 DELAYS = 8  # the longest of them, at least

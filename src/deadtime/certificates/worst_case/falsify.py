@@ -9,14 +9,12 @@ import numpy as np
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.admissible import Admissible, Dwell
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.losses import with_losses
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle, Dwell
 from deadtime.certificates.worst_case.run_search import RunLoop, worst_in_runs
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
-from deadtime.certificates.worst_case.worst_cycle import Rated, improve, worst_of
+from deadtime.certificates.worst_case.worst_cycle import Rated, improve, with_losses, worst_of
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, same_outputs, with_lost_rows
@@ -80,9 +78,9 @@ def falsify(
     Notes
     -----
     Constant signals first, then cycles on the grid: branch and bound over words of sojourns on a
-    compressed loop (`search`, `products`), the best evaluated on the loop itself by the spectral
-    radius over a cycle (`loop`), then improved over switch instants off the grid (`instants`).
-    Growth is proved afterwards (`proof`). Deterministic.
+    compressed loop (`word_search`, `products`), the best evaluated on the loop itself by the
+    spectral radius over a cycle (`cycle_growth`), then improved off the grid (`worst_cycle`).
+    Growth is proved afterwards (`growth_proof`). Deterministic.
 
     Examples
     --------

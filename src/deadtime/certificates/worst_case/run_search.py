@@ -6,7 +6,7 @@ delay long or longer; the slope of its logarithm over the later half of the bloc
 a linear loop exact up to what has not yet died out, of another one that of this run.
 
 Cycles are drawn at random, short sojourns more often than long ones; switches fall on samples,
-right after them and elsewhere. The best are improved as those of a table are (`instants`).
+right after them and elsewhere. The best are improved as those of a table are (`worst_cycle`).
 
 Nothing of this is a proof, and a law that is not linear may grow from other states than that of
 the runs.
@@ -22,13 +22,11 @@ from functools import cached_property
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.certificates.worst_case.cycle_growth import Growth
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.proof import GrowthProof
-from deadtime.certificates.worst_case.switch_instants import COARSE, polish
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+from deadtime.certificates.worst_case.growth_proof import GrowthProof
 from deadtime.certificates.worst_case.witness import KeptLoop, WorstCase, of_cycle, repeat
-from deadtime.certificates.worst_case.worst_cycle import Rated, worst_of
+from deadtime.certificates.worst_case.worst_cycle import COARSE, Rated, polish, worst_of
 from deadtime.feedback import Law
 from deadtime.imperfections import ModeDelay
 from deadtime.plant import SampledPlant, SwitchedSystem

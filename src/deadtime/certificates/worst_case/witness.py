@@ -13,15 +13,37 @@ from deadtime.base.checks import count
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.lost_at import LostAt
-from deadtime.certificates.worst_case.proof import GrowthProof, prove
+from deadtime.certificates.worst_case.growth_proof import GrowthProof, prove
 from deadtime.feedback import Law
 from deadtime.feedback.memory import WithMemory
-from deadtime.imperfections import Imperfection, ModeDelay
+from deadtime.imperfections import Imperfection, ModeDelay, SensorImperfection
+from deadtime.imperfections.base import Sizes
+from deadtime.imperfections.received import Heard, Relaying
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.spectrum import least_growth
 from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True)
+class LostAt(Relaying, SensorImperfection):
+    """Loses the samples of a pattern that is gone through again and again.
+
+    Parameters
+    ----------
+    lost : tuple of int
+        The samples of a cycle that are lost.
+    periods : int
+        The length of the cycle.
+    """
+
+    lost: tuple[int, ...]
+    periods: int
+
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+        each = np.arange(heard.samples)
+        return heard.at(np.where(np.isin(each % self.periods, self.lost), -1, each))
+
 
 DELAYS = 20  # the signal is at least this long
 CYCLES = 10
