@@ -171,34 +171,35 @@ def delays_in_words(setting: Setting) -> str:
     return f" {low!r} s" if low == high else f" any constant value in [{low!r}, {high!r}] s"
 
 
-def _plants(setting: Setting) -> str:
-    """The plant, or all that it may be."""
-    if setting.axes is not None:
-        return (
-            f"any plant in the ellipsoid about the given one, of {len(setting.axes)} half axes in "
-            "the entries of A and B (constant within each period)"
-        )
-    if len(setting.A) > 1:
-        return "any plant in the polytope of the given ones (constant within each period)"
-    return "the plant"
-
-
 def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
     signals, words = setting.signals, setting.signals.sentence(setting.A.shape[1])
-    ends = any(map(math.isfinite, setting.limits.maximum_dwell))
+    ends, plants = any(map(math.isfinite, setting.limits.maximum_dwell)), "the plant"
+    if setting.axes is not None:
+        plants = (
+            f"any plant in the ellipsoid about the given one, of {len(setting.axes)} half axes in "
+            "the entries of A and B (constant within each period)"
+        )
+    elif len(setting.A) > 1:
+        plants = "any plant in the polytope of the given ones (constant within each period)"
     alike = ""
     if isinstance(setting.delays, np.ndarray) and not is_box(setting):
         alike = ", and parts of a period beyond one that differ by less count as the least of them"
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
-    when = "over a period"
-    if isinstance(evidence, StretchEvidence) and setting.transitions.bucket is not None:
+    when, parts = "over a period", ""  # what else was checked but inequalities in balls
+    if isinstance(evidence, Evidence):
+        kind = f"{'' if evidence.S.size else 'common '}Lyapunov function"
+        kind += " of mode and age" if evidence.S.size else ""
+        parts = "one factorisation with a rigorous error bound, and "
+    elif setting.transitions.bucket is not None:
+        kind = "Lyapunov function of the mode, which may rise at a switch"
         when = "over any number of periods"
         falls = f"per period {falls}" if rate else falls
         falls += f", but for one factor of at most {evidence.mu!r} to the power {signals.chatter}"
-    elif isinstance(evidence, StretchEvidence):
+    else:
+        kind = "Lyapunov function of mode and age, followed along whole stretches of periods"
         ages = ", ".join(map(str, evidence.knots))
         when = f"from one node (a mode at one of the ages {ages}) to the next"
         falls = f"per period {falls}" if rate else falls
@@ -222,7 +223,6 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         )
     elif signals.lost_samples:
         kept = f" What decays does so where {_measured(setting)}."
-    kind, parts = _how(evidence)
     anywhere = signals.at == "anywhere"
     cover = " that cover every instant of a switch within a period" * anywhere
     how = (
@@ -231,8 +231,9 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     )
     return (
         f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
-        f"initial state{memory} and past input, the digital loop of {_plants(setting)} with this "
-        f"table{pace}. {_not_covered(setting)}",
+        f"initial state{memory} and past input, the digital loop of {plants} with this "
+        f"table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
+        f"(offsets){' and noise' if signals.lost_samples else ', noise and lost samples'}.",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",
@@ -247,13 +248,6 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     )
 
 
-def _not_covered(setting: Setting) -> str:
-    """What a run may have beside it, and the proof has not."""
-    forces = "limits of the inputs (saturation, rates), constant forces (offsets)"
-    losses = " and noise" if setting.signals.lost_samples else ", noise and lost samples"
-    return f"Not covered: {forces}{losses}."
-
-
 def _measured(setting: Setting) -> str:
     """Which samples a law has, at the least."""
     lost = setting.signals.lost_samples
@@ -264,15 +258,3 @@ def _measured(setting: Setting) -> str:
         f"{'is' if lost == 1 else 'are'} lost, whichever, by the table's rows of a "
         "lost sample and with the mode that was told last"
     )
-
-
-def _how(evidence: Evidence | StretchEvidence) -> tuple[str, str]:
-    """The kind of Lyapunov function, and what else was checked but inequalities in balls."""
-    if isinstance(evidence, StretchEvidence) and evidence.setting.transitions.bucket is not None:
-        return "Lyapunov function of the mode, which may rise at a switch", ""
-    if isinstance(evidence, StretchEvidence):
-        return "Lyapunov function of mode and age, followed along whole stretches of periods", ""
-    split = "one factorisation with a rigorous error bound, and "
-    if evidence.S.size:
-        return "Lyapunov function of mode and age", split
-    return "common Lyapunov function", split

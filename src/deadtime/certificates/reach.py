@@ -33,6 +33,8 @@ ROUNDS = 3  # of going to the worst point of the ellipsoid
 MOVE = 1e-3  # of the ellipsoid, for a derivative
 
 Range = tuple[ArrayLike, ArrayLike]
+_NOTHING = 1e-12  # relative to the largest singular value
+LARGEST = 3000  # order that memory allows
 
 
 def plants_of(
@@ -145,9 +147,6 @@ def _worst(plant: SwitchedSystem, axes: np.ndarray, table: Feedback, mode: int) 
     return at(best)
 
 
-_NOTHING = 1e-12  # relative to the largest singular value
-
-
 def why_unmoved(plants: Sequence[SwitchedSystem]) -> str:
     """Why nothing can be certified where a part of the state never changes; empty elsewhere.
 
@@ -181,9 +180,6 @@ def neutral(plant: SwitchedSystem, mode: int, growth: float) -> str:
         "1/s, as an integrator's that the law leaves alone), so that no decay can be proved, and "
         "no signal was proved to grow: change the gains so that every mode decays."
     )
-
-
-LARGEST = 3000  # order that memory allows
 
 
 def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, step: float) -> str:

@@ -54,6 +54,13 @@ _FINEST = 1e-12  # of the highest frequency: closer than this nothing is sampled
 _END = 1e-6  # of the lowest even sample
 _LARGE = 1e150
 _NOTHING = 1e-12  # relative to the largest entry
+TOUCH = 1e-9  # of ln|λ|
+_NEWTON, _PHASE, _RIGHT, _SHORTEST = 40, 1e-12, 1e-6, 1e-4
+_ROUNDS, _MOST, _FINEST = 60, 20_000, 1e-14
+_SECANT, _PART = 60, 1e-11  # of a cell
+_AT_ONCE = 16  # curves
+_RING = 0.05  # of the delay: the width of the first ring
+_NYQUIST = 256  # delays in two periods
 
 
 class Gain(NamedTuple):
@@ -164,12 +171,6 @@ def _runs(samples: Samples, clear: np.ndarray, spread: np.ndarray, lag: np.ndarr
         inner = Samples(*(x[part] for x in samples))
         found.append(Band(inner, float(spread[part].max()), float(lag[part].max())))
     return found
-
-
-TOUCH = 1e-9  # of ln|λ|
-_NEWTON, _PHASE, _RIGHT, _SHORTEST = 40, 1e-12, 1e-6, 1e-4
-_ROUNDS, _MOST, _FINEST = 60, 20_000, 1e-14
-_SECANT, _PART = 60, 1e-11  # of a cell
 
 
 class Curve(NamedTuple):
@@ -326,11 +327,6 @@ def solve(response: Response, curve: Curve, cells: np.ndarray) -> Curve:
         known = np.isfinite(point.level)
         low, high = point.where(left & known, low), point.where(~left & known, high)
         side = left.astype(int)
-
-
-_AT_ONCE = 16  # curves
-_RING = 0.05  # of the delay: the width of the first ring
-_NYQUIST = 256  # delays in two periods
 
 
 class Crossing(NamedTuple):

@@ -48,6 +48,9 @@ from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import SignalOptions
 
 FARTHEST = 10.0  # times the nominal delay: as far as longer delays are tried
+FINEST = 0.04  # of the interval of constant modes
+MOST_PIECES = 16  # certificates tried on each side
+LEAST_DELAY = 1e-3  # of a period: the shortest delay that is asked about
 
 
 class _Limit(NamedTuple):
@@ -332,11 +335,6 @@ def _shifts(lower: _Limit, upper: _Limit, nominal: float, of_one: str) -> str:
     if math.isinf(upper.delay):
         longer = "longer by any time"
     return f"while the true delays{of_one} are all {shorter} or all {longer}, by as much each"
-
-
-FINEST = 0.04  # of the interval of constant modes
-MOST_PIECES = 16  # certificates tried on each side
-LEAST_DELAY = 1e-3  # of a period: the shortest delay that is asked about
 
 
 def delay_margin(

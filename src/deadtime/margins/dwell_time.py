@@ -28,6 +28,14 @@ from deadtime.switching.signal_class import CLOCK_TOLERANCE, MOST_PERIODS, Signa
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
 
+SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described,
+AT_SAMPLES = 1.0 - 1e-10  # and where modes change at samples only there are none
+SHORT = 1e-9  # periods
+CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
+DOUBLINGS = 6  # of that, before giving up
+SAME = 1e-12  # of a dwell time, in 1/τ_d and back
+LAID_OUT = MOST_PERIODS * (1.0 - 1e-9)  # of the longest dwell time, which round-off may miss
+
 
 @dataclass(frozen=True)
 class DwellShape:
@@ -103,15 +111,6 @@ class DwellShape:
     def alike(self) -> bool:
         """Whether one dwell time of all modes is what moves."""
         return self.mode is None and len(set(self.weights)) == 1
-
-
-SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described,
-AT_SAMPLES = 1.0 - 1e-10  # and where modes change at samples only there are none
-SHORT = 1e-9  # periods
-CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
-DOUBLINGS = 6  # of that, before giving up
-SAME = 1e-12  # of a dwell time, in 1/τ_d and back
-LAID_OUT = MOST_PERIODS * (1.0 - 1e-9)  # of the longest dwell time, which round-off may miss
 
 
 @dataclass(frozen=True, eq=False)

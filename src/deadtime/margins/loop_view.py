@@ -34,6 +34,9 @@ from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.held_mode_arguments import check_mode, require_constant
 from deadtime.spectrum.open_loop import OpenLoop, StateSpace, ideal_responses
 
+_POINTS, _MOST = 600, 20_000
+_PER_TURN = 24  # frequencies while e^{−iωD} turns once
+
 
 def loop_transfer(
     plant: SwitchedSystem,
@@ -152,10 +155,6 @@ def _labels(law: Law, size: int, at: str) -> dict[str, list[str]]:
     letter = "u" if at == "input" else "x" if law.outputs is None else "y"
     labels = [f"{letter}[{i}]" for i in range(size)]
     return {"inputs": labels, "outputs": labels}
-
-
-_POINTS, _MOST = 600, 20_000
-_PER_TURN = 24  # frequencies while e^{−iωD} turns once
 
 
 @dataclass(frozen=True, eq=False)

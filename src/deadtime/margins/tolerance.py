@@ -41,6 +41,8 @@ from deadtime.switching import Rule, SwitchingSignal
 
 Cost = Float[np.ndarray, " scenario"]
 KEPT, BOUNDED, LOST = range(3)  # how a run ends
+_TRIALS = 10
+_CROOKED = 0.3  # of what the largest noise adds: further off, the cost is not quadratic in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,10 +145,6 @@ class RobustnessRuns:
             imperfections=whole,
             seed=self.seed + scenario,
         )
-
-
-_TRIALS = 10
-_CROOKED = 0.3  # of what the largest noise adds: further off, the cost is not quadratic in it
 
 
 @dataclass(frozen=True, eq=False)

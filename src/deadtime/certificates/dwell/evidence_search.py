@@ -35,6 +35,20 @@ from deadtime.certificates.proof.step_enclosure import ParameterCell
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.numerics.precision import precision
 
+ALL = 10**6
+# (v, w) that no ξ, or hardly any, gives rise to: singular values of Y as parts of the largest,
+# and the weights, as parts of the largest entry of Π, which stand for the partial minimum there.
+NONE, HARDLY = 1e-13, 1e-6
+WEIGHT_NONE, WEIGHT_HARDLY = 1e6, 1.0
+LEAST_MARGIN = 1e-9
+ROUNDS = 10  # of adding frequencies
+REPAIRS = 4  # of adding steps where a proof failed
+ENOUGH = 0.5  # of the margin: what must be left between the frequencies looked at
+CLEARLY = 0.8  # of the margin, of a rough solution: so that a better one has enough, too
+FREQUENCIES = 40
+INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+MOST_AGES = 40  # of a (mode, age) table that the search looks at
+
 
 class Sways:
     """W and X of `proof.ellipsoid` at points of the steps, beside `Steps.corners`."""
@@ -58,13 +72,6 @@ class Sways:
         cell = ParameterCell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
         columns = self.enclosures.of(cell).sway
         return None if columns is None else Sway.of(columns, self.family.A.shape[2])
-
-
-ALL = 10**6
-# (v, w) that no ξ, or hardly any, gives rise to: singular values of Y as parts of the largest,
-# and the weights, as parts of the largest entry of Π, which stand for the partial minimum there.
-NONE, HARDLY = 1e-13, 1e-6
-WEIGHT_NONE, WEIGHT_HARDLY = 1e6, 1.0
 
 
 def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:
@@ -109,16 +116,6 @@ def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Eviden
         evidence.knots,
         rho,
     )
-
-
-LEAST_MARGIN = 1e-9
-ROUNDS = 10  # of adding frequencies
-REPAIRS = 4  # of adding steps where a proof failed
-ENOUGH = 0.5  # of the margin: what must be left between the frequencies looked at
-CLEARLY = 0.8  # of the margin, of a rough solution: so that a better one has enough, too
-FREQUENCIES = 40
-INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-MOST_AGES = 40  # of a (mode, age) table that the search looks at
 
 
 @dataclass(frozen=True, eq=False)

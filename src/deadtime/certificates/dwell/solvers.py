@@ -26,6 +26,7 @@ CLEAR = 0.5  # of what is reached: with a smaller gap,
 CLEAR_RESIDUAL = 1e-6  # and such a residual, the maximum is positive
 LEAST = 1e-7  # below it nothing is sure
 STOPPED = "CallbackTerminated"  # what the solver says then
+MOST_STEPS = 60
 
 
 def squares(left: np.ndarray) -> np.ndarray:
@@ -80,9 +81,6 @@ def _is_clear(progress: Any) -> bool:
         and progress.gap_abs < CLEAR * reached
         and progress.res_primal < CLEAR_RESIDUAL
     )
-
-
-MOST_STEPS = 60
 
 
 def solve_riccati(

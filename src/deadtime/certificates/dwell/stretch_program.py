@@ -35,6 +35,13 @@ from deadtime.numerics.lmi import pack, packing, unpack
 
 DOUBLINGS = 60
 FLOOR = 1e-7  # ε at least
+WHOLE, WHOLE_REMEMBERED = 12, 20  # order up to which H is all of ξ; with what a law remembers in it
+MOST = 12  # functionals, above it
+CARRIED = 1e-9  # of the strongest: functionals that the loop does not carry on
+TURNS = 40  # of the power iteration
+SEEN = 1e-2  # of the strongest functional: weaker ones open no direction
+SHARE = 1e-3  # of the margin t, for the stretches without a switch
+ADDED = 4  # directions per leap and round, at most
 
 
 def future_sums(M: np.ndarray, X: np.ndarray) -> np.ndarray | None:
@@ -132,12 +139,6 @@ class LyapunovShape:
         return np.append(Y[rows, columns], max(part[-1], FLOOR))
 
 
-WHOLE, WHOLE_REMEMBERED = 12, 20  # order up to which H is all of ξ; with what a law remembers in it
-MOST = 12  # functionals, above it
-CARRIED = 1e-9  # of the strongest: functionals that the loop does not carry on
-TURNS = 40  # of the power iteration
-
-
 def whole(setting: Setting) -> int:
     """The order up to which V along stretches is any matrix.
 
@@ -198,11 +199,6 @@ def functionals(
     values, vectors = np.linalg.eigh(twice)
     keep = values > CARRIED * values[-1]
     return vectors[:, keep][:, -MOST:].T
-
-
-SEEN = 1e-2  # of the strongest functional: weaker ones open no direction
-SHARE = 1e-3  # of the margin t, for the stretches without a switch
-ADDED = 4  # directions per leap and round, at most
 
 
 @dataclass(eq=False)

@@ -21,6 +21,8 @@ from typing import Any
 
 import numpy as np
 
+UNIT = 2.0**-53
+
 
 def exact(array: np.ndarray) -> Any:
     """A float matrix as it is."""
@@ -129,9 +131,6 @@ def top(matrix: Any, rows: int) -> Any:
     from flint import arb_mat
 
     return arb_mat(matrix.tolist()[:rows])
-
-
-UNIT = 2.0**-53
 
 
 def powers_of_two(diagonal: np.ndarray) -> np.ndarray:

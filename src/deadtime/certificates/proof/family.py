@@ -32,6 +32,8 @@ from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem, Window
 from deadtime.plant.steps import windows_of
 
+ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
+
 
 @dataclass(frozen=True, eq=False)
 class Steps(Frozen, ABC):
@@ -96,8 +98,6 @@ class Steps(Frozen, ABC):
         """The point of the polytope: its middle by default."""
         return np.full(len(self.A), 1.0 / len(self.A)) if weights is None else weights
 
-
-ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
 
 Lags = tuple[int, ...]  # of every input, how many samples ago the one read was computed
 # A range of the one delay; each of several; or the lower and the upper end of each.

@@ -46,6 +46,7 @@ Terms = tuple[tuple[float, float], ...]
 
 # Decay rates tried for P, as fractions of the slowest mode's own.
 FRACTIONS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97)
+_HALVINGS = 60  # of the interval in which the rate ξ lies
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,9 +257,6 @@ def _best_weight(plant: SwitchedSystem, gains: Gains, norm: Norm) -> tuple[float
         c = min((c * math.exp(width * i / 20.0) for i in range(-20, 21)), key=objective)
         width /= 8.0
     return c, objective(c)
-
-
-_HALVINGS = 60  # of the interval in which the rate ξ lies
 
 
 @dataclass(frozen=True)

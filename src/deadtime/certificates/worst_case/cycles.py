@@ -20,6 +20,10 @@ from jaxtyping import Float
 from deadtime.plant.steps import snap
 from deadtime.switching import SignalClass, SwitchingSignal
 
+INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
+LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
+SEEN = 1e-7  # of a period: what is closer to its sample might count as at it
+
 
 @dataclass(frozen=True)
 class Cycle:
@@ -100,11 +104,6 @@ class Cycle:
         begins = late * np.array(after)
         gaps = np.array(lengths) + np.roll(begins, -1) - begins
         return cls(modes, tuple(gaps.tolist()), float(begins[0])).reduce()
-
-
-INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
-LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
-SEEN = 1e-7  # of a period: what is closer to its sample might count as at it
 
 
 @dataclass(frozen=True)

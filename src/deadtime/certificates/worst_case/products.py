@@ -35,6 +35,11 @@ from deadtime.certificates.worst_case.cycle_growth import CycleTable, SampledLoo
 from deadtime.certificates.worst_case.cycles import Admissible, Cycle
 from deadtime.feedback import Feedback
 
+RANK = 16
+RUNS = 32
+DELAYS = 4  # length of a random run
+SMALLEST = 1e-10  # singular value that is kept, relative
+
 
 @dataclass(frozen=True, eq=False)
 class Kinds:
@@ -79,12 +84,6 @@ class Kinds:
         if not mixed:
             follows &= late[:, None] == late
         return cls(mode, before, wait, late > 0, follows)
-
-
-RANK = 16
-RUNS = 32
-DELAYS = 4  # length of a random run
-SMALLEST = 1e-10  # singular value that is kept, relative
 
 
 @dataclass(frozen=True, eq=False)

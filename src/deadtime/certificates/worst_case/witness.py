@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +21,12 @@ from deadtime.imperfections.received import Heard, Relaying
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.spectrum import least_growth
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import SignalClass, SwitchingSignal
+
+DELAYS = 20  # the signal is at least this long
+CYCLES = 10
+SLACK = 1e-9  # of a period: round-off in a sojourn
+NAMED = 8  # lost samples
 
 
 @dataclass(frozen=True)
@@ -43,12 +47,6 @@ class LostAt(Relaying, SensorImperfection):
     def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
         each = np.arange(heard.samples)
         return heard.at(np.where(np.isin(each % self.periods, self.lost), -1, each))
-
-
-DELAYS = 20  # the signal is at least this long
-CYCLES = 10
-SLACK = 1e-9  # of a period: round-off in a sojourn
-NAMED = 8  # lost samples
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,10 +93,9 @@ class WorstCase(Frozen):
     proof: GrowthProof
     plant: SwitchedSystem = field(repr=False)
     law: Law = field(repr=False)
-    dwell_time: tuple[float, ...] = field(repr=False)
+    signals: SignalClass = field(repr=False)
     step: float = field(repr=False)
     cycle: Cycle = field(repr=False)
-    mode_lag: int = field(default=0, repr=False)
 
     @property
     def proven(self) -> bool:
@@ -135,8 +132,11 @@ class WorstCase(Frozen):
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
-            signal = repeat(self.cycle, cycles, self.dwell_time, self.step)
-        late: list[Imperfection] = [ModeDelay(self.mode_lag)] if self.mode_lag else []
+            least = self.signals.limits(self.plant.modes).dwell_time
+            signal = repeat(self.cycle, cycles, least, self.step)
+        late: list[Imperfection] = []
+        if self.signals.mode_lag:
+            late.append(ModeDelay(self.signals.mode_lag))
         if self.lost:
             late.append(LostAt(self.lost, self.cycle.periods))
         return simulate(
@@ -161,7 +161,7 @@ def worst_case(
     loop: SampledLoop,
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: tuple[float, ...],
+    signals: SignalClass,
     cycle: Cycle,
     growth: Growth,
     evaluated: int,
@@ -175,22 +175,15 @@ def worst_case(
     if isinstance(law, WithMemory):
         law = law.beginning_at(outputs[:q, -1])
     proof = prove(loop, cycle, growth.rate)
-    kept = KeptLoop(plant, law, dwell_time, loop.step, loop.lag)
-    return of_cycle(kept, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
-
-
-class KeptLoop(NamedTuple):
-    """The loop that a result is about."""
-
-    plant: SwitchedSystem
-    law: Law
-    dwell_time: tuple[float, ...]
-    step: float
-    lag: int
+    about = plant, law, replace(signals, mode_lag=loop.lag), loop.step
+    return of_cycle(*about, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
 
 
 def of_cycle(
-    loop: KeptLoop,
+    plant: SwitchedSystem,
+    law: Law,
+    signals: SignalClass,
+    step: float,
     cycle: Cycle,
     rate: float,
     proof: GrowthProof,
@@ -200,8 +193,7 @@ def of_cycle(
     upper_estimate: float | None,
 ) -> WorstCase:
     """The result for a cycle, its rate, its start (x0, u0), and the age of a constant mode, s."""
-    plant, law, dwell_time, step, lag = loop
-    x0, u0 = start
+    (x0, u0), dwell_time = start, signals.limits(plant.modes).dwell_time
     if cycle.constant:
         signal = SwitchingSignal([0.0], [cycle.modes[0]], initial_age=aged)
         sojourns = (math.inf,)
@@ -219,7 +211,7 @@ def of_cycle(
     message = _message(rate, proof, how)
     return WorstCase(
         signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
-        plant, law, dwell_time, step, cycle, lag,
+        plant, law, signals, step, cycle,
     )  # fmt: skip
 
 

@@ -29,6 +29,12 @@ KEPT = 5  # cycles of each number of sojourns that are improved,
 ALIKE = 3  # and of them with the same kinds in turn
 NEAR = 20  # part of the range of lengths within which cycles count as the same
 MOST_CLIMBED = 600  # cycles looked at to improve one
+LETTERS = 40  # sojourns a word may be grown by, about
+WIDTH = 100  # words that go on
+LONGEST = 10  # sojourns in a word
+LIKELY = 200  # cycles of each number of sojourns that are evaluated
+BEGINNING = 3
+SQUARINGS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,33 +99,6 @@ def climb(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
         else:
             reach //= 2
     return Word(word.kinds, index, rate), evaluated
-
-
-LETTERS = 40  # sojourns a word may be grown by, about
-WIDTH = 100  # words that go on
-LONGEST = 10  # sojourns in a word
-LIKELY = 200  # cycles of each number of sojourns that are evaluated
-BEGINNING = 3
-SQUARINGS = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What a search leaves behind.
-
-    Attributes
-    ----------
-    words : list of Word
-        The best cycles of each number of sojourns, the best first.
-    bound : float or None
-        No signal of these letters grows faster, per sample; None where words were given up.
-    evaluated : int
-        How many words were looked at.
-    """
-
-    words: list[Word]
-    bound: float | None
-    evaluated: int
 
 
 @dataclass(eq=False)
@@ -204,10 +183,12 @@ def branch_and_bound(
     floor: float,
     tolerance: float,
     budget: int,
-) -> Found:
+) -> tuple[list[Word], float | None, int]:
     """Words of sojourns with `letters` for the indices of their lengths, a list of each kind.
 
     `floor` is a rate per sample that is known to be reached; `budget` is how many words may be
+    looked at. Returns the best cycles of each number of sojourns, the best first; a rate per sample
+    that no signal of these letters exceeds, None where words were given up; and how many words were
     looked at.
     """
     search = _CycleSearch(_adapt(sojourns, letters, floor), letters, tolerance, floor)
@@ -225,7 +206,7 @@ def branch_and_bound(
     complete = complete and not level.time.size
     words = [word for some in search.cycles.values() for word in distinct(some, sojourns)]
     words.sort(key=lambda word: -word.rate)
-    return Found(words, search.best + tolerance if complete else None, evaluated)
+    return words, search.best + tolerance if complete else None, evaluated
 
 
 def _most_promising(level: _Level) -> np.ndarray:

@@ -32,6 +32,20 @@ MOST_TIMES = 5
 WORTH = 1e-3  # growth over a cycle for which a longer one is worth it
 COARSE = 1e-6  # relative error of eigenvalues while searching
 GAIN = 1e-9  # per period; a smaller gain is none
+TRIED = 12  # cycles evaluated on the loop itself
+POLISHED = 3  # of them, cycles whose switches leave the grid
+RINGS = 3  # short rings improved besides
+SHORT = 20  # periods: in so short a cycle the offset matters much
+OFFSETS = (0.25, 0.5, 0.75)
+MOVES = 80  # cycles looked at to improve one, per sojourn
+LONGER = 1.25  # how much longer a cycle slower than a constant signal may become
+BETTER = 1e-6  # per period: by how much a cycle must beat a constant signal
+SIMPLER = 2e-4  # growth over a cycle that may be lost for a cycle of fewer sojourns
+BASES = 4  # cycles in which samples are lost
+ROUND = 3  # samples measured in a row, at most, in the patterns tried first
+LONGEST = 240  # periods of a cycle with its pattern, unless the cycle itself is longer
+FLIPS = 120  # samples lost or measured one at a time, per cycle
+RELATIVE_GAIN = 1e-9  # 1/s, relative, that a change has to bring
 
 
 def polish(
@@ -145,16 +159,6 @@ def _key(cycle: Cycle) -> tuple:
     return (*np.round(cycle.gaps, 9).tolist(), round(cycle.offset, 9))
 
 
-TRIED = 12  # cycles evaluated on the loop itself
-POLISHED = 3  # of them, cycles whose switches leave the grid
-RINGS = 3  # short rings improved besides
-SHORT = 20  # periods: in so short a cycle the offset matters much
-OFFSETS = (0.25, 0.5, 0.75)
-MOVES = 80  # cycles looked at to improve one, per sojourn
-LONGER = 1.25  # how much longer a cycle slower than a constant signal may become
-BETTER = 1e-6  # per period: by how much a cycle must beat a constant signal
-SIMPLER = 2e-4  # growth over a cycle that may be lost for a cycle of fewer sojourns
-
 Rated = tuple[Cycle, Growth]
 
 
@@ -248,13 +252,6 @@ def _exact(pair: Rated, loop: Growing, floor: float) -> Rated | None:
     return None if exact is None or exact.rate <= floor else (cycle, exact)
 
 
-BASES = 4  # cycles in which samples are lost
-ROUND = 3  # samples measured in a row, at most, in the patterns tried first
-LONGEST = 240  # periods of a cycle with its pattern, unless the cycle itself is longer
-FLIPS = 120  # samples lost or measured one at a time, per cycle
-RELATIVE_GAIN = 1e-9  # 1/s, relative, that a change has to bring
-
-
 def with_losses(loop: SampledLoop, known: list[Rated], most: int) -> tuple[list[Rated], int]:
     """The worst of these cycles, with the samples lost along them that were found worst."""
     bases: dict[tuple, Rated] = {}
@@ -305,8 +302,7 @@ def _in_turn(cycle: Cycle, most: int) -> Iterator[Cycle]:
                 times = 1
             long = replace(cycle, modes=cycle.modes * times, gaps=cycle.gaps * times)
             for first in range(turn):
-                at = (k for k in range(long.periods) if (k - first) % turn < lost)
-                kept = tuple(at)
+                kept = tuple(k for k in range(long.periods) if (k - first) % turn < lost)
                 if _allowed(kept, long.periods, most):
                     yield replace(long, lost=kept)
 
