@@ -32,7 +32,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import error_percent, inwards
 from deadtime.feedback import Law
-from deadtime.margins.crossing import Band, bands, first_crossing, unit_bands
+from deadtime.margins.crossing import bands, first_crossing, unit_bands
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.spectrum import growth_rate
@@ -136,46 +136,13 @@ def constant_delay_margin(
     names: Sequence[str] | None = None,
     held: Sequence[int] | None = None,
 ) -> DelayMargin:
-    """How wrong the delay may be under constant switching signals.
+    """`delay_margin` of constant modes, to 1e-10 relative; to 1e-6 where the gain only touches 1.
 
-    Parameters
-    ----------
-    plant : SwitchedSystem
-        The truth, at its nominal delay. The law has a model of its own, `law.plant`.
-    law : Law
-        A law that is a table, or an `OutputFeedback` of one; without a step, one that has a closed
-        form in continuous time.
-    step : float or None
-        Sampling period h, in seconds; None for the ideal loop, updated continuously.
-    upto : float, optional
-        The longest true delay that is tried, in seconds, above the nominal one. By default ten
-        times the nominal one; or ten times 1/ω, ω the highest frequency at which the loop's gain
-        may be 1, where that is longer. Of several delays, that of the shortest that moves, by
-        default ten times the longest.
-    input : int, optional
-        The input whose delay moves, in every mode by as many seconds, counted from 0; the other
-        inputs keep theirs. By default those of all inputs move, by as many seconds.
-    names : sequence of str, optional
-        What inputs are called in `message`; by default they are counted.
-    held : sequence of int, optional
-        The modes that may be held; by default every one. Without any all delays up to `upto` are.
+    `names` are what inputs are called in `message`, counted by default. `held` are the modes that
+    may be held, by default every one; without any all delays up to `upto` are tolerated.
 
-    Returns
-    -------
-    DelayMargin
-        To about 1e-10 relative; to 1e-6 where the loop's gain only touches 1.
-
-    Raises
-    ------
-    ArgumentError
-        As by `growth_rate`; if there is no such input; if `upto` is no longer than the nominal
-        delay, or the delay holds so many periods that the answer would take long.
-
-    Notes
-    -----
     A root that touches the limit of stability and goes back ends the interval, too: at that delay
-    the loop is not asymptotically stable. With several modes the loop may be lost earlier, by
-    switching: that needs a certificate.
+    the loop is not asymptotically stable.
 
     References
     ----------
@@ -209,7 +176,8 @@ def constant_delay_margin(
     modes = range(plant.modes) if held is None else held
     worst = max(modes, key=lambda mode: growth[mode], default=None)
     if worst is not None and growth[worst] >= 0.0:
-        text = _unstable(plant, worst, float(growth[worst]))
+        what = not_decaying(plant, float(growth[worst]))
+        text = f"there is no delay margin, since held in mode {worst} the loop {what}"
         return DelayMargin(
             None, None, worst, worst, None, None, growth, nominal, text, False, input, differ
         )
@@ -235,7 +203,6 @@ def constant_delay_margin(
 
 
 def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray, "mode moving"]:
-    """The delays of an input, or of all."""
     return plant.delays if input is None else plant.delays[:, input : input + 1]
 
 
@@ -251,7 +218,9 @@ def _limits(
     moving = moving_delays(plant, input)
     nominal = float(moving.min())
     responses = [_response(plant, law, mode, step, input) for mode in modes]
-    parts = [_bands(response, nominal) for response in responses]
+    parts = [bands(response, nominal) for response in responses]
+    if step is None:  # where the gain is what it is, whatever the delay
+        parts = [unit_bands(*each, nominal) for each in zip(responses, parts, strict=True)]
     if upto is None:
         # In a delay shorter than one radian of every motion that matters, ten times is nothing.
         radians = [1.0 / part[-1].samples.omega[-1] for part in parts if part]
@@ -263,13 +232,6 @@ def _limits(
         found = first_crossing(response, part, nominal, upper.delay)
         upper = upper if found is None else _Limit(found.delay, mode, found.frequency)
     return lower, upper if any(parts) or not parts else upper._replace(delay=math.inf)
-
-
-def _bands(response: Response, delay: float) -> list[Band]:
-    """Where some delay may have a root; none if no delay has any."""
-    found = bands(response, delay)
-    # In the ideal loop the gain is what it is, whatever the delay.
-    return unit_bands(response, found, delay) if response.period is None else found
 
 
 def _response(
@@ -284,12 +246,6 @@ def _response(
         return whole
     own = plant.delays[:, input]
     return OneInput(whole, plant.shortest_delay, input, float(own[mode] - own.min()))
-
-
-def _unstable(plant: SwitchedSystem, mode: int, growth: float) -> str:
-    """Why there is no margin."""
-    what = not_decaying(plant, growth)
-    return f"there is no delay margin, since held in mode {mode} the loop {what}"
 
 
 def _stable(lower: _Limit, upper: _Limit, nominal: float, of_one: str, differ: bool) -> str:
@@ -439,22 +395,16 @@ def delay_margin(
     known = bool(lasting)
     lower = _reach(nominal, constant.lower, step, offsets, holds, known)
     upper = _reach(nominal, constant.upper, step, offsets, holds, known)
+    stays, switches = asked.in_words(plant.modes)
+    free = asked.limits(plant.modes).is_free and asked.at == "anywhere"
+    words = f"that {stays}" + ("" if free else f", and {switches}")
+    if asked.is_plain(plant.modes):
+        words = f"with a dwell time of {asked.limits(plant.modes).dwell_time[0]:g} s"
     message = (
-        f"Proved for every signal {_in_words(asked, plant.modes)}: stable for "
-        f"{_range(lower, upper, constant)}. Without switches: {constant.message}"
+        f"Proved for every signal {words}: stable for {_range(lower, upper, constant)}. "
+        f"Without switches: {constant.message}"
     )
     return replace(constant, lower=lower, upper=upper, certified=True, message=message)
-
-
-def _in_words(signals: SignalClass, modes: int) -> str:
-    """Which signals, after "every signal"."""
-    limits = signals.limits(modes)
-    if signals.is_plain(modes):
-        return f"with a dwell time of {limits.dwell_time[0]:g} s"
-    stays, switches = signals.in_words(modes)
-    return f"that {stays}" + (
-        "" if limits.is_free and signals.at == "anywhere" else f", and {switches}"
-    )
 
 
 def _moved(plant: SwitchedSystem, input: int | None, shift: float) -> np.ndarray:
@@ -500,7 +450,9 @@ def _reach(
     here, failed, length = nominal, False, 0.25 * (farthest if near else min(step, farthest))
     for _ in range(MOST_PIECES):
         finest = FINEST * (farthest if near else max(abs(here - nominal), length))
-        multiples = [_next_multiple(here + offset, step, sign) - offset for offset in offsets]
+        ratios = [snap((here + offset) / step) for offset in offsets]
+        whole = [math.floor(r) + 1 if sign > 0.0 else math.ceil(r) - 1 for r in ratios]
+        multiples = [step * n - offset for n, offset in zip(whole, offsets, strict=True)]
         multiple = min(multiples, key=lambda delay: abs(delay - here))
         nearest = min(end, multiple, key=lambda delay: abs(delay - here))
         piece = min(length, abs(nearest - here))
@@ -515,9 +467,3 @@ def _reach(
         else:
             failed, length = True, 0.5 * piece
     return here
-
-
-def _next_multiple(delay: float, step: float, sign: float) -> float:
-    """The next multiple of the period in a direction."""
-    ratio = snap(delay / step)
-    return step * (math.floor(ratio) + 1 if sign > 0.0 else math.ceil(ratio) - 1)

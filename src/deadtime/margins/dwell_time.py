@@ -235,30 +235,18 @@ def least_dwell_time(
         )
     least = SHORT * step if dwell_time is None else dwell_time  # any: only proportions count
     shape = DwellShape.of(plant.modes, SignalClass.of(least, **signals), mode)
-    shortest = _shortest(shape, step)
+    shortest = (SHORTEST if shape.signals.at == "anywhere" else AT_SAMPLES) * step
     if shape.longest <= shortest:
         raise ArgumentError(
             f"maximum_dwell must leave room above a period of {step:g} s, and dwell times up to "
             f"{shape.longest:g} s do not: raise it, or shorten the step."
         )
-    return _searched(_questions(plant, law, step, shape), plant, law, step, ratio, shape)
-
-
-def _searched(
-    questions: Questions,
-    plant: SwitchedSystem,
-    law: Law,
-    step: float,
-    ratio: float,
-    shape: DwellShape,
-) -> LeastDwellTime:
-    """The bracket, of arguments that are checked."""
-    shortest = _shortest(shape, step)
+    questions = _questions(plant, law, step, shape)
     worst = questions.falsify(1.0 / shortest)
     rates = {i: growth_rate(plant, law, i, step) for i in shape.limits.lasting}
-    slowest, least = max(rates.values(), default=-math.inf), least_growth(plant)
+    slowest = max(rates.values(), default=-math.inf)
     for i, rate in rates.items():
-        if rate == slowest > least and growth_bounds(plant, law, i, step)[0] > 0.0:
+        if rate == slowest > least_growth(plant) and growth_bounds(plant, law, i, step)[0] > 0.0:
             message = (
                 f"No dwell time is long enough: held in mode {i} the loop grows at {rate:+.4g} 1/s."
             )
@@ -267,17 +255,13 @@ def _searched(
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
     most = min(shape.longest, LAID_OUT * step / max(shape.weights) / shape.signals.chatter)
-    first = min(_calm(step, slowest) if rates else 0.5 * most, most)
-    longest = _certified_dwell_time(questions, first, most)
+    # After a calm dwell time not much is left of what a switch stirred up.
+    calm = max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
+    longest = _certified_dwell_time(questions, min(calm if rates else 0.5 * most, most), most)
     if longest is None:
         return _without_proof(questions, worst, shape)
     lowest = shape.admits(worst) if worst.grows and math.isfinite(shape.admits(worst)) else shortest
     return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions, shape)
-
-
-def _shortest(shape: DwellShape, step: float) -> float:
-    """The shortest dwell time that is asked about, seconds."""
-    return (SHORTEST if shape.signals.at == "anywhere" else AT_SAMPLES) * step
 
 
 def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) -> Questions:
@@ -301,11 +285,6 @@ def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) 
         return found
 
     return Questions(lambda _: False, proof, worst)
-
-
-def _calm(step: float, slowest: float) -> float:
-    """A dwell time after which not much is left of what a switch stirred up."""
-    return max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
 
 
 def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) -> float | None:

@@ -32,7 +32,7 @@ from deadtime.margins.gain import GainMargin, gain_margin
 from deadtime.numerics.small_matrices import matched
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.held_mode_arguments import check_mode, require_constant
-from deadtime.spectrum.open_loop import OpenLoop, StateSpace, ideal_responses
+from deadtime.spectrum.open_loop import OpenLoop, ideal_responses
 
 _POINTS, _MOST = 600, 20_000
 _PER_TURN = 24  # frequencies while e^{−iωD} turns once
@@ -107,7 +107,7 @@ def loop_transfer(
                 "finite system; give rad/s, as numpy.geomspace(0.01, 100, 500)."
             )
         loop = OpenLoop.of(plant, law, mode, step)
-        P, K = (_system(part, step) for part in (loop.plant_system(), loop.law_system()))
+        P, K = (control.ss(*part, step) for part in (loop.plant_system(), loop.law_system()))
         L = -(K * P) if at == "input" else -(P * K)
         L.update_names(**_labels(law, L.ninputs, at), **names)
         return L
@@ -145,10 +145,6 @@ def check_frequencies(frequencies: ArrayLike, step: float | None) -> Float[np.nd
             f"tell nothing, got {omega[-1]:g}: are they in Hz? Multiply by 2π; or shorten the step."
         )
     return omega
-
-
-def _system(part: StateSpace, step: float) -> Any:
-    return python_control("systems").ss(*part, step)
 
 
 def _labels(law: Law, size: int, at: str) -> dict[str, list[str]]:

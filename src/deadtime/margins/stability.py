@@ -308,6 +308,8 @@ def stability_margin(
     >>> def gain_error(e):  # the true input gain is (1 + e) times the law's
     ...     return dt.SwitchedSystem(plant.A, (1.0 + e) * plant.B, plant.delay), law
     """
+    from deadtime.certificates import certify, falsify
+
     if len(bounds) != 2:
         raise ArgumentError(f"bounds must be two values (low, high), got {len(bounds)}.")
     low, high = (number(f"bounds[{i}]", value) for i, value in enumerate(bounds))
@@ -318,14 +320,7 @@ def stability_margin(
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")
-    asked = SignalClass.of(dwell_time, **signals)
-    questions = _questions(problem, positive("step", step), asked)
-    return _margin(bracket(questions, low, high, ratio), questions)
-
-
-def _questions(problem: Callable[[float], Loop], step: float, signals: SignalClass) -> Questions:
-    """The questions of `bracket` about a value."""
-    from deadtime.certificates import certify, falsify
+    step, asked = positive("step", step), SignalClass.of(dwell_time, **signals)
 
     def loop(value: float) -> Loop:
         try:
@@ -343,24 +338,22 @@ def _questions(problem: Callable[[float], Loop], step: float, signals: SignalCla
         return any(
             growth_rate(plant, law, mode, step) > least_growth(plant)
             and growth_bounds(plant, law, mode, step)[0] > 0.0
-            for mode in signals.limits(plant.modes).lasting
+            for mode in asked.limits(plant.modes).lasting
         )
 
-    return Questions(
+    questions = Questions(
         grows,
-        lambda value: certify(*loop(value), signals, step, decay_rate=0.0),
-        lambda value: falsify(*loop(value), signals, step),
+        lambda value: certify(*loop(value), asked, step, decay_rate=0.0),
+        lambda value: falsify(*loop(value), asked, step),
     )
-
-
-def _margin(found: Bracket, questions: Questions) -> StabilityMargin:
-    ratio = None
+    found = bracket(questions, low, high, ratio)
+    apart = None
     if found.refuted is not None:
-        ratio = found.refuted / found.certified if found.certified > 0.0 else float("inf")
+        apart = found.refuted / found.certified if found.certified > 0.0 else float("inf")
     return StabilityMargin(
         found.certified,
         found.refuted,
-        ratio,
+        apart,
         found.certificate.proven,
         found.certificate,
         found.witness,
@@ -456,15 +449,11 @@ def stability_chart(
         for time in times.tolist():
             progress(f"{name}, dwell time {time:g} s")
             try:
-                problem = _at(loop, time)
-                row.append(stability_margin(problem, bounds, time, step, ratio))
+                of_value = lambda value, loop=loop, time=time: loop(value, time)  # noqa: E731
+                row.append(stability_margin(of_value, bounds, time, step, ratio))
             except ArgumentError as error:
                 row.append(None)
                 reasons[name, time] = str(error)
         margins[name] = tuple(row)
     times.flags.writeable = False
     return StabilityChart((bounds[0], bounds[1]), times, margins, reasons)
-
-
-def _at(loop: Callable[[float, float], Loop], time: float) -> Callable[[float], Loop]:
-    return lambda value: loop(value, time)

@@ -134,13 +134,14 @@ class SignalClass:
                 "by itself; give one of them."
             )
         chatter = count("chatter", chatter)
-        several = isinstance(least, tuple) and len(set(least)) > 1
-        if chatter > 1 and (several or np.isfinite(most).any()):
+        if chatter > 1 and isinstance(least, tuple) and len(set(least)) > 1:
             raise ArgumentError(
                 "dwell_time must be one number with chatter > 1, for an average dwell time is that "
-                f"of all modes together, got {list(np.ravel(least).tolist())}."
-                if several
-                else "chatter > 1 and maximum_dwell exclude each other: give one of them."
+                f"of all modes together, got {list(least)}."
+            )
+        if chatter > 1 and np.isfinite(most).any():
+            raise ArgumentError(
+                "chatter > 1 and maximum_dwell exclude each other: give one of them."
             )
         given = least, most, table, at, float(clock_tolerance), mode_lag, lost_samples, chatter
         vars(self).update(zip(type(self).__dataclass_fields__, given, strict=True))
