@@ -227,7 +227,7 @@ class ResponseForms(NamedTuple):
     rest: np.ndarray
 
 
-def frequencies(count: int, held: int, step: float, delay: float) -> np.ndarray:
+def frequencies(count: int, step: float, delay: float) -> np.ndarray:
     """Angles to start from: dense where the loop lives, 0 and π included."""
     low = min(1e-3 / delay * step, 1e-2)
     return np.unique(np.concatenate([[0.0], np.geomspace(low, np.pi, count)]))

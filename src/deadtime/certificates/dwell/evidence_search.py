@@ -11,6 +11,7 @@ a Schur complement. One large inequality then still proves all rows.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -163,7 +164,7 @@ class EvidenceSearch:
         self.sways = Sways(setting.family)
         self.samples = self._samples()
         delay = setting.longest_delay
-        self.angles = frequencies(FREQUENCIES, setting.past, setting.step, delay)
+        self.angles = frequencies(FREQUENCIES, setting.step, delay)
         self.fine = fine_frequencies(setting.past, setting.step, delay)
 
     def propose(self, rho: float) -> Proposal | None:
@@ -183,10 +184,9 @@ class EvidenceSearch:
             self.angles = angles
 
     def _propose(self, rho: float, roughly: bool) -> Proposal | None:
-        try:
+        with suppress(np.linalg.LinAlgError):  # an eigenvalue on |z| = ρ to the last digit
             return self._proposal(rho, roughly)
-        except np.linalg.LinAlgError:  # the centre has an eigenvalue on |z| = ρ to the last digit
-            return None
+        return None
 
     def _proposal(self, rho: float, roughly: bool) -> Proposal | None:
         fine = response(self.model, self.fine, rho)

@@ -17,7 +17,6 @@ after the step. K − c I ≻ 0 is what is factorised.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,23 +29,15 @@ from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.certificates.proof.work import Work, cost
 
 
-@dataclass(frozen=True, eq=False)
-class Theta:
-    """Θ of a transition, and S F of its end."""
-
-    form: QuadraticForm
-    SF: Any
-
-
-class SmallInequalities:
-    """The small inequalities of one piece of evidence, in balls."""
+class SplitInequalities:
+    """The inequalities of one piece of evidence, in balls; the large ones after the small ones."""
 
     def __init__(self, evidence: Evidence, channels: Channels, work: Work) -> None:
         from flint import arb
 
-        self.evidence = evidence
+        self.evidence, self.channels = evidence, channels
         centre = evidence.centre
-        self.v = len(channels.D)
+        self.v, self.w = channels.D.shape
         self.s = len(centre.Psi)
         self.rho2 = arb(evidence.rho) * arb(evidence.rho)
         self.Pi = balls.exact(evidence.Pi)
@@ -56,7 +47,7 @@ class SmallInequalities:
         self.T = [balls.exact(T).tolist() for T in centre.T]
         self.work = work
         self.covering = Covering(evidence.setting.family, work)
-        self.forms: dict[Any, Theta] = {}
+        self.forms: dict[Any, tuple[QuadraticForm, Any]] = {}
         self.answers: dict[Any, tuple[int, float | None]] = {}
 
     def holds(self, transition: Transition) -> tuple[int, float | None]:
@@ -73,7 +64,7 @@ class SmallInequalities:
         ends = self._ends(transition)
         key = ends, transition.mode, transition.after, transition.instants, row
         if key not in self.answers:
-            form = self.form(transition).form
+            form, _ = self.form(transition)
             self.answers[key] = self.covering.holds(form, transition, lower)
         return self.answers[key]
 
@@ -99,8 +90,8 @@ class SmallInequalities:
             total = total + balls.exact(self.evidence.S[place, knot]) * factor
         return total
 
-    def form(self, transition: Transition) -> Theta:
-        """Θ of a transition; the same for all rows and instants."""
+    def form(self, transition: Transition) -> tuple[QuadraticForm, Any]:
+        """Θ of a transition, and S F of its end; the same for all rows and instants."""
         from flint import arb_mat
 
         key = self._ends(transition)
@@ -121,20 +112,8 @@ class SmallInequalities:
         vv = arb_mat([line[:v] for line in lines[:v]])
         wv = arb_mat([line[:v] for line in lines[v:]])
         ww = arb_mat([line[v:] for line in lines[v:]])
-        self.forms[key] = Theta(QuadraticForm.of(vv, wv, ww, self.E, self.y), SF)
+        self.forms[key] = QuadraticForm.of(vv, wv, ww, self.E, self.y), SF
         return self.forms[key]
-
-
-class LargeInequalities:
-    """The large inequalities of one piece of evidence, after its small ones."""
-
-    def __init__(self, evidence: Evidence, channels: Channels, small: SmallInequalities) -> None:
-        self.evidence = evidence
-        self.channels = channels
-        self.small = small
-        self.v, self.w = channels.D.shape
-        self.s = small.s
-        self.rho2 = small.rho2
 
     def positive(self) -> bool:
         """P + Ψᵀ S Ψ ≻ 0 where every walk can end: by the inequalities then everywhere.
@@ -154,7 +133,7 @@ class LargeInequalities:
         if self.s:
             Psi = balls.exact(psi)
             value, error = balls.split(
-                balls.exact(evidence.P) + Psi.transpose() * self.small.S(mode, age) * Psi
+                balls.exact(evidence.P) + Psi.transpose() * self.S(mode, age) * Psi
             )
             even = 0.5 * (value + value.T)
             error = error + np.abs(even - value) + np.spacing(np.abs(even))
@@ -192,7 +171,7 @@ class LargeInequalities:
         Y = (half + balls.exact(across)) * (1 / self.rho2)
         wide = balls.exact(self.channels.wide)
         low = Z.transpose() * Y
-        shared = low + low.transpose() + wide.transpose() * self.small.Pi * wide
+        shared = low + low.transpose() + wide.transpose() * self.Pi * wide
         base = np.zeros((full, full))
         base[:d, :d] = P
         moved = np.zeros((full, full))
@@ -208,17 +187,17 @@ class LargeInequalities:
         wide, grow = self.channels.wide * unit, 1.0 + 1e-10
         u, worst = self.v + self.evidence.setting.states, 0.0
         largest = float(np.linalg.norm(self.evidence.S)) * grow
-        if not self.small.forms:
+        if not self.forms:
             return np.inf
-        for theta in self.small.forms.values():
-            form, c = theta.form, 0.0
+        for form, SF in self.forms.values():
+            c = 0.0
             if eta:
                 blocks = balls.blocks([[form.wv, form.ww]])
                 centre, error = (x[self.evidence.setting.states :] for x in balls.split(blocks))
                 below = float((np.abs(centre) + error)[:, u:].sum())
                 c += 2.0 * _above((centre, error), wide) * eta + below * eta**2
             if epsilon:
-                pull = _above(balls.split(theta.SF), wide)
+                pull = _above(balls.split(SF), wide)
                 c += (2.0 * pull * epsilon + largest * epsilon**2) / self.evidence.rho**2
             if not np.isfinite(c):
                 return np.inf
@@ -252,7 +231,7 @@ class LargeInequalities:
         moved = np.zeros((self.s, setting.order + self.w))
         moved[:, n : n + setting.order - top] = Psi[:, top:]
         residual = balls.exact(Psi[:, :top]) * Z + balls.exact(moved)
-        return balls.frobenius(residual - self.small.F * balls.exact(self.channels.wide), unit)
+        return balls.frobenius(residual - self.F * balls.exact(self.channels.wide), unit)
 
 
 def _above(left: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> float:

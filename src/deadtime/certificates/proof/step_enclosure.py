@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -111,7 +111,9 @@ class Enclosures:
         self.family = family
         from flint import arb
 
-        step, slack = balls.decimal_number(family.step), _slack(family)
+        step = balls.decimal_number(family.step)
+        # Room for φ = D − (N − 1) h computed from decimals, not from floats.
+        slack = arb(0.0, 4.0 * float(np.spacing(family.step * (family.count + 1))))
 
         def ball(mark: float) -> Any:
             return step if mark == family.step else balls.decimal_number(mark) + slack
@@ -146,13 +148,13 @@ class Enclosures:
             factors = self._factors(cell, u, f, weights, hull)
             for k, half in moving:
                 rates = [self._rate(part, k, u, f) for part in cell.order]
-                generators = [self._generator(part, weights, hull) for part in cell.order]
-                inner = [
-                    G * X * rate for G, X, rate in zip(generators, factors, rates, strict=True)
-                ]
+                each = zip(map(self._corners, cell.order), factors, rates, strict=True)
+                inner = [hull_of(G, weights, hull) * X * rate for G, X, rate in each]
                 slopes.append((k, balls.top(_sum(factors, inner), n) * arb(half)))
             for corner in cell.corners if hull is not None else ():
-                inner = [self._frechet(part, u, f, weights, hull, corner) for part in cell.order]
+                generators = [self._corners(part) for part in cell.order]
+                durations = [self._duration(part, u, f) for part in cell.order]
+                inner = towards(generators, durations, weights, hull, corner)
                 slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
         sway = None if family.axes is None else self._sway(cell.order, u, f, family.axes)
         return Enclosure(balls.top(centre, n), slopes, sway)
@@ -167,7 +169,7 @@ class Enclosures:
         for part in order:
             tau = self._duration(part, u, f)
             (room,) = self.family.laid_out(radius[part.mode][None], part.lags)
-            X.append(swelled(self._generator(part, np.ones(1), None), room) * tau)
+            X.append(swelled(self._corners(part)[0], room) * tau)
             own = [place for place in entries if place[0] == part.mode]
             units = self.family.laid_out(unit_matrices(own, radius.shape[1:]), part.lags)
             moves.append({place: balls.exact(U) * tau for place, U in zip(own, units, strict=True)})
@@ -194,10 +196,6 @@ class Enclosures:
             return (self._mark(part.stop, f) - self._mark(part.start, f)) * b
         return (u * b + a) * (self._rise(part.stop) - self._rise(part.start))
 
-    def _generator(self, part: Segment, weights: np.ndarray, hull: np.ndarray | None) -> Any:
-        """𝒜 at the weights, or over the simplex."""
-        return hull_of(self._corners(part), weights, hull)
-
     def _corners(self, part: Segment) -> list[Any]:
         """𝒜 of every corner of the polytope."""
         key = part.mode, part.lags
@@ -210,31 +208,9 @@ class Enclosures:
     ) -> list[Any]:
         """The exponentials of a cell, in order of time."""
         return [
-            (self._generator(part, weights, hull) * self._duration(part, u, f)).exp()
+            (hull_of(self._corners(part), weights, hull) * self._duration(part, u, f)).exp()
             for part in cell.order
         ]
-
-    def _frechet(
-        self,
-        part: Segment,
-        u: Any,
-        f: Any,
-        weights: np.ndarray,
-        hull: np.ndarray | None,
-        corner: np.ndarray,
-    ) -> Any:
-        """The derivative of a segment's exponential from the weights towards a corner."""
-        corners, tau = self._corners(part), self._duration(part, u, f)
-        away = combine(corners, corner) - combine(corners, weights)
-        return frechet(self._generator(part, weights, hull) * tau, away * tau)
-
-
-def _slack(family: Family) -> Any:
-    """Room for φ = D − (N − 1) h computed from decimals, not from floats."""
-    from flint import arb
-
-    scale = family.step * (family.count + 1)
-    return arb(0.0, 4.0 * float(np.spacing(scale)))
 
 
 def combine(corners: list[Any], weights: np.ndarray) -> Any:
@@ -272,6 +248,21 @@ def frechet(X: Any, Y: Any) -> Any:
     return arb_mat([row[size:] for row in whole[:size]])
 
 
+def towards(
+    generators: list[list[Any]],
+    durations: list[Any],
+    weights: np.ndarray,
+    hull: np.ndarray | None,
+    corner: np.ndarray,
+) -> list[Any]:
+    """The derivatives of exponentials from the weights towards a corner of the polytope."""
+    inner = []
+    for corners, tau in zip(generators, durations, strict=True):
+        away = combine(corners, corner) - combine(corners, weights)
+        inner.append(frechet(hull_of(corners, weights, hull) * tau, away * tau))
+    return inner
+
+
 def by_entries(
     X: list[Any], moves: list[dict[tuple[int, int, int], Any]], n: int
 ) -> dict[tuple[int, int, int], Any]:
@@ -306,15 +297,6 @@ def _sum(factors: list[Any], inner: list[Any]) -> Any:
         term = product_of([*factors[:k], derivative, *factors[k + 1 :]])
         total = term if total is None else total + term
     return total
-
-
-class _Chain(NamedTuple):
-    """Over a cell: the pieces of an input, their exponentials, and their generators at every
-    corner of the polytope."""
-
-    pieces: list[InputPiece]
-    factors: list[Any]
-    corners: list[list[Any]]
 
 
 class BoxEnclosures:
@@ -395,13 +377,13 @@ class BoxEnclosures:
         if moving or hull is not None:
             pieces = self.family.pieces(cell.order, c, self.clock, u, f)
             factors = [X.exp() for X in self._exponents(pieces, c, weights, hull)]
-            chain = _Chain(pieces, factors, [self._corners(piece, c) for piece in pieces])
+            generators = [self._corners(piece, c) for piece in pieces]
+            X = [hull_of(corners, weights, hull) for corners in generators]
             for k, half in moving:
-                slope = self._slope(chain, weights, hull, k)
-                slopes.append((k, balls.top(slope, n) * arb(half)))
+                slopes.append((k, balls.top(_slope(pieces, factors, X, k), n) * arb(half)))
             for corner in cell.corners if hull is not None else ():
-                slope = self._towards(chain, weights, hull, corner)
-                slopes.append((POLYTOPE, balls.top(slope, n)))
+                inner = towards(generators, self._durations(pieces), weights, hull, corner)
+                slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
         return Enclosure(balls.top(centre, n), slopes)
 
     def _moving(self, cell: ParameterCell) -> list[tuple[int, float]]:
@@ -430,31 +412,16 @@ class BoxEnclosures:
             for piece, tau in zip(pieces, self._durations(pieces), strict=True)
         ]
 
-    def _slope(
-        self, chain: _Chain, weights: np.ndarray, hull: np.ndarray | None, direction: int
-    ) -> Any:
-        """∂E/∂p of u or a delay."""
-        X = [hull_of(corners, weights, hull) for corners in chain.corners]
-        size = X[0].nrows()
-        total = balls.zeros(size, size)
-        for k, piece in enumerate(chain.pieces[:-1]):
-            if direction in piece.moves:
-                before = product_of(chain.factors[: k + 1])
-                after = product_of(chain.factors[k + 1 :])
-                total = total + after * (X[k] - X[k + 1]) * before * piece.moves[direction]
-        return total
 
-    def _towards(
-        self, chain: _Chain, weights: np.ndarray, hull: np.ndarray | None, corner: np.ndarray
-    ) -> Any:
-        """The derivative from the weights towards a corner of the polytope."""
-        total, durations = None, self._durations(chain.pieces)
-        for k, (corners, tau) in enumerate(zip(chain.corners, durations, strict=True)):
-            away = combine(corners, corner) - combine(corners, weights)
-            inner = frechet(hull_of(corners, weights, hull) * tau, away * tau)
-            term = product_of([*chain.factors[:k], inner, *chain.factors[k + 1 :]])
-            total = term if total is None else total + term
-        return total
+def _slope(pieces: list[InputPiece], factors: list[Any], X: list[Any], direction: int) -> Any:
+    """∂E/∂p of u or a delay, X the generators of the pieces."""
+    size = X[0].nrows()
+    total = balls.zeros(size, size)
+    for k, piece in enumerate(pieces[:-1]):
+        if direction in piece.moves:
+            before, after = product_of(factors[: k + 1]), product_of(factors[k + 1 :])
+            total = total + after * (X[k] - X[k + 1]) * before * piece.moves[direction]
+    return total
 
 
 def _room(amount: Any, sign: int) -> Any:

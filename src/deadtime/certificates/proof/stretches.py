@@ -216,7 +216,7 @@ class StretchInequalities:
             if end == start:
                 product = balls.exact(np.eye(self.setting.order))
             elif end == start + 1:
-                product = self._full_step(mode, start)
+                product = self._step(mode, self.setting.transitions.row(mode, start))
             else:
                 middle = same if start < same < end else (start + end) // 2
                 product = self.full(mode, middle, end) * self.full(mode, start, middle)
@@ -242,9 +242,6 @@ class StretchInequalities:
                 else self._step(mode, rows[0])
             )
         return self.followed[key]
-
-    def _full_step(self, mode: int, age: int) -> Any:
-        return self._step(mode, self.setting.transitions.row(mode, age))
 
     def _step(self, mode: int, row: int) -> Any:
         (whole,) = cells_of(self.setting.family, mode, mode)

@@ -356,8 +356,9 @@ class SwitchGraph:
         """
         changing = self.ages if self.context == "mode_age" and self.bucket is None else 0
         shared = {*knots, 0, changing + self.lag + self.losses}
-        if self.lag:
-            shared |= self._changes()
+        if self.lag:  # the ages at which what may be told is not what it is a sample before
+            told = [[self.rows(i, a) for i in range(self.modes)] for a in range(self.lag + 1)]
+            shared |= {a for a in range(1, self.lag + 1) if told[a] != told[a - 1]}
         if self.losses:
             changing += self.losses
         shared |= {knot + (self.bucket or 0) for knot in knots}
@@ -388,11 +389,6 @@ class SwitchGraph:
         if not self.losses:
             return steps
         return [replace(step, lost=lost, next_lost=next_lost) for step in steps]
-
-    def _changes(self) -> set[int]:
-        """The ages up to the lag at which what may be told is not what it is a sample before."""
-        told = [[self.rows(i, a) for i in range(self.modes)] for a in range(self.lag + 1)]
-        return {a for a in range(1, self.lag + 1) if told[a] != told[a - 1]}
 
     def stretches(self, knots: tuple[int, ...]) -> list[NodeStretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
