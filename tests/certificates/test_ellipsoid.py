@@ -12,7 +12,7 @@ from scipy.stats import chi2
 import certificate_corpus as corpus
 import deadtime as dt
 from certificate_reference import rewritten
-from deadtime.certificates.dwell.sways import Sways
+from deadtime.certificates.dwell.evidence_search import Sways
 from deadtime.certificates.proof.box import family_of
 from deadtime.certificates.proof.covering import enclosures_of
 from deadtime.certificates.proof.ellipsoid import Sway, kronecker

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 import deadtime as dt
 import plants
-from deadtime.certificates.worst_case.admissible import mode_cycles
+from deadtime.certificates.worst_case.cycles import mode_cycles
 from deadtime.spectrum import lifted_loop
 from shares import mostly_long
 from worst_case_laws import QUICK, TURNING, H, drifting, free, measured

@@ -7,14 +7,12 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.certificates.worst_case.admissible import Admissible, Dwell, mode_cycles
 from deadtime.certificates.worst_case.candidates import _without_grid
 from deadtime.certificates.worst_case.cycle_growth import SampledLoop
-from deadtime.certificates.worst_case.cycle_words import Word, _apart
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.kinds import Kinds
-from deadtime.certificates.worst_case.products import compress
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle, Dwell, mode_cycles
+from deadtime.certificates.worst_case.products import Kinds, compress
 from deadtime.certificates.worst_case.run_search import _drawn
+from deadtime.certificates.worst_case.word_search import Word, _apart
 from deadtime.switching import SignalClass
 from worst_case_laws import QUICK, TURNING, H, free
 

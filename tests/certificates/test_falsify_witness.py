@@ -9,9 +9,8 @@ import pytest
 import deadtime as dt
 import plants
 import reference
-from deadtime.certificates.worst_case.admissible import Dwell
 from deadtime.certificates.worst_case.cycle_growth import SampledLoop
-from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.witness import repeat
 from shares import mostly_long
 from worst_case_laws import QUICK, H, drifting, measured

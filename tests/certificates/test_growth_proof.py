@@ -11,10 +11,10 @@ import certificate_reference as reference
 import deadtime as dt
 import exponential_products as products
 import plants
-from deadtime.certificates.worst_case import proof
+from deadtime.certificates.worst_case import growth_proof
 from deadtime.certificates.worst_case.cycle_growth import SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.proof import prove
+from deadtime.certificates.worst_case.growth_proof import prove
 from deadtime.spectrum import growth, root_enclosure
 from shares import mostly_long
 
@@ -143,7 +143,7 @@ def test_an_unstable_loop_of_a_multiple_eigenvalue_is_refuted(n):
 def test_growth_that_cannot_be_proved_is_no_answer_but_a_reason(monkeypatch):
     plant = plants.paper()
     law = plants.LAWS["averaged"](plant)
-    monkeypatch.setattr(proof, "enclose_growth", lambda *_: (-1e-4, 1e-4))
+    monkeypatch.setattr(growth_proof, "enclose_growth", lambda *_: (-1e-4, 1e-4))
     certificate = dt.certify(plant, law, 0.2, H)
     assert certificate.stable is None
     assert "Growth of +0.277 /s was computed when mode 1 is constant" in certificate.message
@@ -221,7 +221,7 @@ def test_a_constant_mode_that_grows_stands_in_for_a_cycle_beyond_reach(monkeypat
     plant = plants.paper()
     law = plants.LAWS["weighted"](plant)
     assert not dt.falsify(plant, law, 0.2, H).cycle.constant
-    monkeypatch.setattr(proof, "MOST_SECONDS", 0.0)
+    monkeypatch.setattr(growth_proof, "MOST_SECONDS", 0.0)
     worst = dt.falsify(plant, law, 0.2, H)
     assert worst.cycle.constant
     assert worst.proven
@@ -259,14 +259,14 @@ def test_a_forged_claim_about_a_constant_mode_is_not_proved():
 def test_what_is_beyond_a_proof_s_reach_is_said(monkeypatch):
     loop = along(1.0)
     assert prove(loop, WORD, -1.0).reason == "no growth was computed"
-    monkeypatch.setattr(proof, "MOST_SECONDS", 1e-9)
+    monkeypatch.setattr(growth_proof, "MOST_SECONDS", 1e-9)
     assert "a cycle of 15 periods of a loop of order 3 is beyond reach" in (
         prove(loop, WORD, 1.0).reason
     )
-    monkeypatch.setattr(proof, "MOST_SECONDS", 1.0)
-    monkeypatch.setattr(proof, "BITS", (2,))
+    monkeypatch.setattr(growth_proof, "MOST_SECONDS", 1.0)
+    monkeypatch.setattr(growth_proof, "BITS", (2,))
     assert prove(loop, WORD, 1.0).reason == "2 bits do not suffice"
-    monkeypatch.setattr(proof, "LARGEST", 2)
+    monkeypatch.setattr(growth_proof, "LARGEST", 2)
     assert prove(loop, Cycle((0,), (5.0,)), 1.0).reason == (
         "the loop has order 3, and 2 is the limit; lengthen the step"
     )

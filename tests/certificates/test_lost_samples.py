@@ -14,8 +14,8 @@ import observer_reference as reference
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import load_evidence
 from deadtime.certificates.proof.transitions import SwitchGraph
-from deadtime.certificates.worst_case.losses import _allowed
-from deadtime.certificates.worst_case.lost_at import LostAt
+from deadtime.certificates.worst_case.witness import LostAt
+from deadtime.certificates.worst_case.worst_cycle import _allowed
 from deadtime.cli.application import main
 from shares import mostly_long
 

@@ -262,7 +262,7 @@ def test_the_worst_signal_grows_as_said_in_a_run_with_late_modes(alpha, lag):
     plant, law = paper_loop(alpha)
     worst = dt.falsify(plant, law, 0.4, STEP, mode_lag=lag)
     assert worst.proven
-    assert worst.mode_lag == lag
+    assert worst.signals.mode_lag == lag
     cycles = 40
     run = worst.simulate(cycles)
     ends = np.abs(run.states[:, :: worst.cycle.periods]).max(axis=0)
@@ -286,4 +286,4 @@ def test_a_lag_that_is_refuted_is_not_certified():
     certificate = dt.certify(plant, law, 0.4, STEP, mode_lag=3)
     assert certificate.stable is False
     assert certificate.witness.proven
-    assert certificate.witness.mode_lag == 3
+    assert certificate.witness.signals.mode_lag == 3

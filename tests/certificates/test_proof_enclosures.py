@@ -10,8 +10,8 @@ from flint import arb
 from hypothesis import given, settings, strategies as st
 
 import certificate_reference as reference
+from deadtime.certificates.proof.balls import is_positive_definite
 from deadtime.certificates.proof.box import FIRST, POLYTOPE, U
-from deadtime.certificates.proof.definite import is_positive_definite
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import Enclosures, cells_of
 from deadtime.numerics.precision import precision

@@ -13,7 +13,7 @@ import deadtime as dt
 import plants
 from certificate_corpus import CORPUS
 from certificate_reference import Loop
-from deadtime.certificates.dwell.lyapunov_shape import future_sums
+from deadtime.certificates.dwell.stretch_program import future_sums
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, StretchEvidence, balls, check, load_evidence
 from deadtime.certificates.proof.evidence import Setting

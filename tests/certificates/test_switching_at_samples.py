@@ -14,7 +14,7 @@ import certificate_reference as reference
 import deadtime as dt
 from deadtime.certificates.proof import check
 from deadtime.certificates.proof.transitions import SwitchGraph
-from deadtime.certificates.worst_case.admissible import Admissible
+from deadtime.certificates.worst_case.cycles import Admissible
 from deadtime.certificates.worst_case.run_search import _drawn
 from deadtime.switching.signal_class import SignalClass
 

@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.certificates import theorem_bound
-from deadtime.certificates.theorem.own_delays import log_star
+from deadtime.certificates.theorem.sharp import log_star
 from shares import mostly_long
 
 DELAYS = {"two": [0.5, 0.2], "three": [0.3, 0.1, 0.2], "pairs": [0.4, 0.1, 0.4]}

@@ -5,7 +5,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.certificates.unmoved import why_unmoved
+from deadtime.certificates.reach import why_unmoved
 
 STEP = 0.1
 SCALAR = plants.scalar([0.0, 0.5])

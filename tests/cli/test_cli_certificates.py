@@ -65,7 +65,7 @@ def made_up(monkeypatch, tmp_path):
     for place, function in {
         "certificates.certify": certify,
         "certificates.falsify": lambda plant, law, dwell_time, step, mode_lag=0: CALM,
-        "margins.constant_modes.constant_delay_margin": lambda plant, law, step: margin,
+        "margins.delay.constant_delay_margin": lambda plant, law, step: margin,
     }.items():
         module, _, name = f"deadtime.{place}".rpartition(".")
         monkeypatch.setattr(import_module(module), name, function)

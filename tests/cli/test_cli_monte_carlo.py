@@ -165,7 +165,10 @@ def test_interrupted_before_the_first_scenario_it_says_so(capsys, monkeypatch):
             {"plant": dt.SwitchedSystem([[[1.0]]], [[[1.0]]], 1.0), "modes": ("one",)},
             "has one mode, so no signal switches it: use deadtime simulate",
         ),
-        ({"signal": dt.SwitchingSignal.constant(0), "dwell_time": None}, "so it has no dwell time"),
+        (
+            {"signal": dt.SwitchingSignal.constant(0), "signals": dt.SignalClass()},
+            "so it has no dwell time",
+        ),
         ({"u0": 1.0}, "must have u0 = 0"),
         ({"predict": "commanded"}, 'predict = "applied"'),
     ],

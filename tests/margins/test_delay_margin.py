@@ -8,7 +8,6 @@ import pytest
 
 import certificate_reference as reference
 import deadtime as dt
-from deadtime.margins import delay as searched
 
 # Three modes, one state, two inputs; the law's model is 4 % off, N = 3 and φ = 0.034 s.
 MODEL = dt.SwitchedSystem(
@@ -66,7 +65,7 @@ def test_pieces_cover_the_delays_that_hold_and_no_others(monkeypatch, low, high)
         assert math.floor(delays[1] / step - 1e-9) <= math.ceil(delays[0] / step - 1 + 1e-9)
         return Answer(low <= delays[0] and delays[1] <= high)
 
-    monkeypatch.setattr(searched, "certify", certify)
+    monkeypatch.setattr("deadtime.certificates.certify", certify)
     alone = dt.delay_margin(PLANT, LAW, STEP)
     found = dt.delay_margin(PLANT, LAW, STEP, DWELL_TIME)
     held = sorted(piece for piece in asked if low <= piece[0] and piece[1] <= high)
@@ -80,14 +79,16 @@ def test_pieces_cover_the_delays_that_hold_and_no_others(monkeypatch, low, high)
 
 
 def test_a_loop_that_is_not_certified_at_its_own_delay_has_no_margin(monkeypatch):
-    monkeypatch.setattr(searched, "certify", lambda *a, **k: Answer(None, "Inconclusive: so."))
+    monkeypatch.setattr(
+        "deadtime.certificates.certify", lambda *a, **k: Answer(None, "Inconclusive: so.")
+    )
     found = dt.delay_margin(PLANT, LAW, STEP, DWELL_TIME)
     assert (found.lower, found.upper, found.certified) == (None, None, False)
     assert found.message == "There is no certified margin: Inconclusive: so."
 
 
 def test_a_constant_mode_that_grows_is_named_and_nothing_else_is_asked(monkeypatch):
-    monkeypatch.setattr(searched, "certify", None)
+    monkeypatch.setattr("deadtime.certificates.certify", None)
     plant = dt.problems.paper().plant
     law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
     found = dt.delay_margin(plant, law, 0.1, 0.2)

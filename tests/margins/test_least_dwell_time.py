@@ -13,7 +13,7 @@ import exponential_products as products
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import main
 from deadtime.margins import dwell_time as module
-from deadtime.margins.bracket import Questions, bracket
+from deadtime.margins.stability import Questions, bracket
 
 TURNING = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])
 PLANT = dt.SwitchedSystem(TURNING, np.ones((2, 2, 1)), 0.3)

@@ -32,7 +32,7 @@ def test_what_is_proved_and_what_grows(name, upto, certified, refuted):
     found = dt.longest_mode_lag(plant, law, dwell_time, step, upto=upto)
     assert (found.certified, found.refuted, found.reads_mode) == (certified, refuted, True)
     assert found.certificate.evidence.setting.signals.mode_lag == certified
-    assert (found.witness.proven, found.witness.mode_lag) == (True, refuted)
+    assert (found.witness.proven, found.witness.signals.mode_lag) == (True, refuted)
     assert found.certified_seconds == pytest.approx(certified * step)
     assert found.refuted_seconds == pytest.approx(refuted * step)
     answers = dict(found.evaluations)

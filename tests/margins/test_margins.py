@@ -9,7 +9,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.margins import stability_chart, stability_margin
-from deadtime.margins.bracket import Questions, bracket
+from deadtime.margins.stability import Questions, bracket
 
 TRUTH = 0.6391  # the made-up loops are stable below
 

@@ -6,7 +6,6 @@ from scipy.linalg import block_diag
 
 import certificate_reference as reference
 import deadtime as dt
-from deadtime.margins import delay as searched
 from shares import mostly_long
 
 STEP = 0.05
@@ -221,7 +220,7 @@ def test_pieces_of_the_certified_margin_end_at_multiples_of_the_period_of_all_de
         asked.append(delays)
         return Answer()
 
-    monkeypatch.setattr(searched, "certify", certify)
+    monkeypatch.setattr("deadtime.certificates.certify", certify)
     margin = dt.delay_margin(plant, law, 0.1, 0.27, upto=0.5)
     for low, high in asked[1:]:
         ratios = np.array([low, high]) / 0.1

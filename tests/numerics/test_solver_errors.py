@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.certificates.dwell.cones import maximise
+from deadtime.certificates.dwell.solvers import maximise
 from deadtime.cli.application import main
 from deadtime.estimation.observer import common_rate
 from deadtime.gains import common_lyapunov, stabilize

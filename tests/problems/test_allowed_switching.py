@@ -89,15 +89,32 @@ def test_what_certificates_take_is_the_signal_s_else_the_model_s(load):
     rates = '[switching]\nkind = "markov"\nrates = [[0, 1.0, 0], [0.5, 0, 0.5], [0, 1.0, 0]]\n'
     drawn = load(rates + '[signal]\nkind = "model"\n')
     assert drawn.dwell_time is None
-    assert drawn.constraint.transitions.astype(int).tolist() == WAYS
+    assert drawn.limits.transitions.astype(int).tolist() == WAYS
     own = load(rates + '[signal]\nkind = "random"\ndwell_time = 0.3\n')
     assert signals_of(own, own.signal).signals == dt.SignalClass(0.3)
+
+
+def test_a_class_without_a_dwell_time_is_known_of_a_problem_and_asked_of_nothing(load):
+    rates = '[switching]\nkind = "markov"\nrates = [[0, 1.0, 0], [0.5, 0, 0.5], [0, 1.0, 0]]\n'
+    problem = load(rates + '[signal]\nkind = "model"\n')
+    assert problem.signals == dt.SignalClass(transitions=WAYS)
+    law = next(iter(problem.laws.values()))
+    for ask in (dt.certify, dt.falsify):
+        with pytest.raises(dt.ArgumentError, match=r"dwell_time must be a number .* got none"):
+            ask(problem.plant, law, problem.signals, 0.1)
+
+
+def test_an_average_dwell_time_with_a_chatter_of_one_is_a_dwell_time(load):
+    text = '[signal]\nkind = "random"\naverage_dwell_time = 0.3\nchatter = {}\n'
+    assert load(text.format(1)).dwell_time == 0.3
+    averaged = load(text.format(2))
+    assert (averaged.dwell_time, averaged.signals) == (None, dt.SignalClass(0.3, chatter=2))
 
 
 def test_a_dead_end_draws_no_random_signals(load):
     ends = load(LIMITED.replace("[0, 1, 0]]", "[0, 0, 0]]").replace("0.9]", "inf]"))
     with pytest.raises(dt.ArgumentError, match=r"transitions\[2\] allows no switch"):
-        random_model(ends.constraint)
+        random_model(ends.limits)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +159,7 @@ def test_certify_asks_about_what_the_file_and_the_options_say(load, capsys, monk
 
 
 def test_a_problem_without_limits_is_asked_about_as_before():
-    paper = dataclasses.replace(dt.problems.paper(), dwell_time=None)
+    paper = dataclasses.replace(dt.problems.paper(), signals=dt.SignalClass())
     assert signals_of(paper, paper.signal).signals == dt.SignalClass(0.2)
 
 
@@ -189,7 +206,7 @@ def test_given_signals_at_samples_are_checked(load):
     )
     with pytest.raises(dt.ProblemFileError, match=r"got one at 1\.25 s with a period of 0\.1 s"):
         load(text)
-    assert load(text.replace("1.25", "1.3")).switches_at == "samples"
+    assert load(text.replace("1.25", "1.3")).signals.at == "samples"
 
 
 def test_monte_carlo_and_studies_draw_no_signals_at_samples(load, capsys):
@@ -225,7 +242,7 @@ def test_another_period_keeps_at_samples_only_where_it_is_a_part_of_the_file_s(l
     for text in (SAMPLED, CHAIN):
         problem = load(text)
         for step, kept_at in ((None, True), (0.05, True), (0.2, False), (0.07, False)):
-            assert (with_step(problem, step).switches_at == "samples") is kept_at
+            assert (with_step(problem, step).signals.at == "samples") is kept_at
 
 
 def test_monte_carlo_draws_from_a_chain_at_samples(load, capsys):

@@ -111,7 +111,7 @@ def test_report_bound_and_certificate_ask_about_the_file_s_dwell_time(file, caps
 
 def test_what_a_problem_does_not_state_is_taken_from_its_signal_and_said():
     paper = dt.problems.paper()
-    unsaid = dataclasses.replace(paper, dwell_time=None, mean_sojourn=None)
+    unsaid = dataclasses.replace(paper, signals=dt.SignalClass(), mean_sojourn=None)
     assert dwell_time_of(unsaid, unsaid.signal) == (0.2, "the shortest sojourn of its signal")
     model = dt.Markov([[-1.0, 1.0], [1.0, -1.0]])
     drawn = dataclasses.replace(unsaid, switching=model, signal=model.sample(9.0, seed=1))

@@ -22,8 +22,14 @@ PAPER = dt.problems.paper()
     [
         ({"horizon": 0.9}, ["The delay, 1 s, is not shorter than the horizon, 0.9 s"]),
         ({"step": 0.3}, ["The step, 0.3 s, is longer than the dwell time, 0.2 s"]),
-        ({"step": 0.3, "dwell_time": None}, ["The step, 0.3 s, is longer than the dwell time"]),
-        ({"step": 15.0, "dwell_time": 20.0}, ["The step, 15 s, is not shorter than the horizon"]),
+        (
+            {"step": 0.3, "signals": dt.SignalClass()},
+            ["The step, 0.3 s, is longer than the dwell time"],
+        ),
+        (
+            {"step": 15.0, "signals": dt.SignalClass(20.0)},
+            ["The step, 15 s, is not shorter than the horizon"],
+        ),
         ({"step": 10.0, "horizon": 5.0}, ["The step, 10 s, is not", "The step, 10 s, is longer"]),
         ({"step": None, "horizon": 0.5}, ["The delay, 1 s"]),
         ({}, []),
@@ -154,7 +160,7 @@ def test_short_sojourns_of_a_drawn_signal_are_no_slip_but_short_ones_as_a_rule_a
     signal = model.sample(400.0 / rate, seed=1)
     assert signal.dwell_time < 0.05 / rate < 5.0 / rate
     drawn = dataclasses.replace(
-        PAPER, switching=model, signal=signal, dwell_time=None, horizon=300.0 / rate
+        PAPER, switching=model, signal=signal, signals=dt.SignalClass(), horizon=300.0 / rate
     )
     assert slips_of(drawn, 0.05 / rate) == []
     (said,) = slips_of(drawn, 5.0 / rate)

@@ -77,7 +77,7 @@ def made_up(monkeypatch):
         ("certificates", certify),
         ("certificates.worst_case", falsify),
         ("certificates", falsify),
-        ("margins.constant_modes", constant_delay_margin),
+        ("margins.delay", constant_delay_margin),
     ):
         monkeypatch.setattr(import_module(f"deadtime.{module}"), function.__name__, function)
 

@@ -1,7 +1,11 @@
-"""Certificate: whether a loop is stable for every admissible signal, and why."""
+"""A certificate: whether a loop is stable for every admissible signal, and why, in words.
+
+The sentences are made from the numbers that were checked and from nothing else.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +15,11 @@ from jaxtyping import Float
 
 from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import number_of
 from deadtime.certificates.proof import Evidence, StretchEvidence, save_evidence
 from deadtime.certificates.proof.box import Box
-from deadtime.certificates.proof.statement import decay_rate, round_down, statement
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.stretches import decay_rate
 
 
 def require_json(name: str, path: str | Path) -> Path:
@@ -138,3 +144,117 @@ def _also(evidence: Evidence | StretchEvidence) -> str:
     many = len(evidence.setting.A) > 1, evidence.setting.axes is not None
     kinds = " and every plant in the polytope", " and every plant in the ellipsoid"
     return delays + "".join(kind for kind, there in zip(kinds, many, strict=True) if there)
+
+
+def round_down(rate: float, digits: int = 4) -> str:
+    """A positive rate with so many significant digits, never more than it is."""
+    unit = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
+    return f"{math.floor(rate / unit) * unit:.{digits}g}"
+
+
+def is_box(setting: Setting) -> bool:
+    """Whether every delay has a range of its own."""
+    return isinstance(setting.delays, np.ndarray) and setting.delays.ndim == 3
+
+
+def delays_in_words(setting: Setting) -> str:
+    """The plant's delay, or delays."""
+    if is_box(setting):
+        low, high = np.array(setting.delays).tolist()
+        return (
+            f"s any constant values from {low} s to {high} s (a list per mode, "
+            "with a value per input), each in its range whatever the others are"
+        )
+    if isinstance(setting.delays, np.ndarray):
+        return f"s {setting.delays.tolist()} s (a list per mode, with a value per input)"
+    low, high = setting.delays
+    return f" {low!r} s" if low == high else f" any constant value in [{low!r}, {high!r}] s"
+
+
+def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
+    """Sentences: what holds, for which numbers, and how it was shown."""
+    setting, rho = evidence.setting, evidence.rho
+    signals, words = setting.signals, setting.signals.sentence(setting.A.shape[1])
+    ends, plants = any(map(math.isfinite, setting.limits.maximum_dwell)), "the plant"
+    if setting.axes is not None:
+        plants = (
+            f"any plant in the ellipsoid about the given one, of {len(setting.axes)} half axes in "
+            "the entries of A and B (constant within each period)"
+        )
+    elif len(setting.A) > 1:
+        plants = "any plant in the polytope of the given ones (constant within each period)"
+    alike = ""
+    if isinstance(setting.delays, np.ndarray) and not is_box(setting):
+        alike = ", and parts of a period beyond one that differ by less count as the least of them"
+    rate = decay_rate(evidence)
+    falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
+    when, parts = "over a period", ""  # what else was checked but inequalities in balls
+    if isinstance(evidence, Evidence):
+        kind = f"{'' if evidence.S.size else 'common '}Lyapunov function"
+        kind += " of mode and age" if evidence.S.size else ""
+        parts = "one factorisation with a rigorous error bound, and "
+    elif setting.transitions.bucket is not None:
+        kind = "Lyapunov function of the mode, which may rise at a switch"
+        when = "over any number of periods"
+        falls = f"per period {falls}" if rate else falls
+        falls += f", but for one factor of at most {evidence.mu!r} to the power {signals.chatter}"
+    else:
+        kind = "Lyapunov function of mode and age, followed along whole stretches of periods"
+        ages = ", ".join(map(str, evidence.knots))
+        when = f"from one node (a mode at one of the ages {ages}) to the next"
+        falls = f"per period {falls}" if rate else falls
+    pace = f" decays at least like exp(−{round_down(rate, 6)} t)" if rate else " decays to zero"
+    rows = {
+        "none": "nothing (one row)",
+        "mode": "the sampled mode",
+        "mode_age": f"the sampled mode and its age in samples, {setting.ages} ages",
+    }[setting.context]
+    late = ""
+    if signals.mode_lag:
+        late = f", which it is told {number_of(signals.mode_lag, 'period')} late"
+    kept = memory = ""
+    if setting.memory:
+        memory = ", memory of the law"
+        kept = (
+            f" It remembers {number_of(setting.memory, 'number')} besides its inputs (an estimate, "
+            "and sums of errors), whose rows are products of what it computes with, rounded; what "
+            "decays is these, too, where the reference is 0, no constant disturbance acts, and "
+            f"{_measured(setting)}."
+        )
+    elif signals.lost_samples:
+        kept = f" What decays does so where {_measured(setting)}."
+    anywhere = signals.at == "anywhere"
+    cover = " that cover every instant of a switch within a period" * anywhere
+    how = (
+        f"Proved by machine: a {kind}, of order {setting.order}, {parts}{cells} inequalities in "
+        f"ball arithmetic of 128 bits{cover}: {when} the Lyapunov function falls {falls}."
+    )
+    return (
+        f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
+        f"initial state{memory} and past input, the digital loop of {plants} with this "
+        f"table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
+        f"(offsets){' and noise' if signals.lost_samples else ', noise and lost samples'}.",
+        f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
+        f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
+        "runs.",
+        f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}{late}."
+        f"{kept} "
+        "Plant entries, delay and period are all reals within half a unit in the last place of the "
+        "stored ones: the decimals that were written and the binary64 numbers alike. By the "
+        "controller's clock a sojourn may be shorter than the dwell time"
+        f"{' or longer than the maximum' * ends} by the part "
+        f"{signals.clock_tolerance!r} of it. Arithmetic of the running loop is taken as exact.",
+        how,
+    )
+
+
+def _measured(setting: Setting) -> str:
+    """Which samples a law has, at the least."""
+    lost = setting.signals.lost_samples
+    if not lost:
+        return "every sample is measured"
+    return (
+        f"at most {number_of(lost, 'sample')} in a row "
+        f"{'is' if lost == 1 else 'are'} lost, whichever, by the table's rows of a "
+        "lost sample and with the mode that was told last"
+    )

@@ -8,6 +8,8 @@ signal has the last word.
 
 from __future__ import annotations
 
+from deadtime.certificates.reach import why_unmoved
+
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -20,18 +22,20 @@ from deadtime.base.checks import instance, number, positive, reporter
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates.certificate import Certificate
 from deadtime.certificates.dwell.evidence_search import EvidenceSearch, Freedom
-from deadtime.certificates.dwell.frame import whole
+from deadtime.certificates.dwell.stretch_program import whole
 from deadtime.certificates.dwell.stretch_search import StretchSearch
-from deadtime.certificates.plants import delays_of, extremes, plants_of
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.reach import (
+    delays_of,
+    extremes,
+    neutral,
     out_of_reach,
+    plants_of,
     told_late,
     too_large,
     too_many_told,
 )
-from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
@@ -178,14 +182,14 @@ def _decide(
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
     corners = extremes(plants, setting.axes, setting.delays, table)
-    rates = [
+    held = [
         (constant_growth(with_memory(one, table), table, mode, aged_row(table, mode)), mode, one)
         for one in corners
         for mode in range(one.modes)
     ]
     lasting = setting.limits.lasting
     if lasting:
-        constant = (rate for rate in rates if rate[1] in lasting)
+        constant = (one for one in held if one[1] in lasting)
         slowest, mode, corner = max(constant, key=lambda item: item[0])
         least = least_growth(corner)
         if slowest > least and not search_signals:
@@ -207,13 +211,15 @@ def _decide(
             return worst if worst is not None and worst.stable is False else Certificate(None, kept)
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
-        fastest = max(0.0, *(-rate for rate, _, _ in rates))
+        fastest = max(0.0, *(-rate for rate, _, _ in held))
     # Of lost samples the search is quick, functions are not.
     early = search_signals and setting.signals.lost_samples > 0
     searched = _searched(corners, law, setting, progress) if early else []
     if searched and searched[-1].stable is False:
         return searched[-1]
-    evidence, outcome = _evidence(setting, _rates(wanted, fastest), progress)
+    rates = [part * fastest for part in PARTS if fastest > 0.0] + [0.0]
+    rates = rates if wanted is None else [wanted]
+    evidence, outcome = _evidence(setting, rates, progress)
     if evidence is not None:
         return Certificate.of(evidence, outcome.cells)
     if not search_signals:
@@ -259,16 +265,12 @@ def _evidence(
             proposal = slowest if rho == rhos[-1] else search.propose(rho)
             if proposal is None:
                 continue
-            progress(f"kind {kind} of {len(levels)}: proving a decay of {_rate(rho, setting)} 1/s")
+            rate = -math.log(rho) / setting.step + 0.0
+            progress(f"kind {kind} of {len(levels)}: proving a decay of {rate:.3g} 1/s")
             evidence, outcome = search.prove(proposal)
             if outcome.proven:
                 return evidence, outcome
     return None, outcome
-
-
-def _rate(rho: float, setting: Setting) -> str:
-    """The decay rate of a factor per period, in words."""
-    return f"{-math.log(rho) / setting.step + 0.0:.3g}"
 
 
 def _levels(setting: Setting) -> list[Freedom | None]:
@@ -288,13 +290,6 @@ def _levels(setting: Setting) -> list[Freedom | None]:
     many = setting.order > LARGE or setting.family.ranges or setting.signals.lost_samples
     most = 2 if many else 4
     return [level for level in levels if (along if level is None else level.eigenvectors <= most)]
-
-
-def _rates(wanted: float | None, fastest: float) -> list[float]:
-    """Decay rates to try, best first; `fastest` is what the modes alone allow."""
-    if wanted is not None:
-        return [wanted]
-    return [part * fastest for part in PARTS if fastest > 0.0] + [0.0]
 
 
 def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Certificate:

@@ -16,11 +16,12 @@ import numpy as np
 from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.wording import number_of
+from deadtime.certificates.certificate import statement
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Delays
-from deadtime.certificates.proof.statement import decay_rate, statement
+from deadtime.certificates.proof.stretches import decay_rate
 from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
@@ -73,11 +74,7 @@ class ExpectedClaim:
 
     def missing_from(self, setting: Setting) -> str:
         """How a certificate falls short of it, if it does."""
-        asked = self._asked(setting)
-        return self._loop(setting, asked) or self._signals(setting, asked)
-
-    def _asked(self, setting: Setting) -> SignalClass:
-        """The signals that are asked about; those of the certificate where nothing is asked."""
+        # Signals are those of the certificate where nothing is asked.
         own: dict[str, Any] = {**vars(setting.signals), "chatter": 1, "lost_samples": 0}
         times = {"dwell_time", "maximum_dwell", "transitions"} & {*self.signals}
         if times:  # without a limit there is none
@@ -86,7 +83,8 @@ class ExpectedClaim:
             own["clock_tolerance"] = CLOCK_TOLERANCE
         if self.law is not None or "lost_samples" in self.signals:
             own["mode_lag"] = 0  # it is told the mode at once, unless it is said how late
-        return SignalClass(**(own | self.signals))
+        asked = SignalClass(**(own | self.signals))
+        return self._loop(setting, asked) or self._signals(setting, asked)
 
     def _loop(self, setting: Setting, asked: SignalClass) -> str:
         law, step, signals = self.law, self.step, setting.signals

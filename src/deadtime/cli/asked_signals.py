@@ -23,7 +23,8 @@ def with_step(problem: Problem, step: float | None) -> Problem:
     if step is None:
         return problem
     kept = snap((problem.step or 0.0) / positive("step", step)).is_integer()
-    return replace(problem, step=step, switches_at=problem.switches_at if kept else "anywhere")
+    at = problem.signals.at if kept else "anywhere"
+    return replace(problem, step=step, signals=replace(problem.signals, at=at))
 
 
 def delays_from(text: str) -> float | list[float] | list[list[float]]:
@@ -60,7 +61,7 @@ def signals_and_step(
     """
     from deadtime.problems.asked import signals_of, step_of
 
-    promised = problem.dwell_time is not None or problem.average_dwell_time is not None
+    promised = problem.signals.dwell_time is not None
     if dwell_time is None and not promised and problem.switching is not None:
         raise ArgumentError(
             f"the problem {problem.name!r} has a model of its switching, which promises no dwell "
@@ -84,7 +85,7 @@ def kept_by_search(
     from deadtime.problems.asked import signals_of, step_of
 
     times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
-    least, own = times[0], problem.constraint
-    if least is None and mode is None and (own is None or len(set(own.dwell_time)) == 1):
+    least = times[0]
+    if least is None and mode is None and len(set(problem.limits.dwell_time)) == 1:
         least = [SHORT * step_of(problem)]  # one for all modes says nothing of their proportions
     return signals_of(problem, problem.signal, least, times[1], chatter, at).signals

@@ -213,7 +213,7 @@ def _require_signals(problem: Problem) -> None:
         )
     model, step = problem.switching, problem.step
     drawn_so = model is not None and step is not None and model.at_samples(step)
-    if problem.switches_at == "samples" and not drawn_so:
+    if problem.signals.at == "samples" and not drawn_so:
         raise ArgumentError(
             f"the modes of the problem {problem.name!r} change at samples only, and Monte Carlo "
             "draws instants between them: leave at out of its [signal], or give it a [switching] "
@@ -265,7 +265,7 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Sw
     from deadtime.switching.models.sojourns import ShiftedExponential
 
     if _is_limited(problem):
-        averaged = problem.average_dwell_time is not None  # whose own is no shortest sojourn
+        averaged = problem.signals.chatter > 1  # whose own is no shortest sojourn
         asked = [sojourn.dwell.value] if averaged or sojourn.dwell.source == AS_ASKED else None
         signals = signals_of(problem, problem.signal, asked).signals
         allowed = signals.limits(problem.plant.modes)
@@ -278,7 +278,7 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Sw
 
 def _is_limited(problem: Problem) -> bool:
     """Whether the file says more of its signals than one dwell time."""
-    return problem.constraint is not None and not problem.constraint.is_plain
+    return not problem.limits.is_plain
 
 
 def _print(
@@ -298,8 +298,7 @@ def _print(
     print_heading(problem.title)
     print(_drawn(problem, model, sojourn, data, outcome))
     if _is_limited(problem):
-        assert problem.constraint is not None
-        switches = with_names(problem.constraint.in_words()[1], problem.modes)
+        switches = with_names(problem.limits.in_words()[1], problem.modes)
         print(f"• Every signal {switches}.")
     elif sojourn is not None:
         print(

@@ -60,7 +60,7 @@ def robustness(
     from deadtime.base.checks import positive
     from deadtime.base.wording import with_names
     from deadtime.margins import robustness as assess
-    from deadtime.margins.robustness.assess import STEPS
+    from deadtime.margins.robustness import STEPS
     from deadtime.problems.asked import step_of
     from deadtime.problems.slips import slips_of
     from deadtime.reports.figures.robustness import plot_robustness

@@ -1,8 +1,7 @@
 """The first true delay at which a loop is at the limit of stability.
 
-A root lies there at (ω, D) if an eigenvalue of the loop's gain X(ω, D) is 1
-(`deadtime.margins.loop_gain`), that is, if along one of the curves D_k(ω) on which the phase is
-right,
+A root lies there at (ω, D) if an eigenvalue of the loop's gain X(ω, D) is 1, that is, if along one
+of the curves D_k(ω) on which the phase is right,
 
     arg λ(ω, D_k(ω)) = 0 (mod 2π),    the level    G(ω) = ln|λ(ω, D_k(ω))|    is 0.
 
@@ -20,6 +19,23 @@ makes 1e-15 of an exact 0, and no plant is known to 1e-9.
 At the Nyquist frequency X is real and the curve is that frequency itself, for a real root passes
 −1. There det(I − X) is a real function of D, of period 2h. All this is double precision on
 samples, not a proof.
+
+With the plant's delay line p at the true delay D (`deadtime.spectrum.response`) a root lies on the
+limit of stability at the frequency ω exactly if
+
+    X(ω, D) = M⁻¹ r p    has the eigenvalue λ = 1.
+
+In the ideal loop a longer delay turns λ by e^{−iωD} and leaves |λ| as it is; in the digital loop
+|λ| also depends on where in a period the delay ends, and on nothing else about it. So no delay
+puts a root at ω unless some |λ| is 1 there at some part of a period: the gain alone leaves a
+few short bands. A perturbation of X gives, for an eigenvalue with left and right vectors y, x,
+
+    d ln λ = yᴴ dX x/(λ yᴴ x),    dX = M⁻¹ (d(r p) − dM X).
+
+A cell between two frequencies is cut in halves until it is
+decided: G cannot reach 0 in it, |G| at both ends being above what the slopes there allow; G changes
+its sign once; or G is 0 but for `TOUCH`. In a digital loop G has a bend wherever D_k passes a
+multiple of the period.
 """
 
 from __future__ import annotations
@@ -30,14 +46,287 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.margins.curves import Curve, candidates, follow, refine, solve
-from deadtime.margins.loop_gain import Band, loop_gain
-from deadtime.numerics.small_matrices import inverses, matched
+from deadtime.numerics.small_matrices import inverses, matched, traces
 from deadtime.spectrum.response import Response, Samples
 
+_FINE = 0.25  # of |d ln λ/dω|, times the distance of two samples
+_FINEST = 1e-12  # of the highest frequency: closer than this nothing is sampled
+_END = 1e-6  # of the lowest even sample
+_LARGE = 1e150
+_NOTHING = 1e-12  # relative to the largest entry
+TOUCH = 1e-9  # of ln|λ|
+_NEWTON, _PHASE, _RIGHT, _SHORTEST = 40, 1e-12, 1e-6, 1e-4
+_ROUNDS, _MOST, _FINEST = 60, 20_000, 1e-14
+_SECANT, _PART = 60, 1e-11  # of a cell
 _AT_ONCE = 16  # curves
 _RING = 0.05  # of the delay: the width of the first ring
 _NYQUIST = 256  # delays in two periods
+
+
+class Gain(NamedTuple):
+    """Eigenvalues λ of X and d ln λ by frequency and by delay, each (points, m)."""
+
+    value: np.ndarray
+    by_frequency: np.ndarray
+    by_delay: np.ndarray
+
+
+class Band(NamedTuple):
+    """Frequencies next to each other between which |λ| may be 1 at some delay.
+
+    spread : by how much ln|λ| may differ between delays within a period.
+    around : e^{−iωD} tells where λ turns to but for so many seconds of delay.
+    """
+
+    samples: Samples
+    spread: float
+    around: float
+
+
+def loop_gain(response: Response, samples: Samples, delay: np.ndarray) -> Gain:
+    """λ and its slopes at samples, a delay for each or one for all."""
+    p, p_slope, p_speed = response.delay_line(samples.omega, delay)
+    inverse = inverses(samples.M)
+    X = inverse @ samples.r @ p
+    turned = inverse @ (samples.r_slope @ p + samples.r @ p_slope - samples.M_slope @ X)
+    moved = inverse @ samples.r @ p_speed
+    X, turned, moved = (np.where(np.isfinite(part), part, _LARGE) for part in (X, turned, moved))
+    if X.shape[-1] == 1:
+        value, parts = X[:, :, 0], (turned[:, :, 0], moved[:, :, 0])
+    else:
+        value, right = np.linalg.eig(X)
+        left = inverses(right)
+        parts = tuple(np.einsum("pij,pjk,pki->pi", left, part, right) for part in (turned, moved))
+    # Fewer states than inputs, or a gain with a row of 0, leave eigenvalues that are 0 but for
+    # round-off, whose logarithm has no slope.
+    floor = _NOTHING * (1.0 + np.abs(X).max(axis=(1, 2)))[:, None]
+    nothing = np.abs(value) <= floor
+    value = np.where(nothing, floor, value)
+    by_frequency, by_delay = (np.where(nothing, 0.0, part / value) for part in parts)
+    return Gain(value, by_frequency, by_delay)
+
+
+def bands(response: Response, delay: float) -> list[Band]:
+    """Where |λ| may be 1 at some delay, in rising order; the first samples are for this delay."""
+    count = int(2.0 * response.highest * (response.memory + delay)) + 64
+    omega = (np.arange(count) + 0.5) / count * response.highest
+    # Between the outermost samples and the ends of the range there is next to nothing.
+    outer = response.samples(np.array([_END * omega[0], response.highest - _END * omega[0]]))
+    inner = response.samples(omega, even=True)
+    parts = zip(outer, inner, strict=True)
+    samples = Samples(*(np.concatenate((a[:1], b, a[1:])) for a, b in parts))
+    low, high, rate, lag = _levels(response, samples)
+    least = _FINEST * response.highest
+    while True:
+        points = np.concatenate(([0.0], samples.omega, [response.highest]))
+        gap = np.diff(points)
+        turns = _ends(rate, np.maximum) * gap
+        away = np.maximum(_ends(low, np.minimum), -_ends(high, np.maximum)).min(axis=1)
+        clear = turns <= np.clip(away, 0.0, _FINE)
+        coarse = np.flatnonzero(~clear & ~(turns <= _FINE) & (gap > least))
+        if coarse.size == 0:
+            break
+        more = response.samples(points[coarse] + gap[coarse] / 2.0)
+        new = (*more, *_levels(response, more))
+        old = (*samples, low, high, rate, lag)
+        merged = [np.insert(a, coarse, b, axis=0) for a, b in zip(old, new, strict=True)]
+        samples, (low, high, rate, lag) = Samples(*merged[:-4]), merged[-4:]
+    return _runs(samples, clear, high - low, lag)
+
+
+def _levels(response: Response, samples: Samples) -> tuple[np.ndarray, ...]:
+    """The least and the largest ln|λ| over all delays, moduli in order; rate of change; lag."""
+    cuts, points = response.cuts, samples.omega.size
+    delay = np.repeat(cuts, points)
+    gain = loop_gain(response, samples.repeat(cuts.size), delay)
+    level = np.sort(np.log(np.abs(gain.value)), axis=1).reshape(cuts.size, points, -1)
+    rates = np.abs(gain.by_frequency + 1j * delay[:, None]).max(axis=1).reshape(cuts.size, points)
+    turns = np.imag(gain.by_delay).reshape(level.shape) / samples.omega[:, None]
+    lags = np.abs(1.0 + turns).max(axis=2)
+    # Between two of these delays it may go on by half of what it changed; the first follows the
+    # last, for a delay of a whole period is one of none.
+    slack = 0.5 * np.abs(np.diff(level, axis=0, prepend=level[-1:])).max(axis=0)
+    low, high = level.min(axis=0) - slack, level.max(axis=0) + slack
+    # Where |λ| is small its zeros make ln|λ| steep but |λ| not; poles make both steep.
+    own = np.max(rates, axis=0) * np.exp(np.minimum(high.max(axis=1), 0.0))
+    law = np.abs(traces(inverses(samples.M), samples.M_slope))
+    rate = np.nan_to_num(np.max([own, np.abs(samples.plant), law], axis=0), nan=np.inf)
+    lag = (response.period or 0.0) * np.minimum(np.nan_to_num(np.max(lags, axis=0), nan=1.0), 1.0)
+    return low, high, rate, lag
+
+
+def _ends(value: np.ndarray, choose: np.ufunc) -> np.ndarray:
+    """Of the values at both ends of every cell, the ones chosen; there is one at the outer two."""
+    return np.concatenate((value[:1], choose(value[1:], value[:-1]), value[-1:]))
+
+
+def _runs(samples: Samples, clear: np.ndarray, spread: np.ndarray, lag: np.ndarray) -> list[Band]:
+    """Samples around cells that are not clear, cells next to each other in one band."""
+    # Cell i lies between the samples i − 1 and i; the outer two have one sample each.
+    inside = np.concatenate(([False], ~clear, [False]))
+    edges = np.flatnonzero(np.diff(inside.astype(int)))
+    found = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        part = slice(max(first - 1, 0), min(last, samples.omega.size - 1) + 1)
+        inner = Samples(*(x[part] for x in samples))
+        found.append(Band(inner, float(spread[part].max()), float(lag[part].max())))
+    return found
+
+
+class Curve(NamedTuple):
+    """Points of pieces of curves D_k: which piece, rising ω, D, G, dG/dω, the band's spread.
+
+    above : by how much G is above the mean of ln|λ| over all eigenvalues, which tells them apart:
+        a change of the delay within a period makes all of them larger or smaller, much alike.
+    """
+
+    piece: np.ndarray
+    omega: np.ndarray
+    delay: np.ndarray
+    level: np.ndarray
+    slope: np.ndarray
+    spread: np.ndarray
+    above: np.ndarray
+
+    def at(self, index: np.ndarray) -> Curve:
+        """Some of the points."""
+        return Curve(*(part[index] for part in self))
+
+    def where(self, here: np.ndarray, other: Curve) -> Curve:
+        """These points, or another curve's."""
+        return Curve(*(np.where(here, *pair) for pair in zip(self, other, strict=True)))
+
+    def with_points(self, other: Curve) -> Curve:
+        """Both curves' points, in order."""
+        both = [np.concatenate(pair) for pair in zip(self, other, strict=True)]
+        order = np.lexsort((both[1], both[0]))
+        return Curve(*both).at(order)
+
+
+def follow(
+    response: Response,
+    piece: np.ndarray,
+    omega: np.ndarray,
+    delay: np.ndarray,
+    spread: np.ndarray,
+    above: np.ndarray,
+) -> Curve:
+    """Curves at frequencies, by Newton's method on the phase from delays near them."""
+    samples, period = response.samples(omega), response.period or math.inf
+    shortest = _SHORTEST * (response.period or 0.0)
+    value, a, b = np.empty((3, omega.size), complex)
+    farthest, phase = np.full(omega.size, 0.25 * period), np.zeros(omega.size)
+    delay, above, moving = delay.copy(), above.copy(), np.arange(omega.size)
+    for _ in range(_NEWTON):
+        gain = loop_gain(response, Samples(*(x[moving] for x in samples)), delay[moving])
+        which = np.arange(moving.size), np.zeros(moving.size, int)
+        if gain.value.shape[1] > 1:
+            log = np.log(gain.value)
+            log -= np.real(log).mean(axis=1, keepdims=True)
+            alike = np.exp(np.clip(above[moving], -600.0, 600.0))[:, None]
+            which = which[0], np.abs(np.exp(log) - alike).argmin(axis=1)
+            above[moving] = np.real(log)[which]
+        for kept, part in zip((value, a, b), gain, strict=True):
+            kept[moving] = part[which]
+        now = np.angle(value[moving])
+        # A step over the curve was too long; without this, two delays may follow on each other.
+        farthest[moving] *= np.where(now * phase[moving] < 0.0, 0.5, 1.0)
+        phase[moving] = now
+        far = np.abs(now) > _PHASE * (1.0 + omega[moving] * np.abs(delay[moving]))
+        moving = moving[far & (farthest[moving] > shortest)]
+        if moving.size == 0:
+            break
+        with np.errstate(all="ignore"):
+            change = np.clip(
+                -phase[moving] / np.imag(b[moving]), -farthest[moving], farthest[moving]
+            )
+        delay[moving] += np.where(np.isfinite(change), change, 0.0)
+    with np.errstate(all="ignore"):
+        slope = np.real(a) - np.real(b) * np.imag(a) / np.imag(b)
+        # Close to the Nyquist frequency the phase is next to 0 at any delay.
+        enough = _RIGHT * np.fmin(1.0, period * np.abs(np.imag(b)))
+    # Where the phase does not come right, or turns back, there is no point of the curve.
+    right = (np.abs(phase) < enough) & np.isfinite(slope)
+    level, slope = np.where(right, (np.log(np.abs(value)), slope), np.nan)
+    return Curve(piece, omega, delay, level, slope, spread, above)
+
+
+def refine(response: Response, curve: Curve, low: float, high: float) -> Curve:
+    """The curve with points so close that every cell with delays in an interval is decided."""
+    most = curve.omega.size + _MOST
+    for _ in range(_ROUNDS):
+        cells = np.flatnonzero(_judge(curve, response.period)[0])
+        before, after = curve.delay[cells], curve.delay[cells + 1]
+        within = (np.maximum(before, after) >= low) & (np.minimum(before, after) <= high)
+        cells = cells[within]
+        if cells.size == 0 or curve.omega.size + cells.size > most:
+            break
+        one, other = curve.at(cells), curve.at(cells + 1)
+        curve = curve.with_points(_between(response, one, other, 0.5 * (one.omega + other.omega)))
+    return curve
+
+
+def candidates(curve: Curve, period: float | None) -> np.ndarray:
+    """The cells in which the level changes its sign; or, where it is all but 0, its slope."""
+    _, crossing, touching = _judge(curve, period)
+    turning = touching & (curve.slope[1:] * curve.slope[:-1] <= 0.0)
+    return np.flatnonzero(crossing | turning)
+
+
+def _judge(curve: Curve, period: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every cell between two points: undecided; with a change of sign; all but 0."""
+    before, after = curve.level[:-1], curve.level[1:]
+    gap = np.diff(curve.omega)
+    steep = np.maximum(np.abs(curve.slope[:-1]), np.abs(curve.slope[1:])) * gap
+    # Over a quarter of a period and more, the delay may do to the level what slopes do not tell.
+    far = np.zeros(gap.size, bool)
+    if period is not None:
+        far = np.abs(np.diff(curve.delay)) > 0.25 * period
+    change, same = after - before, before * after > 0.0
+    clear = same & (np.minimum(np.abs(before), np.abs(after)) > steep + curve.spread[1:] * far)
+    along = (curve.slope[:-1] * change > 0.0) & (curve.slope[1:] * change > 0.0)
+    crossing = ~same & along & (steep < 4.0 * np.abs(change)) & ~far
+    touching = (np.maximum(np.abs(before), np.abs(after)) <= TOUCH) & (steep <= 10.0 * TOUCH)
+    known = np.isfinite(before) & np.isfinite(after) & (np.diff(curve.piece) == 0.0)
+    undecided = known & ~clear & ~crossing & ~(touching & ~far)
+    undecided &= gap > _FINEST * curve.omega[1:]
+    return undecided, known & ~same & ~undecided, known & touching & ~undecided
+
+
+def _between(response: Response, one: Curve, other: Curve, omega: np.ndarray) -> Curve:
+    """Points of the curve at frequencies between those of two."""
+    gap = other.omega - one.omega
+    part = (omega - one.omega) / np.where(gap == 0.0, 1.0, gap)
+    turned = one.omega * one.delay + part * (other.omega * other.delay - one.omega * one.delay)
+    above = one.above + part * (other.above - one.above)
+    return follow(response, one.piece, omega, turned / omega, one.spread, above)
+
+
+def solve(response: Response, curve: Curve, cells: np.ndarray) -> Curve:
+    """The zero of the level in cells in which it changes its sign, or else of its slope."""
+    low, high = curve.at(cells), curve.at(cells + 1)
+    changes, close = low.level * high.level <= 0.0, _PART * (high.omega - low.omega)
+    at_low, at_high = (np.where(changes, end.level, end.slope) for end in (low, high))
+    point, side, step = low, np.full(cells.size, -1), 0
+    while True:
+        # Newton's method where there is a slope and it stays between the ends. Or else a secant,
+        # with the weight of an end that stays halved (Illinois).
+        with np.errstate(invalid="ignore", divide="ignore"):
+            omega = point.omega - point.level / point.slope
+            secant = low.omega - at_low * (high.omega - low.omega) / (at_high - at_low)
+        secant = np.where(np.isfinite(secant), secant, 0.5 * (low.omega + high.omega))
+        inside = changes & (omega > low.omega) & (omega < high.omega)
+        omega = np.where(inside, omega, secant)
+        if step == _SECANT or (np.abs(omega - point.omega) <= close).all():
+            return point
+        point, step = _between(response, low, high, omega), step + 1
+        now = np.nan_to_num(np.where(changes, point.level, point.slope))
+        left = now * at_low > 0.0
+        stays = np.where(left == side, 0.5, 1.0)
+        at_low, at_high = np.where(left, now, stays * at_low), np.where(left, stays * at_high, now)
+        known = np.isfinite(point.level)
+        low, high = point.where(left & known, low), point.where(~left & known, high)
+        side = left.astype(int)
 
 
 class Crossing(NamedTuple):

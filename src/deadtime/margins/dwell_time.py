@@ -3,27 +3,26 @@
 Signals with a longer dwell time are among those with a shorter one, so stability is lost once and
 for all as it shrinks: in 1/τ_d this is the search of `bracket`. A growing signal refutes every
 dwell time up to its own shortest sojourn. So it is where modes have dwell times of their own, if
-they shrink together or one of them alone (`dwell_shape`).
+they shrink together or one of them alone (`DwellShape`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Unpack
 
-from deadtime.base.checks import instance, number, positive
+from deadtime.base.checks import index, instance, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of
-from deadtime.margins.bracket import Bracket, Questions, bracket
-from deadtime.margins.dwell_shape import DwellShape
+from deadtime.margins.stability import Bracket, Questions, bracket
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_bounds, growth_rate, least_growth
 from deadtime.switching import SignalClass
-from deadtime.switching.constraint import PerMode
+from deadtime.switching.constraint import PerMode, SwitchingConstraint, one_or_each
 from deadtime.switching.signal_class import CLOCK_TOLERANCE, MOST_PERIODS, SignalOptions
 
 if TYPE_CHECKING:
@@ -36,6 +35,82 @@ CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
 DOUBLINGS = 6  # of that, before giving up
 SAME = 1e-12  # of a dwell time, in 1/τ_d and back
 LAID_OUT = MOST_PERIODS * (1.0 - 1e-9)  # of the longest dwell time, which round-off may miss
+
+
+@dataclass(frozen=True)
+class DwellShape:
+    """Dwell times of all modes as functions of one time T: T times a weight, or fixed.
+
+    Attributes
+    ----------
+    weights : tuple of float, one per mode
+        Dwell times over T, the least of them 1; 0 where the dwell time is fixed.
+    signals : SignalClass
+        What stays of the signals; with a chatter above 1 T is an average dwell time.
+    limits : SwitchingConstraint
+        The longest sojourns, the switches, and the dwell times that are fixed.
+    mode : int or None
+        The mode that moves alone.
+
+    Examples
+    --------
+    >>> shape = DwellShape.of(3, SignalClass([0.25, 0.75, 0.5], maximum_dwell=[2.0, 3.0, 4.0]))
+    >>> shape.dwell_times(0.5), shape.longest
+    ((0.5, 1.5, 1.0), 1.0)
+    >>> DwellShape.of(3, SignalClass([0.25, 0.75, 0.5]), mode=1).dwell_times(0.125)
+    (0.25, 0.125, 0.5)
+    """
+
+    weights: tuple[float, ...]
+    signals: SignalClass
+    limits: SwitchingConstraint
+    mode: int | None = None
+
+    @classmethod
+    def of(cls, modes: int, signals: SignalClass, mode: int | None = None) -> DwellShape:
+        """Of dwell times in proportion to those of a class of signals, or of one mode's alone."""
+        limits = signals.limits(modes)
+        if mode is not None and signals.chatter > 1:
+            raise ArgumentError(
+                "chatter above 1 asks about one average dwell time for all modes: leave out mode."
+            )
+        if mode is None:
+            least = min(limits.dwell_time)
+            return cls(tuple(time / least for time in limits.dwell_time), signals, limits)
+        mode = index("mode", mode, modes)
+        return cls(tuple(float(i == mode) for i in range(modes)), signals, limits, mode)
+
+    @property
+    def longest(self) -> float:
+        """The longest T, seconds: beyond it a mode would have to last longer than it may."""
+        pairs = zip(self.weights, self.limits.maximum_dwell, strict=True)
+        return min(most / weight for weight, most in pairs if weight)
+
+    def dwell_times(self, time: float) -> tuple[float, ...]:
+        """Of every mode, seconds."""
+        return tuple(
+            min(time * weight, most) if weight else fixed
+            for weight, most, fixed in zip(
+                self.weights, self.limits.maximum_dwell, self.limits.dwell_time, strict=True
+            )
+        )
+
+    def at(self, time: float) -> SignalClass:
+        """The admissible signals at T."""
+        return replace(self.signals, dwell_time=one_or_each(self.dwell_times(time)))
+
+    def admits(self, worst: WorstCase) -> float:
+        """The longest T with which a signal is admissible, seconds; inf where it always is."""
+        if len(worst.modes) == 1:
+            return math.inf
+        visits = zip(worst.modes, worst.sojourns, strict=True)
+        times = (lasts / self.weights[mode] for mode, lasts in visits if self.weights[mode])
+        return float(min(times, default=math.inf))
+
+    @property
+    def alike(self) -> bool:
+        """Whether one dwell time of all modes is what moves."""
+        return self.mode is None and len(set(self.weights)) == 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,30 +235,18 @@ def least_dwell_time(
         )
     least = SHORT * step if dwell_time is None else dwell_time  # any: only proportions count
     shape = DwellShape.of(plant.modes, SignalClass.of(least, **signals), mode)
-    shortest = _shortest(shape, step)
+    shortest = (SHORTEST if shape.signals.at == "anywhere" else AT_SAMPLES) * step
     if shape.longest <= shortest:
         raise ArgumentError(
             f"maximum_dwell must leave room above a period of {step:g} s, and dwell times up to "
             f"{shape.longest:g} s do not: raise it, or shorten the step."
         )
-    return _searched(_questions(plant, law, step, shape), plant, law, step, ratio, shape)
-
-
-def _searched(
-    questions: Questions,
-    plant: SwitchedSystem,
-    law: Law,
-    step: float,
-    ratio: float,
-    shape: DwellShape,
-) -> LeastDwellTime:
-    """The bracket, of arguments that are checked."""
-    shortest = _shortest(shape, step)
+    questions = _questions(plant, law, step, shape)
     worst = questions.falsify(1.0 / shortest)
     rates = {i: growth_rate(plant, law, i, step) for i in shape.limits.lasting}
-    slowest, least = max(rates.values(), default=-math.inf), least_growth(plant)
+    slowest = max(rates.values(), default=-math.inf)
     for i, rate in rates.items():
-        if rate == slowest > least and growth_bounds(plant, law, i, step)[0] > 0.0:
+        if rate == slowest > least_growth(plant) and growth_bounds(plant, law, i, step)[0] > 0.0:
             message = (
                 f"No dwell time is long enough: held in mode {i} the loop grows at {rate:+.4g} 1/s."
             )
@@ -192,17 +255,13 @@ def _searched(
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
     most = min(shape.longest, LAID_OUT * step / max(shape.weights) / shape.signals.chatter)
-    first = min(_calm(step, slowest) if rates else 0.5 * most, most)
-    longest = _certified_dwell_time(questions, first, most)
+    # After a calm dwell time not much is left of what a switch stirred up.
+    calm = max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
+    longest = _certified_dwell_time(questions, min(calm if rates else 0.5 * most, most), most)
     if longest is None:
         return _without_proof(questions, worst, shape)
     lowest = shape.admits(worst) if worst.grows and math.isfinite(shape.admits(worst)) else shortest
     return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions, shape)
-
-
-def _shortest(shape: DwellShape, step: float) -> float:
-    """The shortest dwell time that is asked about, seconds."""
-    return (SHORTEST if shape.signals.at == "anywhere" else AT_SAMPLES) * step
 
 
 def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) -> Questions:
@@ -226,11 +285,6 @@ def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) 
         return found
 
     return Questions(lambda _: False, proof, worst)
-
-
-def _calm(step: float, slowest: float) -> float:
-    """A dwell time after which not much is left of what a switch stirred up."""
-    return max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
 
 
 def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) -> float | None:

@@ -144,16 +144,20 @@ def longest_mode_lag(
     ahead = max(plant.longest_delay, table.taps * step) + max(limits.dwell_time)
     most = round(snap(DELAYS * ahead / step))
     most = most if upto is None else count("upto", upto)
-    asked = _LagQuestions.of(plant, law, sought, step)
+    asked = _LagQuestions(plant, law, sought, step)
     if plant.modes == 1 or table.context == "none":
-        return _without_mode(asked, most, step)
+        proof, text = asked.proof(0), "The law does not read the mode, so that no lag of it matters"
+        text += "; without one the loop is proved stable." if proof.stable else f". {proof.message}"
+        answers = tuple(asked.answers.items())
+        certified, proof = (most, proof) if proof.stable else (None, None)
+        return LongestModeLag(certified, None, step, False, proof, None, text, answers)
     certified, beyond = _edge(lambda lag: asked.proof(lag).stable is True, most)
     if certified is None:
-        refuted = 0 if asked.grows(0) else None
+        refuted = 0 if asked.worst(0).grows else None
         return _result(asked, None, refuted, step, most)
     refuted = None
     if beyond is not None:
-        first = lambda lag: not asked.grows(beyond + lag)  # noqa: E731
+        first = lambda lag: not asked.worst(beyond + lag).grows  # noqa: E731
         _, more = _edge(first, most - beyond)
         refuted = None if more is None else beyond + more
     return _result(asked, certified, refuted, step, most)
@@ -186,51 +190,28 @@ def _edge(holds: Callable[[int], bool], most: int) -> tuple[int | None, int | No
     return good, bad
 
 
-@dataclass(frozen=True, eq=False)
 class _LagQuestions:
     """The two questions about a lag; answers are remembered."""
 
-    proof: Callable[[int], Certificate]
-    worst: Callable[[int], WorstCase]
-    answers: dict[int, bool | None]
-
-    @classmethod
-    def of(
-        cls, plant: SwitchedSystem, law: Law, signals: SignalClass, step: float
-    ) -> _LagQuestions:
+    def __init__(self, plant: SwitchedSystem, law: Law, signals: SignalClass, step: float) -> None:
         from deadtime.certificates import certify, falsify
 
-        answers: dict[int, bool | None] = {}
+        self.answers: dict[int, bool | None] = {}
 
         @cache
         def proof(lag: int) -> Certificate:
             late = replace(signals, mode_lag=lag)
             found = certify(plant, law, late, step, decay_rate=0.0, search_signals=False)
-            answers[lag] = found.stable
+            self.answers[lag] = found.stable
             return found
 
         @cache
         def worst(lag: int) -> WorstCase:
             found = falsify(plant, law, replace(signals, mode_lag=lag), step)
-            answers[lag] = False if found.grows else answers.get(lag)
+            self.answers[lag] = False if found.grows else self.answers.get(lag)
             return found
 
-        return cls(proof, worst, answers)
-
-    def grows(self, lag: int) -> bool:
-        """Whether a signal is known along which the loop provably grows."""
-        return self.worst(lag).grows
-
-
-def _without_mode(asked: _LagQuestions, most: int, step: float) -> LongestModeLag:
-    """Of a law that is not told the mode, or of one mode."""
-    proof, answers = asked.proof(0), tuple(asked.answers.items())
-    text = "The law does not read the mode, so that no lag of it matters"
-    if proof.stable:
-        text += "; without one the loop is proved stable."
-        return LongestModeLag(most, None, step, False, proof, None, text, answers)
-    text += f". {proof.message}"
-    return LongestModeLag(None, None, step, False, None, None, text, answers)
+        self.proof, self.worst = proof, worst
 
 
 def _result(

@@ -159,19 +159,12 @@ def step_response(
         index("channel", channel, plant.inputs)
         index("output", output, len(rows))
         pushes = [StepDisturbance(plant.B[mode][:, channel])]
-    loop = _at_rest(law, channel)
-    x0 = np.zeros(plant.states)
-    run = simulate(
-        plant, loop, signal, x0, positive("horizon", horizon), step, imperfections=pushes
-    )
+    loop, x0, horizon = law, np.zeros(plant.states), positive("horizon", horizon)
+    if law.observer is not None:  # at rest, nothing estimated
+        follows = {}
+        if law.servo is not None:
+            reference = np.eye(len(law.servo.tracked))[channel]
+            follows = {"servo": law.servo, "reference": reference}
+        loop = OutputFeedback(law.inner, law.observer, **follows)
+    run = simulate(plant, loop, signal, x0, horizon, step, imperfections=pushes)
     return StepResponse(mode, run.time, rows[output] @ run.states, tracks, growth)
-
-
-def _at_rest(law: Law, channel: int) -> Law:
-    """The law before a step of one reference, with nothing estimated."""
-    if law.observer is None:
-        return law
-    if law.servo is None:
-        return OutputFeedback(law.inner, law.observer)
-    reference = np.eye(len(law.servo.tracked))[channel]
-    return OutputFeedback(law.inner, law.observer, servo=law.servo, reference=reference)

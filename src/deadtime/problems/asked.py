@@ -59,15 +59,14 @@ def dwell_time_of(
     >>> problem = dt.problems.paper()
     >>> dwell_time_of(problem, problem.signal)
     SourcedTime(value=0.2, source="the problem's dwell time")
-    >>> unsaid = dataclasses.replace(problem, dwell_time=None)
+    >>> unsaid = dataclasses.replace(problem, signals=dt.SignalClass())
     >>> dwell_time_of(unsaid, problem.signal)
     SourcedTime(value=0.2, source='the shortest sojourn of its signal')
     """
     if wanted is not None:
         return SourcedTime(number("dwell_time", wanted), AS_ASKED)
     if problem.dwell_time is not None:
-        own = problem.constraint
-        several = own is not None and len(set(own.dwell_time)) > 1
+        several = len(set(problem.limits.dwell_time)) > 1
         return SourcedTime(problem.dwell_time, "the problem's dwell time" + "s" * several)
     if isinstance(signal, Rule):
         raise ArgumentError(
@@ -79,7 +78,7 @@ def dwell_time_of(
     step = step_of(problem)
     periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
-    if problem.switching is not None or problem.average_dwell_time is not None:
+    if problem.switching is not None or problem.signals.chatter > 1:
         return SourcedTime(
             dwell, "the shortest sojourn of the one signal drawn; others may have shorter"
         )
@@ -109,32 +108,23 @@ def signals_of(
     >>> signals_of(problem, problem.signal, maximum_dwell=[1.5]).signals.sentence(2)
     'for every switching signal whose sojourns last between 0.2 s and 1.5 s'
     """
-    average, wanted = problem.average_dwell_time, min(dwell_time) if dwell_time else None
-    if chatter is None:
-        chatter = 1 if average is None else average[1]
-    if wanted is None and average is not None:
-        given = SourcedTime(average[0], "the problem's average dwell time")
+    own, limits = problem.signals, problem.limits
+    if dwell_time is None and own.chatter > 1:
+        given = SourcedTime(limits.dwell_time[0], "the problem's average dwell time")
     else:
-        given = dwell_time_of(problem, signal, wanted)
-    own, modes = problem.constraint, problem.plant.modes
-    least: object = dwell_time
-    if least is None:
-        promised = own is not None and min(own.dwell_time) > 0.0
-        least = [one_or_each(own.dwell_time)] if own is not None and promised else [given.value]
-    most: object = maximum_dwell
-    if most is None and own is not None and len(own.lasting) < modes:
-        most = [one_or_each(own.maximum_dwell)]
-    ways = None if own is None or own.is_free else own.transitions
+        given = dwell_time_of(problem, signal, min(dwell_time) if dwell_time else None)
+    least = given.value if own.dwell_time is None else one_or_each(limits.dwell_time)
+    most = one_or_each(limits.maximum_dwell)
     asked = SignalClass(
-        one_or_all(least),
-        one_or_all(most),
-        ways,
-        problem.switches_at if at is None else at,
+        least if dwell_time is None else one_or_all(dwell_time),
+        most if maximum_dwell is None else one_or_all(maximum_dwell),
+        None if limits.is_free else limits.transitions,
+        own.at if at is None else at,
         mode_lag=mode_lag,
         lost_samples=lost_samples,
-        chatter=chatter,
+        chatter=own.chatter if chatter is None else chatter,
     )
-    asked.limits(modes)  # refuses what does not fit them
+    asked.limits(problem.plant.modes)  # refuses what does not fit them
     return AskedSignals(given, asked)
 
 

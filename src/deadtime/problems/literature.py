@@ -26,7 +26,7 @@ from deadtime.laws import (
 )
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.problem import Problem, Published
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import SignalClass, SwitchingSignal
 
 _SIGNAL_NOTE = (
     "The source does not publish its switching signal. This one has sojourns of {dwell:g} s plus "
@@ -93,7 +93,7 @@ def paper() -> Problem:
         signal=signal,
         x0=np.array([-1.0, 1.0]),
         horizon=15.0,
-        dwell_time=0.2,
+        signals=SignalClass(0.2),
         mean_sojourn=0.4,
         notes=(note, "The paper's modes 1 and 2 are modes 0 and 1 here."),
         published=(
@@ -136,7 +136,7 @@ def three_mode() -> Problem:
         signal=signal,
         x0=np.array([-1.0, 1.0]),
         horizon=15.0,
-        dwell_time=0.9,
+        signals=SignalClass(0.9),
         mean_sojourn=1.8,
         notes=(
             note,
@@ -187,7 +187,7 @@ def follower() -> Problem:
         signal=signal,
         x0=np.array([1.0, -0.5, 0.0]),
         horizon=10.0,
-        dwell_time=1.0,
+        signals=SignalClass(1.0),
         mean_sojourn=2.0,
         states=("spacing error (m)", "relative speed (m/s)", "acceleration (m/s²)"),
         modes=("throttle", "brake"),

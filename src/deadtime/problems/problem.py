@@ -20,9 +20,8 @@ from deadtime.laws import (
 )
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant, Weight
 from deadtime.simulation import Trajectory, simulate
-from deadtime.switching import Rule, SwitchingModel, SwitchingSignal
+from deadtime.switching import Rule, SignalClass, SwitchingModel, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
-from deadtime.switching.signal_class import Instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +60,9 @@ class Problem(Frozen):
         Printed numbers that the report checks.
     constants : mapping
         Printed values of the theorem's constants, by the names of `constants_table`.
-    dwell_time : float or None
-        The dwell time that every signal is promised to have, seconds, which certificates ask for;
-        None: the shortest sojourn of `signal`.
-    constraint : SwitchingConstraint or None
-        All that its signals are promised: dwell times mode by mode, of which `dwell_time` is the
-        shortest, longest sojourns, and the switches that are allowed; None: no more than that.
-    average_dwell_time : (float, int) or None
-        An average dwell time τ_a, seconds, and N₀: any T seconds hold N₀ + T/τ_a switches at most,
-        which certificates ask for; None where none is promised.
-    switches_at : "anywhere" or "samples"
-        When the modes of its signals change.
+    signals : SignalClass
+        What every signal is promised, which certificates ask for; without a dwell time they ask
+        about the shortest sojourn of `signal`.
     mean_sojourn : float or None
         The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
     switching : switching model or None
@@ -107,7 +98,7 @@ class Problem(Frozen):
     notes: tuple[str, ...] = ()
     published: tuple[Published, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
-    dwell_time: float | None = None
+    signals: SignalClass = field(default_factory=SignalClass)
     mean_sojourn: float | None = None
     switching: SwitchingModel | None = None
     model: SwitchedSystem | None = None
@@ -115,11 +106,18 @@ class Problem(Frozen):
     seed: int = 0
     predict: str = "applied"
     weight: Weight | None = None
-    constraint: SwitchingConstraint | None = None
     uncertain: UncertainPlant | None = None
     operating_point: OperatingPoint | None = None
-    average_dwell_time: tuple[float, int] | None = None
-    switches_at: Instants = "anywhere"
+
+    @property
+    def limits(self) -> SwitchingConstraint:
+        """The sojourns and the switches that its signals are promised."""
+        return self.signals.limits(self.plant.modes)
+
+    @property
+    def dwell_time(self) -> float | None:
+        """The shortest dwell time of a mode, seconds; None where at most an average is promised."""
+        return (min(self.limits.dwell_time) or None) if self.signals.chatter == 1 else None
 
     @property
     def operating_sentences(self) -> tuple[str, ...]:

@@ -50,8 +50,9 @@ class SignalClass:
 
     Parameters
     ----------
-    dwell_time : float, or one per mode
-        Shortest sojourn τ_d, seconds.
+    dwell_time : float, or one per mode, optional
+        Shortest sojourn τ_d, seconds; nothing can be asked about a class without one, which is all
+        that a problem file may know.
     maximum_dwell : float, or one per mode, optional
         Longest sojourn, seconds, inf for none; by default a mode may last without end.
     transitions : (modes, modes) of bool, optional
@@ -89,7 +90,7 @@ class SignalClass:
     'for every switching signal whose sojourns last between 0.5 s and 2.0 s, and every loss of ...'
     """
 
-    dwell_time: float | tuple[float, ...]
+    dwell_time: float | tuple[float, ...] | None
     maximum_dwell: float | tuple[float, ...]
     transitions: tuple[tuple[bool, ...], ...] | None
     at: Instants
@@ -100,7 +101,7 @@ class SignalClass:
 
     def __init__(
         self,
-        dwell_time: PerMode,
+        dwell_time: PerMode | None = None,
         maximum_dwell: PerMode | None = None,
         transitions: ArrayLike | tuple[tuple[bool, ...], ...] | None = None,
         at: Instants = "anywhere",
@@ -109,7 +110,7 @@ class SignalClass:
         lost_samples: int = 0,
         chatter: int = 1,
     ) -> None:
-        least = time_or_each("dwell_time", dwell_time)
+        least = None if dwell_time is None else time_or_each("dwell_time", dwell_time)
         most = math.inf
         if maximum_dwell is not None:
             most = time_or_each("maximum_dwell", maximum_dwell, unbounded=True)
@@ -133,13 +134,14 @@ class SignalClass:
                 "by itself; give one of them."
             )
         chatter = count("chatter", chatter)
-        several = isinstance(least, tuple) and len(set(least)) > 1
-        if chatter > 1 and (several or np.isfinite(most).any()):
+        if chatter > 1 and isinstance(least, tuple) and len(set(least)) > 1:
             raise ArgumentError(
                 "dwell_time must be one number with chatter > 1, for an average dwell time is that "
-                f"of all modes together, got {list(np.ravel(least).tolist())}."
-                if several
-                else "chatter > 1 and maximum_dwell exclude each other: give one of them."
+                f"of all modes together, got {list(least)}."
+            )
+        if chatter > 1 and np.isfinite(most).any():
+            raise ArgumentError(
+                "chatter > 1 and maximum_dwell exclude each other: give one of them."
             )
         given = least, most, table, at, float(clock_tolerance), mode_lag, lost_samples, chatter
         vars(self).update(zip(type(self).__dataclass_fields__, given, strict=True))
@@ -147,15 +149,19 @@ class SignalClass:
     @classmethod
     def of(cls, dwell_time: PerMode | SignalClass, **signals: Unpack[SignalOptions]) -> SignalClass:
         """What a function was given: a class of signals, or a dwell time with keywords."""
-        if not isinstance(dwell_time, SignalClass):
-            return cls(dwell_time, **signals)
-        if signals:
+        if isinstance(dwell_time, SignalClass) and signals:
             name = next(iter(signals))
             raise ArgumentError(
                 f"{name} must not be given beside a SignalClass, which says it: make it "
                 f"SignalClass(…, {name}=…)."
             )
-        return dwell_time
+        given = dwell_time if isinstance(dwell_time, SignalClass) else cls(dwell_time, **signals)
+        if given.dwell_time is None:
+            raise ArgumentError(
+                "dwell_time must be a number of seconds, or one for each mode, got none: give the "
+                "shortest time that a mode lasts."
+            )
+        return given
 
     def limits(self, modes: int) -> SwitchingConstraint:
         """The sojourns and the switches of a plant with so many modes."""

@@ -13,7 +13,7 @@ from deadtime.gains import lqr
 from deadtime.gains.checked_gains import check_gains
 from deadtime.gains.state_feedback import require_controllable
 from deadtime.laws import AveragedPredictor
-from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
+from deadtime.margins.delay import DelayMargin, constant_delay_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.spectrum import growth_rate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
+from deadtime.margins.delay import DelayMargin, constant_delay_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.synthesis.design_search import DesignSearch, Tried
 from deadtime.synthesis.input_peak import largest_inputs

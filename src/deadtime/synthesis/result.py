@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from deadtime.margins.delay import DelayMargin
+
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +11,6 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Law
-from deadtime.margins.constant_modes import DelayMargin
 from deadtime.plant import Weight
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.initial_states import InitialStates

@@ -1,28 +1,46 @@
-"""The search for evidence at one decay: frequencies, program, Riccati equation, check."""
+"""The search for evidence at one decay: frequencies, program, Riccati equation, check.
+
+The search tells rows apart along a few directions only, and P comes from that. For the proof
+the directions must hold every row: with R complete, the best multiplier for the P at hand is the
+partial minimum over ξ of
+
+    ξᵀ P ξ − (M₀ ξ + B w)ᵀ P (M₀ ξ + B w)/ρ² − slack    for given (v, w),
+
+a Schur complement. One large inequality then still proves all rows.
+"""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from deadtime.certificates.dwell.centre import CentreFloats
-from deadtime.certificates.dwell.centre_response import (
+from deadtime.certificates.dwell.centre import (
+    CentreFloats,
     ResponseForms,
     fine_frequencies,
     frequencies,
     response,
 )
-from deadtime.certificates.dwell.doubling import solve_riccati
-from deadtime.certificates.dwell.extension import extend
 from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
-from deadtime.certificates.dwell.sways import Sways
-from deadtime.certificates.proof import Check, Evidence, check
+from deadtime.certificates.dwell.solvers import solve_riccati
+from deadtime.certificates.proof import Check, check
+from deadtime.certificates.proof.box import Box
+from deadtime.certificates.proof.covering import enclosures_of
 from deadtime.certificates.proof.ellipsoid import Sway
-from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.evidence import Evidence, Setting
+from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.step_enclosure import ParameterCell
 from deadtime.certificates.proof.transitions import Transition
+from deadtime.numerics.precision import precision
 
+ALL = 10**6
+# (v, w) that no ξ, or hardly any, gives rise to: singular values of Y as parts of the largest,
+# and the weights, as parts of the largest entry of Π, which stand for the partial minimum there.
+NONE, HARDLY = 1e-13, 1e-6
+WEIGHT_NONE, WEIGHT_HARDLY = 1e6, 1.0
 LEAST_MARGIN = 1e-9
 ROUNDS = 10  # of adding frequencies
 REPAIRS = 4  # of adding steps where a proof failed
@@ -31,6 +49,74 @@ CLEARLY = 0.8  # of the margin, of a rough solution: so that a better one has en
 FREQUENCIES = 40
 INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 MOST_AGES = 40  # of a (mode, age) table that the search looks at
+
+
+class Sways:
+    """W and X of `proof.ellipsoid` at points of the steps, beside `Steps.corners`."""
+
+    def __init__(self, family: Family | Box) -> None:
+        self.family = family
+        self.enclosures = None if family.axes is None else enclosures_of(family)
+
+    def at(self, order: Any, instants: np.ndarray) -> list[Sway | None]:
+        """One for every sample that `family.corners(order, instants)` gives."""
+        us = instants.tolist() if self.family.switches(order) else [0.0]
+        ends = self.family.ends(order)
+        if self.enclosures is None:
+            return [None] * (len(us) * len(ends) * len(self.family.A))
+        with precision():
+            return [self._at(order, u, f) for u in us for f in ends]
+
+    def _at(self, order: Any, u: float, f: float | tuple[float, ...]) -> Sway | None:
+        assert self.enclosures is not None
+        places = f if isinstance(f, tuple) else (f,) * len(self.family.moving(order))
+        cell = ParameterCell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
+        columns = self.enclosures.of(cell).sway
+        return None if columns is None else Sway.of(columns, self.family.A.shape[2])
+
+
+def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:
+    """The same P and S with all directions of the rows, and Π from P; None where that fails."""
+    from scipy.linalg import cho_factor, cho_solve, null_space
+
+    setting = evidence.setting
+    full = CentreFloats.of(setting, model.eigenvectors, ALL)
+    P, rho, d = evidence.P, evidence.rho, setting.order
+    moved = np.concatenate((full.M, full.B), axis=1) / rho
+    form = -moved.T @ P @ moved
+    form[:d, :d] += P
+    form[np.diag_indices_from(form)] -= slack
+    inside = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(form)), 1e-300))
+    form = form * inside * inside[:, None]
+    wide = full.channels.wide * inside
+    units = 1.0 / np.linalg.norm(wide, axis=1)
+    left, sizes, right = np.linalg.svd(wide * units[:, None])
+    values = np.zeros(len(left))
+    values[: len(sizes)] = sizes
+    keep, none = values > HARDLY * values[0], left[:, values <= NONE * values[0]]
+    hardly = left[:, ~keep & (values > NONE * values[0])]
+    left, values, right = left[:, keep], values[keep], right[: len(sizes)][keep[: len(sizes)]]
+    rest = null_space(right)
+    across = rest.T @ form @ right.T
+    try:
+        inner = cho_factor(rest.T @ form @ rest)
+    except np.linalg.LinAlgError:
+        return None
+    best = right @ form @ right.T - across.T @ cho_solve(inner, across)
+    back = left / values
+    Pi = back @ best @ back.T
+    outside = WEIGHT_NONE * (none @ none.T) + WEIGHT_HARDLY * (hardly @ hardly.T)
+    Pi = Pi + np.abs(Pi).max() * outside
+    Pi = Pi * units * units[:, None]
+    return Evidence(
+        setting,
+        full.centre,
+        P,
+        0.5 * (Pi + Pi.T),
+        evidence.S,
+        evidence.knots,
+        rho,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +164,7 @@ class EvidenceSearch:
         self.sways = Sways(setting.family)
         self.samples = self._samples()
         delay = setting.longest_delay
-        self.angles = frequencies(FREQUENCIES, setting.past, setting.step, delay)
+        self.angles = frequencies(FREQUENCIES, setting.step, delay)
         self.fine = fine_frequencies(setting.past, setting.step, delay)
 
     def propose(self, rho: float) -> Proposal | None:
@@ -98,10 +184,9 @@ class EvidenceSearch:
             self.angles = angles
 
     def _propose(self, rho: float, roughly: bool) -> Proposal | None:
-        try:
+        with suppress(np.linalg.LinAlgError):  # an eigenvalue on |z| = ρ to the last digit
             return self._proposal(rho, roughly)
-        except np.linalg.LinAlgError:  # the centre has an eigenvalue on |z| = ρ to the last digit
-            return None
+        return None
 
     def _proposal(self, rho: float, roughly: bool) -> Proposal | None:
         fine = response(self.model, self.fine, rho)

@@ -72,7 +72,7 @@ class Leaps:
             if end == start:
                 product = np.eye(self.setting.order)
             elif end == start + 1:
-                product = self._full_step(mode, start)
+                product = self._step(mode, self.setting.transitions.row(mode, start))
             else:
                 middle = (start + end) // 2
                 product = self.full(mode, middle, end) @ self.full(mode, start, middle)
@@ -91,9 +91,6 @@ class Leaps:
                 product = self._step(step.after, row) @ product
             self.followed[key] = product
         return self.full(step.after, len(rows), follows) @ self.followed[key]
-
-    def _full_step(self, mode: int, age: int) -> np.ndarray:
-        return self._step(mode, self.setting.transitions.row(mode, age))
 
     def _step(self, mode: int, row: int) -> np.ndarray:
         E = plant_rows(self.setting, Transition(mode, 0, row, mode, 0), (0.0,))[0]

@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.certificates.dwell.centre import CentreFloats
-from deadtime.certificates.dwell.centre_response import ResponseForms
-from deadtime.certificates.dwell.cones import STOPPED, maximise, squares
+from deadtime.certificates.dwell.centre import CentreFloats, ResponseForms
+from deadtime.certificates.dwell.solvers import STOPPED, maximise, squares
 from deadtime.certificates.proof.ellipsoid import Sway
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.numerics.lmi import pack, packing, unpack
@@ -130,8 +129,11 @@ def solve(
     weights = {k: pi_size + of_S + at for at, k in enumerate(swayed)}
     for k, sample in enumerate(samples):  # each has the S of two nodes, of how many there may be
         block = _at_step(model, sample, units, knots, rho, unknowns)
-        if sample.sway is not None:
-            _let_sway(block, sample.sway, units, weights[k])
+        if sample.sway is not None:  # λ (qᵀ W⁻¹ q − yᵀ X y), q last in (v, q)
+            X, W = _in_units(sample.sway, units)
+            scale, unit, at = float(np.trace(X)), _reach(sample.sway, units), weights[k]
+            block[at, : len(X), : len(X)] = -X / scale
+            block[at, -len(W) :, -len(W) :] = np.linalg.inv(W) * (unit**2 / scale)
         blocks.append(csr_matrix(pack(block)))
         cones.append(block.shape[1])
     bounds = np.zeros((unknowns, v + w, v + w))
@@ -205,15 +207,6 @@ def _at_step(
                 at = pi_size + (node * len(knots) + knot) * s_size
                 M[at : at + s_size] += sign * float(weight) * products
     return M
-
-
-def _let_sway(M: np.ndarray, sway: Sway, units: Units, weight: int) -> None:
-    """λ (qᵀ W⁻¹ q − yᵀ X y) of a sample, λ the unknown `weight`; q is last in (v, q)."""
-    n, k = len(sway.W), len(sway.X)
-    X, W = _in_units(sway, units)
-    scale = float(np.trace(X))
-    M[weight, :k, :k] = -X / scale
-    M[weight, -n:, -n:] = np.linalg.inv(W) * (_reach(sway, units) ** 2 / scale)
 
 
 def _reach(sway: Sway, units: Units) -> float:

@@ -14,10 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.frame import balancing_units, functionals, metric, whole
 from deadtime.certificates.dwell.leaps import Leap, Leaps, Node
-from deadtime.certificates.dwell.lyapunov_shape import LyapunovShape
-from deadtime.certificates.dwell.stretch_program import ADDED, Looked, decrease, solve
+from deadtime.certificates.dwell.stretch_program import (
+    ADDED,
+    Looked,
+    LyapunovShape,
+    balancing_units,
+    decrease,
+    functionals,
+    metric,
+    solve,
+    whole,
+)
 from deadtime.certificates.proof import Check, StretchEvidence, check
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
@@ -165,18 +173,15 @@ class StretchSearch:
             for place in range(graph.places)
             for k in range(len(graph.knots_of(place % graph.modes, self.knots)))
         )
-        if _unknown(self.setting) or self._several_rows():
+        # A mode that lasts may do so under one row or another.
+        staying_at = [(one.knot, one.step.mode) for one in self.stretches if not one.step.switches]
+        if _unknown(self.setting) or len(staying_at) > len(set(staying_at)):
             shape, moving = LyapunovShape.of(H, {}, {}, nodes), leaps
         else:
             loops = {here: M for here, there, M in staying if here == there}
             links = {here: M for here, there, M in staying if here != there}
             shape = LyapunovShape.of(H, loops, links, nodes)
         return None if shape is None else Loops(shape, moving, T * units)
-
-    def _several_rows(self) -> bool:
-        """Whether a mode that lasts may do so under one row or another."""
-        lasting = [(one.knot, one.step.mode) for one in self.stretches if not one.step.switches]
-        return len(lasting) > len(set(lasting))
 
     def _to_begin_with(self, loops: Loops) -> dict[int, Looked]:
         """A few leaps of every pair of nodes, over all ages."""

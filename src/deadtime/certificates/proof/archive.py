@@ -26,8 +26,7 @@ from deadtime.base.text_files import read_text
 from deadtime.base.version import __version__
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.family import Delays
-from deadtime.certificates.proof.statement import decay_rate
-from deadtime.certificates.proof.stretches import StretchEvidence
+from deadtime.certificates.proof.stretches import StretchEvidence, decay_rate
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import one_or_each
 from deadtime.switching.signal_class import Instants
@@ -121,14 +120,6 @@ def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
     return {"lyapunov": V, "hints": hints | {"Pi": _pack(evidence.Pi)}}
 
 
-def _fault(error: Exception) -> str:
-    """What is wrong with the content; an entry by its name, if one is missing or not known."""
-    if isinstance(error, KeyError):
-        return f"it lacks the entry {error.args[0]!r}"
-    kinds = ValueError, ArgumentError
-    return f"{error!s:.200}".removesuffix(".") if type(error) in kinds else f"{error!r:.200}"
-
-
 def load_evidence(path: Path) -> Archived:
     """The evidence of a file.
 
@@ -142,8 +133,13 @@ def load_evidence(path: Path) -> Archived:
     except (
         KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, binascii.Error
     ) as error:  # fmt: skip
+        fault = f"{error!r:.200}"
+        if isinstance(error, KeyError):
+            fault = f"it lacks the entry {error.args[0]!r}"
+        elif type(error) in (ValueError, ArgumentError):
+            fault = f"{error!s:.200}".removesuffix(".")
         raise CertificateFileError(
-            f"path {str(path)!r} is not a whole certificate: {_fault(error)}."
+            f"path {str(path)!r} is not a whole certificate: {fault}."
         ) from None
 
 

@@ -30,8 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family
-from deadtime.certificates.proof.proof_steps import Steps
+from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family, Steps
 from deadtime.plant import Window
 
 TOLERANCE = 1e-9  # of a period: marks nearer than that are one
@@ -278,23 +277,20 @@ class Box(Steps):
         from deadtime.numerics.exponential import discretise
 
         weights = self._weights(weights)
+        floats = TimeNumbers(float, lambda d: (d.low, d.high), self.step, lambda a, sign: 0.0)
         A, B = (np.tensordot(weights, M, 1) for M in (self.A, self.B))
         places = list(f) if isinstance(f, tuple) else [f] * len(self.moving(order))
         n = self.A.shape[2]
         result = np.zeros((n, n + len(self.reads)))
         for c in range(self.B.shape[3]):
             now, E = 0.0, np.eye(n, n + len(self.reads))
-            for piece in self.pieces(order, c, self._floats, u, places):
+            for piece in self.pieces(order, c, floats, u, places):
                 end = self.step if piece.end is None else piece.end
                 Phi, Gamma = discretise(A[piece.mode], B[piece.mode][:, c : c + 1], end - now)
                 now, E = end, Phi @ E
                 E[:, n + self.reads.index((piece.lag, c))] += Gamma[:, 0]
             result[:, :n], result[:, self.columns(c)] = E[:, :n], E[:, self.columns(c)]
         return result
-
-    @property
-    def _floats(self) -> TimeNumbers:
-        return TimeNumbers(float, lambda one: (one.low, one.high), self.step, lambda a, sign: 0.0)
 
     def switches(self, order: Order) -> bool:
         """Whether a step has a switch; a full step has none."""

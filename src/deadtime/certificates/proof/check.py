@@ -1,7 +1,7 @@
 """The check: whether evidence proves what it claims, in balls and one large factorisation.
 
 Nothing is taken from whoever made the evidence but its numbers. There are two kinds:
-`evidence` has the inequalities of one, `small` and `large` how they are verified, `stretches`
+`evidence` has the inequalities of one, `split_inequalities` how they are verified, `stretches`
 those of the other.
 """
 
@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from deadtime.base.wording import number_of
-from deadtime.certificates.proof.channels import Channels
-from deadtime.certificates.proof.evidence import Evidence
-from deadtime.certificates.proof.large import LargeInequalities
-from deadtime.certificates.proof.small import SmallInequalities
+from deadtime.certificates.proof.evidence import Channels, Evidence
+from deadtime.certificates.proof.split_inequalities import SplitInequalities
 from deadtime.certificates.proof.stretches import StretchEvidence, StretchInequalities
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.validate import why_malformed
@@ -81,16 +79,15 @@ def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Chec
 def _check_split(evidence: Evidence, work: Work) -> Check:
     """One large inequality, and the small ones of every transition."""
     channels = Channels.of(evidence.setting, evidence.centre)
-    small, count = SmallInequalities(evidence, channels, work), 0
+    inequalities, count = SplitInequalities(evidence, channels, work), 0
     for transition in _spread(evidence.setting.transitions.all(evidence.knots)):
-        cells, instant = small.holds(transition)
+        cells, instant = inequalities.holds(transition)
         count += cells
         if instant is not None:
             return Check(False, _fails(transition), count, (transition, instant))
-    large = LargeInequalities(evidence, channels, small)
-    if not large.positive():
+    if not inequalities.positive():
         return Check(False, "the Lyapunov function is not positive", count)
-    if not large.large():
+    if not inequalities.large():
         return Check(False, "the inequality K ≻ 0 fails", count)
     return Check(True, "", count)
 

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.balls import congruent
 from deadtime.certificates.proof.box import POLYTOPE, Box
-from deadtime.certificates.proof.box_enclosure import BoxEnclosures
-from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.ellipsoid import Sway, weight_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import (
+    BoxEnclosures,
     Enclosure,
     Enclosures,
     ParameterCell,
@@ -138,8 +138,11 @@ class Covering:
             asked = (form, Delta) if sway is None else swaying(form, Delta, sway)
             definite = None if asked is None else congruent(_value(*asked))
             if asked is None or definite is None:
-                cut = enclosure.slopes and (len(points) > 1 or sway is not None)
-                return _widest(enclosure) if cut else -1
+                if not enclosure.slopes or (len(points) == 1 and sway is None):
+                    return -1
+                widths = [np.abs(balls.middle(slope)) for _, slope in enclosure.slopes]
+                directions = (k for k, _ in enclosure.slopes)
+                return max(zip(map(balls.norm_above, widths), directions, strict=True))[1]
             least, Wt = definite
             bounds = _changes(*asked, Wt, rest)
             if not sum(bounds.values()) * (1.0 + 1e-12) < least:
@@ -215,13 +218,18 @@ def _changes(form: QuadraticForm, Delta: Any, Wt: Any, rest: dict[int, Any]) -> 
 
 def _corners(enclosure: Enclosure, concave: bool) -> tuple[list[Any], dict[int, Any]]:
     """The corners in the t, and R by direction as balls around 0."""
+    from flint import arb_mat
+
     rest: dict[int, Any] = {}
     moves: dict[int, list[Any]] = {}
     for k, slope in enclosure.slopes:
         middle = balls.exact(balls.middle(slope))
-        left = _symmetric(slope - middle if concave else slope)
+        # [−r, r] around 0, r the largest modulus, entry by entry
+        left = [balls.symmetric(x) for x in (slope - middle if concave else slope).entries()]
         moves.setdefault(k, []).extend([middle] if k == POLYTOPE else [middle, middle * -1])
-        rest[k] = left if k not in rest else _union(rest[k], left)
+        if k in rest:
+            left = [x.union(y) for x, y in zip(rest[k].entries(), left, strict=True)]
+        rest[k] = arb_mat(slope.nrows(), slope.ncols(), left)
     if not concave or not moves:
         return [enclosure.centre], rest
     points = []
@@ -231,24 +239,3 @@ def _corners(enclosure: Enclosure, concave: bool) -> tuple[list[Any], dict[int, 
             point = point + part
         points.append(point)
     return points, rest
-
-
-def _symmetric(matrix: Any) -> Any:
-    """[−r, r] around 0, r the largest modulus, entry by entry."""
-    from flint import arb_mat
-
-    entries = [balls.symmetric(x) for x in matrix.entries()]
-    return arb_mat(matrix.nrows(), matrix.ncols(), entries)
-
-
-def _union(first: Any, second: Any) -> Any:
-    from flint import arb_mat
-
-    pairs = zip(first.entries(), second.entries(), strict=True)
-    return arb_mat(first.nrows(), first.ncols(), [x.union(y) for x, y in pairs])
-
-
-def _widest(enclosure: Enclosure) -> int:
-    """The direction in which a cell is widest."""
-    sizes = [(balls.norm_above(np.abs(balls.middle(slope))), k) for k, slope in enclosure.slopes]
-    return max(sizes)[1]

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.certificates.proof import balls
-from deadtime.certificates.proof.definite import congruent
+from deadtime.certificates.proof.balls import congruent
 
 ROUNDS = 60  # of fitting W and X in turn
 FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1
@@ -88,7 +88,7 @@ class Sway:
     @classmethod
     def of(cls, columns: Any, n: int) -> Sway | None:
         """From L_i in columns (n k, d); None if no W and X were proved."""
-        from flint import arb
+        from flint import arb, arb_mat
 
         middle, radius = balls.split(columns)
         if not (np.isfinite(middle).all() and np.isfinite(radius).all()):
@@ -105,15 +105,9 @@ class Sway:
             return None
         C, D = balls.exact(middle), balls.exact(np.diag(rest))
         C, D = C * C.transpose() * (1 + arb(part)), D * D * (1 + 1 / arb(part))
-        return cls(W, X) if congruent(_product(W, X) - C - D) is not None else None
-
-
-def _product(W: np.ndarray, X: np.ndarray) -> Any:
-    """W ⊗ X in balls."""
-    from flint import arb, arb_mat
-
-    rows = [[arb(w) * arb(x) for w in a for x in b] for a in W.tolist() for b in X.tolist()]
-    return arb_mat(rows)
+        both = W.tolist(), X.tolist()
+        whole = arb_mat([[arb(w) * arb(x) for w in a for x in b] for a in both[0] for b in both[1]])
+        return cls(W, X) if congruent(whole - C - D) is not None else None
 
 
 def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
@@ -135,7 +129,8 @@ def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
         X = _other(seen, W)
         W = _other(seen.transpose(1, 0, 2), X)
         inside = _whitened(L, W, X) @ root
-        root = _square_root(inside.T @ inside)
+        values, vectors = np.linalg.eigh(inside.T @ inside)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         root = root / max(float(np.linalg.norm(root)), 1e-300) * np.sqrt(len(sizes))
     W = W * np.linalg.norm(_whitened(L, W, X), 2) ** 2 * (1.0 + ROOM)
     W, X = W * rows * rows[:, None], X * columns * columns[:, None]
@@ -154,11 +149,6 @@ def _whitened(L: np.ndarray, W: np.ndarray, X: np.ndarray) -> np.ndarray:
     """(n k, d): the L_i in units in which W and X are I."""
     ways = np.linalg.inv(np.linalg.cholesky(W)), np.linalg.inv(np.linalg.cholesky(X))
     return np.tensordot(ways[0], ways[1] @ L, 1).reshape(-1, L.shape[2])
-
-
-def _square_root(S: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh(S)
-    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
 
 
 def _unit(L: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:

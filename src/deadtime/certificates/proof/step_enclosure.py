@@ -8,18 +8,33 @@ is, segment by segment,
     … L(𝒜_k τ_k, 𝒟_k τ_k) …          (the polytope, 𝒟 = 𝒜^corner − 𝒜^centre),
 
 L the Fréchet derivative of the exponential, the top right block of exp [[X, Y], [0, X]].
+
+Steps of a box of delays are enclosed input by input. The generator X of a piece commutes with its
+exponential, so
+
+    E = e^{X_K (h − t_{K−1})} … e^{X_2 (t_2 − t_1)} e^{X_1 t_1},
+    ∂E/∂p = Σ_k ∂t_k/∂p (the pieces after t_k) (X_k − X_{k+1}) (the pieces before it).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from deadtime.certificates.proof import balls
-from deadtime.certificates.proof.box import FIRST, POLYTOPE, Box, U
+from deadtime.certificates.proof.box import (
+    FIRST,
+    POLYTOPE,
+    Box,
+    DelayInterval,
+    InputPiece,
+    TimeNumbers,
+    U,
+)
 from deadtime.certificates.proof.ellipsoid import (
     along_axes,
     entries_of,
@@ -96,7 +111,9 @@ class Enclosures:
         self.family = family
         from flint import arb
 
-        step, slack = balls.decimal_number(family.step), _slack(family)
+        step = balls.decimal_number(family.step)
+        # Room for φ = D − (N − 1) h computed from decimals, not from floats.
+        slack = arb(0.0, 4.0 * float(np.spacing(family.step * (family.count + 1))))
 
         def ball(mark: float) -> Any:
             return step if mark == family.step else balls.decimal_number(mark) + slack
@@ -131,13 +148,13 @@ class Enclosures:
             factors = self._factors(cell, u, f, weights, hull)
             for k, half in moving:
                 rates = [self._rate(part, k, u, f) for part in cell.order]
-                generators = [self._generator(part, weights, hull) for part in cell.order]
-                inner = [
-                    G * X * rate for G, X, rate in zip(generators, factors, rates, strict=True)
-                ]
+                each = zip(map(self._corners, cell.order), factors, rates, strict=True)
+                inner = [hull_of(G, weights, hull) * X * rate for G, X, rate in each]
                 slopes.append((k, balls.top(_sum(factors, inner), n) * arb(half)))
             for corner in cell.corners if hull is not None else ():
-                inner = [self._frechet(part, u, f, weights, hull, corner) for part in cell.order]
+                generators = [self._corners(part) for part in cell.order]
+                durations = [self._duration(part, u, f) for part in cell.order]
+                inner = towards(generators, durations, weights, hull, corner)
                 slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
         sway = None if family.axes is None else self._sway(cell.order, u, f, family.axes)
         return Enclosure(balls.top(centre, n), slopes, sway)
@@ -152,7 +169,7 @@ class Enclosures:
         for part in order:
             tau = self._duration(part, u, f)
             (room,) = self.family.laid_out(radius[part.mode][None], part.lags)
-            X.append(swelled(self._generator(part, np.ones(1), None), room) * tau)
+            X.append(swelled(self._corners(part)[0], room) * tau)
             own = [place for place in entries if place[0] == part.mode]
             units = self.family.laid_out(unit_matrices(own, radius.shape[1:]), part.lags)
             moves.append({place: balls.exact(U) * tau for place, U in zip(own, units, strict=True)})
@@ -179,10 +196,6 @@ class Enclosures:
             return (self._mark(part.stop, f) - self._mark(part.start, f)) * b
         return (u * b + a) * (self._rise(part.stop) - self._rise(part.start))
 
-    def _generator(self, part: Segment, weights: np.ndarray, hull: np.ndarray | None) -> Any:
-        """𝒜 at the weights, or over the simplex."""
-        return hull_of(self._corners(part), weights, hull)
-
     def _corners(self, part: Segment) -> list[Any]:
         """𝒜 of every corner of the polytope."""
         key = part.mode, part.lags
@@ -195,31 +208,9 @@ class Enclosures:
     ) -> list[Any]:
         """The exponentials of a cell, in order of time."""
         return [
-            (self._generator(part, weights, hull) * self._duration(part, u, f)).exp()
+            (hull_of(self._corners(part), weights, hull) * self._duration(part, u, f)).exp()
             for part in cell.order
         ]
-
-    def _frechet(
-        self,
-        part: Segment,
-        u: Any,
-        f: Any,
-        weights: np.ndarray,
-        hull: np.ndarray | None,
-        corner: np.ndarray,
-    ) -> Any:
-        """The derivative of a segment's exponential from the weights towards a corner."""
-        corners, tau = self._corners(part), self._duration(part, u, f)
-        away = combine(corners, corner) - combine(corners, weights)
-        return frechet(self._generator(part, weights, hull) * tau, away * tau)
-
-
-def _slack(family: Family) -> Any:
-    """Room for φ = D − (N − 1) h computed from decimals, not from floats."""
-    from flint import arb
-
-    scale = family.step * (family.count + 1)
-    return arb(0.0, 4.0 * float(np.spacing(scale)))
 
 
 def combine(corners: list[Any], weights: np.ndarray) -> Any:
@@ -257,6 +248,21 @@ def frechet(X: Any, Y: Any) -> Any:
     return arb_mat([row[size:] for row in whole[:size]])
 
 
+def towards(
+    generators: list[list[Any]],
+    durations: list[Any],
+    weights: np.ndarray,
+    hull: np.ndarray | None,
+    corner: np.ndarray,
+) -> list[Any]:
+    """The derivatives of exponentials from the weights towards a corner of the polytope."""
+    inner = []
+    for corners, tau in zip(generators, durations, strict=True):
+        away = combine(corners, corner) - combine(corners, weights)
+        inner.append(frechet(hull_of(corners, weights, hull) * tau, away * tau))
+    return inner
+
+
 def by_entries(
     X: list[Any], moves: list[dict[tuple[int, int, int], Any]], n: int
 ) -> dict[tuple[int, int, int], Any]:
@@ -291,3 +297,136 @@ def _sum(factors: list[Any], inner: list[Any]) -> Any:
         term = product_of([*factors[:k], derivative, *factors[k + 1 :]])
         total = term if total is None else total + term
     return total
+
+
+class BoxEnclosures:
+    """Encloses cells of a box; generators are made once."""
+
+    def __init__(self, family: Box) -> None:
+        from flint import arb
+
+        self.family = family
+        step = balls.decimal_number(family.step)
+
+        def phases(one: DelayInterval) -> tuple[Any, Any]:
+            late = step * (one.count - 1)
+            low, high = (balls.decimal_number(delay) - late for delay in one.delays)
+            low = arb(0) if one.low == 0.0 else step if one.low == family.step else low
+            return low, step if one.high == family.step else high
+
+        self.clock = TimeNumbers(arb, phases, step, _room)
+        self.generators: dict[tuple[int, int, int], list[Any]] = {}
+
+    def of(self, cell: ParameterCell) -> Enclosure:
+        """Enclose one cell; E may be split by `ParameterCell.halves` until the slopes are small."""
+        family, n = self.family, self.family.A.shape[2]
+        parts = [self._of_input(cell, c) for c in range(family.B.shape[3])]
+        together: list[tuple[int, Any]] = []
+        for at, (k, _) in enumerate(parts[0].slopes):
+            together.append((k, self._joined([part.slopes[at][1] for part in parts], n)))
+        sway = None if family.axes is None else self._sway(cell, family.axes)
+        return Enclosure(self._joined([part.centre for part in parts], n), together, sway)
+
+    def _sway(self, cell: ParameterCell, axes: np.ndarray) -> Any:
+        """L_i on the cell, everywhere in the ellipsoid; each input's columns by its own pieces."""
+        family = self.family
+        n, radius = family.A.shape[2], radius_of(axes)
+        u, *f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
+        entries = entries_of(axes, (cell.order.mode, cell.order.after))
+        if not entries:
+            return None
+        found = []
+        for c in range(family.B.shape[3]):
+            pieces = family.pieces(cell.order, c, self.clock, u, f)
+            X, moves = [], []
+            for piece, tau in zip(pieces, self._durations(pieces), strict=True):
+                (room,) = family.laid_out(radius[piece.mode][None], c, piece.lag)
+                X.append(swelled(self._corners(piece, c)[0], room) * tau)
+                own = [place for place in entries if place[0] == piece.mode]
+                units = family.laid_out(unit_matrices(own, radius.shape[1:]), c, piece.lag)
+                moves.append({at: balls.exact(U) * tau for at, U in zip(own, units, strict=True)})
+            found.append(by_entries(X, moves, n))
+        joined = {at: self._joined([each[at] for each in found], n) for at in entries}
+        return along_axes(joined, axes)
+
+    def _joined(self, parts: list[Any], n: int) -> Any:
+        """Rows over (x, all reads) from those over x and the reads of each input."""
+        from flint import arb_mat
+
+        result = arb_mat(n, n + len(self.family.reads))
+        for c, part in enumerate(parts):
+            places = [*range(n), *self.family.columns(c)]
+            for i, row in enumerate(part.tolist()):
+                for place, x in zip(places, row, strict=True):
+                    result[i, place] = x
+        return result
+
+    def _of_input(self, cell: ParameterCell, c: int) -> Enclosure:
+        """The columns of x and of one input."""
+        from flint import arb
+
+        ends = (cell.u, *cell.f)
+        middle_u, *middles = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
+        u, *f = (balls.interval(*pair) for pair in ends)
+        weights, n = cell.corners.mean(axis=0), self.family.A.shape[2]
+        hull = None if len(cell.corners) == 1 else cell.corners
+        pieces = self.family.pieces(cell.order, c, self.clock, middle_u, middles)
+        centre = product_of([X.exp() for X in self._exponents(pieces, c, weights, None)])
+        slopes: list[tuple[int, Any]] = []
+        moving = self._moving(cell)
+        if moving or hull is not None:
+            pieces = self.family.pieces(cell.order, c, self.clock, u, f)
+            factors = [X.exp() for X in self._exponents(pieces, c, weights, hull)]
+            generators = [self._corners(piece, c) for piece in pieces]
+            X = [hull_of(corners, weights, hull) for corners in generators]
+            for k, half in moving:
+                slopes.append((k, balls.top(_slope(pieces, factors, X, k), n) * arb(half)))
+            for corner in cell.corners if hull is not None else ():
+                inner = towards(generators, self._durations(pieces), weights, hull, corner)
+                slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
+        return Enclosure(balls.top(centre, n), slopes)
+
+    def _moving(self, cell: ParameterCell) -> list[tuple[int, float]]:
+        """The directions in which the cell is not a point, and half of its width."""
+        full = cell.order.mode == cell.order.after
+        ends = [(U, cell.u)] * (not full) + list(enumerate(cell.f, FIRST))
+        return [(k, math.nextafter(0.5 * (b - a), math.inf)) for k, (a, b) in ends if b > a]
+
+    def _corners(self, piece: InputPiece, c: int) -> list[Any]:
+        """The generator of a piece at every corner of the polytope."""
+        key = piece.mode, c, piece.lag
+        if key not in self.generators:
+            self.generators[key] = [balls.decimal(X) for X in self.family.generator(*key)]
+        return self.generators[key]
+
+    def _durations(self, pieces: list[InputPiece]) -> list[Any]:
+        ends = [*(piece.end for piece in pieces[:-1]), self.clock.step]
+        return [ends[0], *(b - a for a, b in pairwise(ends))]
+
+    def _exponents(
+        self, pieces: list[InputPiece], c: int, weights: np.ndarray, hull: np.ndarray | None
+    ) -> list[Any]:
+        """𝒜 τ of every piece."""
+        return [
+            hull_of(self._corners(piece, c), weights, hull) * tau
+            for piece, tau in zip(pieces, self._durations(pieces), strict=True)
+        ]
+
+
+def _slope(pieces: list[InputPiece], factors: list[Any], X: list[Any], direction: int) -> Any:
+    """∂E/∂p of u or a delay, X the generators of the pieces."""
+    size = X[0].nrows()
+    total = balls.zeros(size, size)
+    for k, piece in enumerate(pieces[:-1]):
+        if direction in piece.moves:
+            before, after = product_of(factors[: k + 1]), product_of(factors[k + 1 :])
+            total = total + after * (X[k] - X[k + 1]) * before * piece.moves[direction]
+    return total
+
+
+def _room(amount: Any, sign: int) -> Any:
+    """From 0 to max(0, a), or to its negative."""
+    from flint import arb
+
+    most = amount.upper()
+    return arb(0).union(most * sign) if most > 0 else arb(0)

@@ -30,6 +30,7 @@ k periods with s ≤ N₀ + k/r switches multiply V by less than ρ^{2k} μ^{s �
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Any
@@ -40,9 +41,9 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.balls import congruent
 from deadtime.certificates.proof.covering import Covering, QuadraticForm
-from deadtime.certificates.proof.definite import congruent
-from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.evidence import Evidence, Setting
 from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.certificates.proof.transitions import NodeStretch, Transition
 from deadtime.certificates.proof.work import Work, cost
@@ -101,6 +102,13 @@ class StretchEvidence(Frozen):
             ahead = StretchInequalities(self).full(mode, age, self.knots[knot])
         M, periods = balls.middle(ahead), self.knots[knot] - age
         return M.T @ self.P[place, knot] @ M / self.rho ** (2 * periods)
+
+
+def decay_rate(evidence: Evidence | StretchEvidence) -> float:
+    """−ln ρ/h, rounded down; 0 for ρ = 1, where the decay is strict but its rate not known."""
+    if evidence.rho >= 1.0:
+        return 0.0
+    return (-math.log(evidence.rho) / evidence.setting.step) * (1.0 - 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +216,7 @@ class StretchInequalities:
             if end == start:
                 product = balls.exact(np.eye(self.setting.order))
             elif end == start + 1:
-                product = self._full_step(mode, start)
+                product = self._step(mode, self.setting.transitions.row(mode, start))
             else:
                 middle = same if start < same < end else (start + end) // 2
                 product = self.full(mode, middle, end) * self.full(mode, start, middle)
@@ -234,9 +242,6 @@ class StretchInequalities:
                 else self._step(mode, rows[0])
             )
         return self.followed[key]
-
-    def _full_step(self, mode: int, age: int) -> Any:
-        return self._step(mode, self.setting.transitions.row(mode, age))
 
     def _step(self, mode: int, row: int) -> Any:
         (whole,) = cells_of(self.setting.family, mode, mode)

@@ -45,7 +45,7 @@ def _numbers(setting: Setting) -> str:
         **{f"delays{list(at)}": delay.item() for at, delay in np.ndenumerate(setting.delays)},
         "step": setting.step,
     }
-    times |= {"dwell_time": min(np.ravel(setting.signals.dwell_time).tolist())}
+    times |= {"dwell_time": np.min(setting.signals.dwell_time or 0.0).item()}
     for name, value in times.items():
         if not (isinstance(value, float) and SMALLEST <= value <= LARGEST):
             return f"{name} is not a positive number, or beyond 1e±100"

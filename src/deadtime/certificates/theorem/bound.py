@@ -19,10 +19,13 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.theorem.constants import Constants, FunctionalConstants, distance
-from deadtime.certificates.theorem.own_delays import own_delay_constants
-from deadtime.certificates.theorem.paper import paper_constants
-from deadtime.certificates.theorem.sharp import sharp_constants
+from deadtime.certificates.theorem.constants import (
+    Constants,
+    FunctionalConstants,
+    distance,
+    paper_constants,
+)
+from deadtime.certificates.theorem.sharp import own_delay_constants, sharp_constants
 from deadtime.gains import CommonLyapunov, common_lyapunov
 from deadtime.gains.lyapunov import check_lyapunov, hurwitz_gains
 from deadtime.numerics.logarithms import exp, log
@@ -157,7 +160,20 @@ def theorem_bound(
         raise ArgumentError(f"form must be one of {', '.join(map(repr, FORMS))}, got {form!r}.")
     if not plant.B.any():
         raise ArgumentError("plant.B is zero in every mode: no input acts on the plant.")
-    _require_stated(plant, form)
+    stated = stated_forms(plant)
+    if not stated:
+        raise ArgumentError(
+            "plant must have the same delays in all modes for theorem_bound, got "
+            f"delay={plant.delay_text}: the theorem goes by the distance ε of the modes' matrices, "
+            "and modes with the same matrices, ε = 0, may grow where their delays differ. Ask "
+            "certify, which looks at this loop."
+        )
+    if form not in stated:
+        raise ArgumentError(
+            f"form must be 'sharp' where inputs have several delays, got {form!r}, which is a "
+            "theorem of one delay: its Lemma 2.4 has x(t + D) as a functional of X(t) and of what "
+            "was sent, and with a second delay what is still to be sent is part of it."
+        )
     pair = None if lyapunov is None else check_lyapunov(plant, K, lyapunov)
     if not plant.has_one_delay:
         constants: Constants = own_delay_constants(plant, K, pair)
@@ -174,24 +190,6 @@ def stated_forms(plant: SwitchedSystem) -> tuple[str, ...]:
     if plant.has_one_delay:
         return FORMS
     return ("sharp",) if (plant.delays == plant.delays[0]).all() else ()
-
-
-def _require_stated(plant: SwitchedSystem, form: str) -> None:
-    """An error where the theorem is not stated for these delays, in this form."""
-    stated = stated_forms(plant)
-    if not stated:
-        raise ArgumentError(
-            "plant must have the same delays in all modes for theorem_bound, got "
-            f"delay={plant.delay_text}: the theorem goes by the distance ε of the modes' matrices, "
-            "and modes with the same matrices, ε = 0, may grow where their delays differ. Ask "
-            "certify, which looks at this loop."
-        )
-    if form not in stated:
-        raise ArgumentError(
-            f"form must be 'sharp' where inputs have several delays, got {form!r}, which is a "
-            "theorem of one delay: its Lemma 2.4 has x(t + D) as a functional of X(t) and of what "
-            "was sent, and with a second delay what is still to be sent is part of it."
-        )
 
 
 def _bound(form: str, epsilon: float, constants: Constants) -> TheoremBound:

@@ -1,7 +1,18 @@
-"""What every form of the constants provides, and the sizes that all are made of."""
+"""The constants of arXiv 2503.08446 as its text prints them, and with its slips mended.
+
+    δ₁ = ε e^{M_A D}(M_K (D/τ_d + 2) D e^{εD} + 1)                                        (47)
+    δ₂ = ε e^{M_A D}(M_K [e^{εD} D M_B (1 + e^{M_A D}(D/τ_d + 1)) + 1] + M_B)             (54)
+    ν₁ = 2 max{2M_K² D e^{2M_H D}, 1 + 2M_K² D² e^{2M_H D} M_B²},  ν₂ with M_A for M_H    (60), (61)
+    b = 2(M_B|P|)²/λ_min(Q)                                                               (67)
+    κ = max{λ_max(P), b e^D}/min{λ_min(P), b}                                             (74)
+
+The slips in these constants are two: ε*, (62), drops the + 1 of (71), and ρ, (75). See
+docs/errata.md. Norms are spectral.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -9,6 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.gains import CommonLyapunov
+from deadtime.gains.lyapunov import closed_loops
+from deadtime.numerics.logarithms import exp, log, log_inverse, log_one_plus, log_sum
 from deadtime.plant import SwitchedSystem
 
 Gains = Float[np.ndarray, "mode m n"]
@@ -77,3 +90,117 @@ class FunctionalConstants(Constants):
     log_nu2: float
     log_kappa: float
     log_b: float
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """δ₁ and δ₂ of (47) and (54): |W(t)| ≤ δ₁|X(t)| + δ₂∫|U|, for x = log ε."""
+
+    M_A: float
+    M_B: float
+    M_K: float
+    delay: float
+    dwell_time: float
+
+    def log_delta1(self, x: float) -> float:
+        D = self.delay
+        switches = log(self.M_K) + self._log_intervals(2.0) + log(D)
+        return x + self.M_A * D + log_one_plus(switches + exp(x) * D)
+
+    def log_delta2(self, x: float) -> float:
+        D = self.delay
+        inner = log_one_plus(self.M_A * D + self._log_intervals(1.0))
+        first = log(D * self.M_B) + exp(x) * D + inner
+        outer = np.logaddexp(log(self.M_K) + log_one_plus(first), log(self.M_B))
+        return x + self.M_A * D + float(outer)
+
+    def _log_intervals(self, more: float) -> float:
+        """log(D/τ_d + more); D/τ_d itself may overflow."""
+        return log_sum((log(self.delay) - log(self.dwell_time), log(more)))
+
+
+@dataclass(frozen=True, eq=False)
+class PaperConstants(FunctionalConstants):
+    """The printed or the corrected constants.
+
+    Attributes
+    ----------
+    mismatch : Mismatch
+        δ₁ and δ₂.
+    corrected : bool
+        Whether the slips in ε* and ρ are mended.
+    """
+
+    mismatch: Mismatch
+    corrected: bool
+
+    def log_delta1(self, x: float) -> float:
+        return self.mismatch.log_delta1(x)
+
+    def log_delta2(self, x: float) -> float:
+        return self.mismatch.log_delta2(x)
+
+    def decay(self, x: float) -> float:
+        """μ of (73); positive exactly when both lines of (71) hold."""
+        D = self.mismatch.delay
+        q = float(np.linalg.eigvalsh(self.lyapunov.Q)[0])
+        largest = float(np.linalg.eigvalsh(self.lyapunov.P)[-1])
+        forcing = math.log(2.0) + D + 2.0 * self.log_lambda(x)
+        log_D_nu1 = log(D) + self.log_nu1
+        window = 1.0 - exp(forcing + log_D_nu1)
+        share = exp(forcing + math.log(2.0 / q) + self.log_b + log_one_plus(log_D_nu1))
+        return min(window, 0.5 * q * (1.0 - share) / largest)
+
+    def log_rho(self, x: float) -> float:
+        """Printed: √(2ν₁ν₂/κ). It must be √(2(1+ν₁)(1+ν₂)κ)."""
+        if not self.corrected:
+            return 0.5 * (math.log(2.0) + self.log_nu1 + self.log_nu2 - self.log_kappa)
+        norms = log_one_plus(self.log_nu1) + log_one_plus(self.log_nu2)
+        return 0.5 * (math.log(2.0) + norms + self.log_kappa)
+
+
+def paper_constants(
+    plant: SwitchedSystem,
+    gains: Gains,
+    dwell_time: float,
+    lyapunov: CommonLyapunov,
+    corrected: bool,
+) -> PaperConstants:
+    """The constants, printed or corrected."""
+    D = plant.delay
+    mismatch = Mismatch(
+        largest_norm(plant.A), largest_norm(plant.B), largest_norm(gains), D, dwell_time
+    )
+    M_H = largest_norm(closed_loops(plant, gains))
+    eigenvalues = np.linalg.eigvalsh(lyapunov.P)
+    smallest, largest = log(float(eigenvalues[0])), log(float(eigenvalues[-1]))
+    log_q = log(float(np.linalg.eigvalsh(lyapunov.Q)[0]))
+    log_b = math.log(2.0) + 2.0 * (log(mismatch.M_B) + largest) - log_q
+    log_nu1 = _log_nu(M_H, mismatch)
+
+    # λ(ε) must stay below both of these: the two lines of (71).
+    log_D_nu1 = log(D) + log_nu1
+    allowed = -0.5 * (math.log(2.0) + D + log_D_nu1)
+    second = log_one_plus(log_D_nu1) if corrected else log_D_nu1
+    forcing = log_q - math.log(2.0) - log(mismatch.M_B) - largest
+    allowed = min(allowed, forcing - 0.5 * (math.log(2.0) + D + second))
+    star = log_inverse(lambda x: max(mismatch.log_delta1(x), mismatch.log_delta2(x)), allowed)
+
+    return PaperConstants(
+        lyapunov=lyapunov,
+        weight=1.0,
+        log_epsilon_star=star,
+        log_nu1=log_nu1,
+        log_nu2=_log_nu(mismatch.M_A, mismatch),
+        log_kappa=max(largest, log_b + D) - min(smallest, log_b),
+        log_b=log_b,
+        mismatch=mismatch,
+        corrected=corrected,
+    )
+
+
+def _log_nu(M: float, sizes: Mismatch) -> float:
+    """log ν of (60) and (61): e^{M τ} bounds the transition matrices."""
+    D = sizes.delay
+    state = math.log(2.0) + 2.0 * log(sizes.M_K) + log(D) + 2.0 * M * D
+    return math.log(2.0) + max(state, log_one_plus(state + log(D) + 2.0 * log(sizes.M_B)))

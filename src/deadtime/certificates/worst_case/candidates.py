@@ -5,7 +5,7 @@ to five rounds, for their own length need be no whole number of periods. Where s
 one period and two, no word on the grid is near them. They are evaluated on the loop itself.
 
 Switches fall on samples; for a law that knows the mode also right after samples, where it sees
-them a period late (`kinds`), which is often worse.
+them a period late (`products`), which is often worse.
 """
 
 from __future__ import annotations
@@ -13,21 +13,17 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain, islice, product
 
 import numpy as np
 from jaxtyping import Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
-from deadtime.certificates.worst_case.cycle_words import Word, climb
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.kinds import Kinds
-from deadtime.certificates.worst_case.products import Sojourns, compress
-from deadtime.certificates.worst_case.switch_instants import COARSE
-from deadtime.certificates.worst_case.word_search import LETTERS, branch_and_bound
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+from deadtime.certificates.worst_case.products import Kinds, Sojourns, compress
+from deadtime.certificates.worst_case.word_search import LETTERS, Word, branch_and_bound, climb
+from deadtime.certificates.worst_case.worst_cycle import COARSE, Rated
 
 LENGTHS = 200  # of sojourns that the compressed loop knows
 DELAYS = 8  # the longest of them, at least
@@ -46,36 +42,29 @@ LONGEST = 60  # periods of all rounds together; a longer ring is near one on the
 PHASES = (0.0, 0.25, 0.5, 0.75)
 
 
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """Cycles, the most promising first, and short rings with their growth, the best first.
-
-    See `WorstCase` for the rest.
-    """
-
-    cycles: list[Cycle]
-    rings: list[tuple[Cycle, Growth]]
-    upper_estimate: float | None
-    evaluated: int
-
-
 def candidates(
-    loop: SampledLoop, constants: list[tuple[Cycle, Growth]], signals: Admissible, budget: int
-) -> Candidates:
-    """Cycles that are worth evaluating; `constants` are the constant modes and their growth."""
+    loop: SampledLoop, constants: list[Rated], signals: Admissible, budget: int
+) -> tuple[list[Cycle], list[Rated], float | None, int]:
+    """Cycles that are worth evaluating; `constants` are the constant modes and their growth.
+
+    The most promising first; short rings, the best first; and `WorstCase.upper_estimate` and
+    `evaluated`.
+    """
     lengths, (rings, turned) = _lengths(loop, constants, signals), _rings(loop, signals)
     if lengths.size == 0:
-        return Candidates(list(_without_grid(signals)), rings, None, turned)
+        return list(_without_grid(signals)), rings, None, turned
     step, modes = loop.step, loop.plant.modes
     known = [constants[mode][1].rate for mode in signals.lasting]
     floor = (max(known) - loop.shift) * step if known else -math.inf
     kinds = Kinds.of(loop.feedback, signals, loop.lag)
     sojourns = compress(loop, lengths, kinds, signals)
-    letters = _letters(sojourns, max(3, LETTERS // modes))
-    searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.past, budget // 2)
+    count, ends = max(3, LETTERS // modes), zip(sojourns.low, sojourns.high, strict=True)
+    letters = [low + _some(lengths[low : high + 1], count) for low, high in ends]
+    precision = TOLERANCE / loop.past
+    words, bound, looked_at = branch_and_bound(sojourns, letters, floor, precision, budget // 2)
     rates: dict[Cycle, float] = {}
     climbing = 0
-    for start in chain(searched.words, _random_words(sojourns, signals, STARTS * modes)):
+    for start in chain(words, _random_words(sojourns, signals, STARTS * modes)):
         word, looked = climb(sojourns, start)
         climbing += looked
         parts = (kinds.mode[word.kinds], lengths[word.index], kinds.late[word.kinds])
@@ -87,12 +76,12 @@ def candidates(
         if climbing >= budget // 2:
             break
     best = sorted(rates, key=lambda cycle: -rates[cycle])
-    upper = None if searched.bound is None else loop.shift + searched.bound / step
+    upper = None if bound is None else loop.shift + bound / step
     tried = [*_tight(best[:TIGHT], signals), *best]
-    return Candidates(tried, rings, upper, searched.evaluated + climbing + turned)
+    return tried, rings, upper, looked_at + climbing + turned
 
 
-def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[tuple[Cycle, Growth]], int]:
+def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[Rated], int]:
     """The short rings near the shortest sojourns, the best first; how many were looked at."""
     words = chain.from_iterable(signals.cycles(count) for count in range(2, RING + 1))
     rated: dict[Cycle, Growth | None] = {}
@@ -111,7 +100,7 @@ def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[tuple[Cycle, Gr
 
 
 def _lengths(
-    loop: SampledLoop, constants: list[tuple[Cycle, Growth]], signals: Admissible
+    loop: SampledLoop, constants: list[Rated], signals: Admissible
 ) -> Int[np.ndarray, " length"]:
     """Sojourns in samples, dense where they are short, over delays and oscillations.
 
@@ -127,12 +116,6 @@ def _lengths(
         offsets = np.append(0.0, np.geomspace(1.0, max(span, 1), LENGTHS))
         found.append(dwell.shortest + np.unique(np.round(offsets).astype(np.int64))[: span + 1])
     return np.unique(np.concatenate(found))
-
-
-def _letters(sojourns: Sojourns, count: int) -> list[Int[np.ndarray, " letter"]]:
-    """Indices of about `count` lengths of each kind."""
-    ends = zip(sojourns.low, sojourns.high, strict=True)
-    return [low + _some(sojourns.length[low : high + 1], count) for low, high in ends]
 
 
 def _some(lengths: Int[np.ndarray, " length"], count: int) -> Int[np.ndarray, " letter"]:
@@ -181,11 +164,7 @@ def _tight(cycles: list[Cycle], signals: Admissible) -> list[Cycle]:
         return []
     words = {cycle.modes: cycle for cycle in cycles}
     shortest = {modes: signals.totals(modes) for modes in words}
-    return [
-        _equal(modes, signals, totals[0])
-        for modes, totals in shortest.items()
-        if totals is not None
-    ]
+    return [_equal(modes, signals, totals[0]) for modes, totals in shortest.items() if totals]
 
 
 def _equal(modes: tuple[int, ...], signals: Admissible, total: int) -> Cycle:

@@ -8,11 +8,21 @@ themselves may be any real numbers, and the first switch may fall anywhere in a 
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float
 
-from deadtime.switching import SwitchingSignal
+from deadtime.plant.steps import snap
+from deadtime.switching import SignalClass, SwitchingSignal
+
+INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
+LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
+SEEN = 1e-7  # of a period: what is closer to its sample might count as at it
 
 
 @dataclass(frozen=True)
@@ -94,3 +104,201 @@ class Cycle:
         begins = late * np.array(after)
         gaps = np.array(lengths) + np.roll(begins, -1) - begins
         return cls(modes, tuple(gaps.tolist()), float(begins[0])).reduce()
+
+
+@dataclass(frozen=True)
+class Dwell:
+    """The sojourns of a mode, in sampling periods: from `least` to `most`, which may be inf."""
+
+    least: float
+    most: float
+
+    @classmethod
+    def of(
+        cls, dwell_time: float, maximum_dwell: float, step: float, tolerance: float = 0.0
+    ) -> Dwell:
+        """From seconds, and how wrong the clock may be; a ratio within 1e-9 of an integer is it."""
+        endless = math.isinf(maximum_dwell)
+        longest = math.inf if endless else snap(maximum_dwell / step)
+        part = tolerance * INSIDE
+        return cls(snap(dwell_time / step) * (1.0 - part), longest * (1.0 + part))
+
+    @property
+    def shortest(self) -> int:
+        """The least whole number of periods."""
+        return math.ceil(self.least)
+
+    @property
+    def longest(self) -> float:
+        """The largest whole number of periods, or inf; below `shortest` if there is none."""
+        return float(math.floor(self.most)) if math.isfinite(self.most) else math.inf
+
+    @property
+    def spare(self) -> float:
+        """By what part of a period the whole sojourns may be shorter and longer."""
+        spare = math.ceil(self.least) - self.least
+        if math.isfinite(self.most):
+            spare = min(spare, self.most - math.floor(self.most))
+        return spare
+
+
+@dataclass(frozen=True)
+class Admissible:
+    """The sojourns of every mode, and the switches from which a signal can come back (immutable).
+
+    A cycle is made of these alone; a mode that is not left for good is in `recurring`.
+
+    Examples
+    --------
+    >>> ways = np.roll(np.eye(3), 1, 1)
+    >>> ring = SignalClass([2.0, 2.0, 3.0], transitions=ways, clock_tolerance=0.0)
+    >>> signals = Admissible.of(ring, 3, step=1.0)
+    >>> list(signals.cycles(3)), list(signals.cycles(2)), signals.totals((0, 1, 2))[0]
+    ([(0, 1, 2)], [], 7)
+    """
+
+    dwell: tuple[Dwell, ...]
+    following: tuple[tuple[int, ...], ...]
+    lasting: tuple[int, ...]
+    at_samples: bool = False
+
+    @classmethod
+    def of(cls, signals: SignalClass, modes: int, step: float) -> Admissible:
+        """The cycles of a class of signals, by its clock."""
+        limits, off = signals.limits(modes), signals.clock_tolerance
+        times = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
+        dwell = tuple(Dwell.of(least, most, step, off) for least, most in times)
+        whole = signals.at == "samples"
+        if whole:
+            dwell = tuple(Dwell(max(1.0, float(one.shortest)), one.longest) for one in dwell)
+        return cls(dwell, limits.recurring, limits.lasting, whole)
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return len(self.dwell)
+
+    @property
+    def recurring(self) -> tuple[int, ...]:
+        """The modes that cycles are made of."""
+        return tuple(i for i, after in enumerate(self.following) if after)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether every mode may follow every other one."""
+        return all(len(after) == self.modes - 1 for after in self.following)
+
+    @cached_property
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([d.least for d in self.dwell]), np.array([d.most for d in self.dwell])
+
+    @cached_property
+    def late(self) -> tuple[float, bool]:
+        """How long after its sample a late switch falls, in periods, and whether it may be alone.
+
+        A sojourn that begins late and ends in time is shorter by that than its samples tell, one
+        that begins in time and ends late is longer. Where either is not allowed, all switches of a
+        cycle are late or none.
+
+        Examples
+        --------
+        >>> ways = ((1,), (0,))
+        >>> Admissible((Dwell(2.0, math.inf),) * 2, ways, ()).late
+        (0.0009765625, False)
+        >>> Admissible((Dwell(1.9, math.inf),) * 2, ways, ()).late
+        (0.0009765625, True)
+        """
+        spare = min(self.dwell[i].spare for i in self.recurring)
+        late = min(LATE, 0.5 * spare)
+        return (late, True) if late >= SEEN else (LATE, False)
+
+    def least(self, word: tuple[int, ...]) -> Float[np.ndarray, " sojourn"]:
+        """The shortest sojourns of modes in turn, in periods."""
+        return self._bounds[0][list(word)]
+
+    def most(self, word: tuple[int, ...]) -> Float[np.ndarray, " sojourn"]:
+        """The longest sojourns of modes in turn, in periods."""
+        return self._bounds[1][list(word)]
+
+    def totals(self, word: tuple[int, ...]) -> tuple[int, int] | None:
+        """The least and the largest whole length of these modes in turn; None if there is none.
+
+        Examples
+        --------
+        >>> tight = Admissible((Dwell(2.5, 2.7),) * 2, ((1,), (0,)), ())
+        >>> tight.totals((0, 1)), tight.totals((0,))
+        ((5, 5), None)
+        """
+        own = [self.dwell[i] for i in word]
+        least, most = _sum([d.least for d in own]), _sum([d.most for d in own])
+        low = math.ceil(snap(least))
+        most = most if math.isinf(most) else snap(most)
+        if low > most:
+            return None
+        return low, 10**9 if math.isinf(most) else math.floor(most)
+
+    def near(
+        self, gaps: Float[np.ndarray, " sojourn"], total: int, word: tuple[int, ...]
+    ) -> Float[np.ndarray, " sojourn"]:
+        """Admissible sojourns of this total near `gaps`: what is missing is shared out evenly.
+
+        The total must be one that `totals` allows. Where modes change at samples only all are whole
+        numbers, and what is missing goes to one sojourn after the other.
+
+        Examples
+        --------
+        >>> two = Admissible((Dwell(2.5, 9.0),) * 2, ((1,), (0,)), ())
+        >>> two.near(np.array([1.0, 4.0]), 6, (0, 1))
+        array([2.5, 3.5])
+        """
+        least, most = self.least(word), self.most(word)
+        if self.at_samples:
+            result = np.clip(np.round(gaps), least, most)
+            for _ in range(round(abs(total - result.sum()))):
+                sign = math.copysign(1.0, total - result.sum())
+                ends = most if sign > 0.0 else least
+                result[
+                    int(np.argmin(np.where(result != ends, sign * (result - gaps), np.inf)))
+                ] += sign
+            return result
+        result = np.clip(gaps, least, most)
+        for _ in range(2 * gaps.size):
+            missing = total - result.sum()
+            if missing == 0.0:
+                break
+            free = result < most if missing > 0.0 else result > least
+            if not free.any():
+                break
+            result[free] += missing / free.sum()
+            result = np.clip(result, least, most)
+        return result
+
+    def cycles(self, count: int) -> Iterator[tuple[int, ...]]:
+        """The sequences of `count` modes that may be gone through again and again."""
+        return mode_cycles(self.following, count)
+
+
+def _sum(lengths: list[float]) -> float:
+    """The sum, each distinct length times how often it comes."""
+    return sum(number * length for length, number in Counter(lengths).items())
+
+
+def mode_cycles(following: Sequence[Sequence[int]], count: int) -> Iterator[tuple[int, ...]]:
+    """Sequences of `count` modes, each with one after it that may follow, one of each rotation.
+
+    Examples
+    --------
+    >>> list(mode_cycles([(1, 2), (0, 2), (0, 1)], 3))
+    [(0, 1, 2), (0, 2, 1)]
+    """
+    walks = [(first,) for first in reversed(range(len(following)))]
+    while walks:
+        word = walks.pop()
+        if len(word) < count:
+            # The first rotation begins with the least mode.
+            after = [j for j in following[word[-1]] if j >= word[0]]
+            walks += [(*word, j) for j in reversed(after)]
+        elif word[0] in following[word[-1]] and word == min(
+            word[i:] + word[:i] for i in range(count)
+        ):
+            yield word

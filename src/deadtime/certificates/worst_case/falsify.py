@@ -9,14 +9,12 @@ import numpy as np
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.admissible import Admissible, Dwell
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.losses import with_losses
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle, Dwell
 from deadtime.certificates.worst_case.run_search import RunLoop, worst_in_runs
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
-from deadtime.certificates.worst_case.worst_cycle import Rated, improve, worst_of
+from deadtime.certificates.worst_case.worst_cycle import Rated, improve, with_losses, worst_of
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, same_outputs, with_lost_rows
@@ -80,9 +78,9 @@ def falsify(
     Notes
     -----
     Constant signals first, then cycles on the grid: branch and bound over words of sojourns on a
-    compressed loop (`search`, `products`), the best evaluated on the loop itself by the spectral
-    radius over a cycle (`loop`), then improved over switch instants off the grid (`instants`).
-    Growth is proved afterwards (`proof`). Deterministic.
+    compressed loop (`word_search`, `products`), the best evaluated on the loop itself by the
+    spectral radius over a cycle (`cycle_growth`), then improved off the grid (`worst_cycle`).
+    Growth is proved afterwards (`growth_proof`). Deterministic.
 
     Examples
     --------
@@ -94,38 +92,49 @@ def falsify(
     >>> worst.simulate(cycles=5).diverged
     False
     """
-    _require(plant, law)
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    require_match(plant, law)
+    if law.foresees:
+        raise ArgumentError(
+            f"law must not depend on the future, got {type(law).__name__}: it foresees the signal, "
+            "so no signal can be chosen against it."
+        )
     step = positive("step", step)
     asked = SignalClass.of(dwell_time, **signals)
-    least = asked.at_period(plant.modes, step, laid_out=False).dwell_time
-    if asked.at == "anywhere":
-        _require_seen(plant, min(least), step)
+    least = min(asked.at_period(plant.modes, step, laid_out=False).dwell_time)
+    several = plant.modes > 1
+    if several and asked.at == "anywhere" and Dwell.of(least, math.inf, step).least < 1.0:
+        raise ArgumentError(
+            f"dwell_time must be at least one period, got {least:g} s with step = {step:g} s: "
+            "shorten the step, so that the law sees every mode."
+        )
     count("budget", budget)
-    cycles, mode_lag = Admissible.of(asked, plant.modes, step), asked.mode_lag
-    feedback = None if mode_lag and not same_outputs(law) else _table(law, step)
+    cycles = Admissible.of(asked, plant.modes, step)
+    feedback = None if asked.mode_lag and not same_outputs(law) else recurrence_of(law, step)
+    if feedback is not None and feedback.context == "step":
+        raise ArgumentError("law must have rows that do not depend on the step's index.")
     if feedback is None and asked.lost_samples:
         raise ArgumentError(
             f"lost_samples needs a law that is a table, got {type(law).__name__}: run it with "
             "imperfections.Dropout, or leave lost_samples out."
         )
     if feedback is None:
-        run = RunLoop(plant, law, step, mode_lag, least)
-        return worst_in_runs(run, cycles, budget)
-    lag = mode_lag if plant.modes > 1 and feedback.context != "none" else 0
+        return worst_in_runs(RunLoop(plant, law, asked, step), cycles, budget)
+    lag = asked.mode_lag if several and feedback.context != "none" else 0
     constants, loop = _constants(with_memory(plant, feedback), feedback, lag)
     known = [constants[mode] for mode in cycles.lasting]
     evaluated, upper = len(constants), None
     if cycles.recurring:
-        tried = candidates(loop, constants, cycles, budget)
+        words, rings, upper, tried = candidates(loop, constants, cycles, budget)
         floor = max((growth.rate for _, growth in known), default=-math.inf)
-        better, looked = improve(loop, cycles, tried.cycles, tried.rings, floor)
-        evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
-        known = [*known, *better]
+        better, looked = improve(loop, cycles, words, rings, floor)
+        evaluated, known = evaluated + tried + looked, [*known, *better]
     if asked.lost_samples:
         loop = SampledLoop.of(loop.plant, with_lost_rows(law, feedback), loop.shift)
         better, looked = with_losses(loop, known, asked.lost_samples)
         known, evaluated = [*known, *better], evaluated + looked
-    about = plant, law, least
+    about = plant, law, asked
     result = worst_case(loop, *about, *worst_of(known, loop), evaluated, upper)
     if result.proven or result.growth_rate <= 0.0:
         return result
@@ -136,35 +145,6 @@ def falsify(
         if other.proven:
             return other
     return result
-
-
-def _require(plant: SwitchedSystem, law: Law) -> None:
-    """Refuse arguments that do not belong together."""
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
-    require_match(plant, law)
-    if law.foresees:
-        raise ArgumentError(
-            f"law must not depend on the future, got {type(law).__name__}: it foresees the signal, "
-            "so no signal can be chosen against it."
-        )
-
-
-def _require_seen(plant: SwitchedSystem, shortest: float, step: float) -> None:
-    """Refuse sojourns of which the law might see nothing."""
-    if plant.modes > 1 and Dwell.of(shortest, math.inf, step).least < 1.0:
-        raise ArgumentError(
-            f"dwell_time must be at least one period, got {shortest:g} s with step = {step:g} "
-            "s: shorten the step, so that the law sees every mode."
-        )
-
-
-def _table(law: Law, step: float) -> Feedback | None:
-    """The law's table, with what it remembers; None of a law that is no table."""
-    feedback = recurrence_of(law, step)
-    if feedback is not None and feedback.context == "step":
-        raise ArgumentError("law must have rows that do not depend on the step's index.")
-    return feedback
 
 
 def _constants(

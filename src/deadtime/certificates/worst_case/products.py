@@ -10,6 +10,17 @@ keeps what is both reached and felt (an empirical form of balanced truncation; M
 26, 1981). The sojourn of k samples in mode i becomes U M_i(k) V. On the paper's example,
 N = 20 to 1,000, 16 dimensions give growth rates to about 1e-4 1/s, 5e-3 at worst, 2e-2 where
 some switches are seen late and others not. They rank cycles; none is trusted.
+
+A sojourn on the grid is of a mode, and begins with a switch that the law saw in time or late. A
+switch that falls on its sample is seen at it. One that falls just after its sample is seen a period
+late: at that sample the law still acts for the mode before. Every switch of a cycle may do either.
+A sojourn is cut from sample to sample, so a late one has, at its first sample, the row of the mode
+before, which is taken to have lasted for the shortest sojourn (exact where rows do not depend on
+the age by then; what is found is evaluated on the loop itself).
+
+A law that is told the mode L samples late acts for the mode before at the first L samples of every
+sojourn, and at one more of a late one. For a lag longer than sojourns last that is a guess; it
+ranks cycles, and is not trusted.
 """
 
 from __future__ import annotations
@@ -18,17 +29,61 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.certificates.worst_case.cycle_growth import CycleTable, SampledLoop
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.kinds import Kinds
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+from deadtime.feedback import Feedback
 
 RANK = 16
 RUNS = 32
 DELAYS = 4  # length of a random run
 SMALLEST = 1e-10  # singular value that is kept, relative
+
+
+@dataclass(frozen=True, eq=False)
+class Kinds:
+    """What sojourns there are (immutable).
+
+    Attributes
+    ----------
+    mode : (kinds,)
+        The mode.
+    before : (kinds,)
+        The mode before where the law acts for it at first, else −1.
+    wait : (kinds,)
+        At how many samples it does.
+    late : (kinds,)
+        Whether the switch falls just after its sample.
+    follows : (kinds, kinds)
+        Whether the second may follow the first.
+    """
+
+    mode: Int[np.ndarray, " kind"]
+    before: Int[np.ndarray, " kind"]
+    wait: Int[np.ndarray, " kind"]
+    late: Bool[np.ndarray, " kind"]
+    follows: Bool[np.ndarray, "kind kind"]
+
+    @classmethod
+    def of(cls, feedback: Feedback, signals: Admissible, lag: int = 0) -> Kinds:
+        """For a law's table and the cycles that are admissible."""
+        mixed, recurring = signals.late[1], signals.recurring
+        each = [(i, p) for i in recurring for p in recurring if i in signals.following[p]]
+        found = [(i, -1, 0, 0) for i in recurring]
+        if feedback.context != "none" and lag:
+            found = [(i, p, lag, 0) for i, p in each]
+        if feedback.context != "none" and not signals.at_samples:
+            found += [(i, p, lag + 1, 1) for i, p in each]
+        mode, before, wait, late = np.array(found).T
+        allowed = np.zeros((signals.modes, signals.modes), dtype=bool)
+        for i in recurring:
+            allowed[i, list(signals.following[i])] = True
+        follows = allowed[mode[:, None], mode]
+        follows &= (before == -1) | (before == mode[:, None])
+        if not mixed:
+            follows &= late[:, None] == late
+        return cls(mode, before, wait, late > 0, follows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ delay long or longer; the slope of its logarithm over the later half of the bloc
 a linear loop exact up to what has not yet died out, of another one that of this run.
 
 Cycles are drawn at random, short sojourns more often than long ones; switches fall on samples,
-right after them and elsewhere. The best are improved as those of a table are (`instants`).
+right after them and elsewhere. The best are improved as those of a table are (`worst_cycle`).
 
 Nothing of this is a proof, and a law that is not linear may grow from other states than that of
 the runs.
@@ -22,18 +22,16 @@ from functools import cached_property
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.certificates.worst_case.cycle_growth import Growth
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.proof import GrowthProof
-from deadtime.certificates.worst_case.switch_instants import COARSE, polish
-from deadtime.certificates.worst_case.witness import KeptLoop, WorstCase, of_cycle, repeat
-from deadtime.certificates.worst_case.worst_cycle import Rated, worst_of
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+from deadtime.certificates.worst_case.growth_proof import GrowthProof
+from deadtime.certificates.worst_case.witness import WorstCase, of_cycle, repeat
+from deadtime.certificates.worst_case.worst_cycle import COARSE, Rated, polish, worst_of
 from deadtime.feedback import Law
 from deadtime.imperfections import ModeDelay
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import SignalClass, SwitchingSignal
 
 BLOCKS, MOST_BLOCKS = 16, 64
 FEWEST = 4  # blocks that tell a slope
@@ -53,15 +51,14 @@ class RunLoop:
 
     plant: SwitchedSystem
     law: Law
+    signals: SignalClass
     step: float
-    lag: int
-    dwell_time: tuple[float, ...]
 
     @cached_property
     def window(self) -> int:
         """How many periods a block spans at least."""
         longest = max(self.plant.longest_delay, self.law.plant.longest_delay)
-        return math.ceil(longest / self.step) + 1 + self.lag
+        return math.ceil(longest / self.step) + 1 + self.signals.mode_lag
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -94,11 +91,12 @@ class RunLoop:
 
     def run(self, cycle: Cycle, periods: int) -> Trajectory:
         """So many periods along a cycle repeated, or fewer where the run ends before."""
-        late = [ModeDelay(self.lag)] if self.lag else []
-        signal = SwitchingSignal.constant(cycle.modes[0])
+        lag, signal = self.signals.mode_lag, SwitchingSignal.constant(cycle.modes[0])
+        late = [ModeDelay(lag)] if lag else []
         if not cycle.constant:
             times = -(-periods // cycle.periods)
-            signal = repeat(cycle, times, self.dwell_time, self.step)
+            least = self.signals.limits(self.plant.modes).dwell_time
+            signal = repeat(cycle, times, least, self.step)
         horizon = periods * self.step
         return simulate(
             self.plant, self.law, signal, self.start, horizon, self.step, imperfections=late
@@ -128,8 +126,8 @@ def worst_in_runs(loop: RunLoop, signals: Admissible, budget: int) -> WorstCase:
     plants = loop.plant, loop.law.plant
     past = max(SampledPlant.of(plant, loop.step).longest_lag for plant in plants)
     u0 = np.zeros((loop.plant.inputs, past))
-    kept = KeptLoop(loop.plant, loop.law, loop.dwell_time, loop.step, loop.lag)
-    return of_cycle(kept, cycle, growth.rate, proof, (loop.start, u0), 0.0, evaluated, None)
+    about = loop.plant, loop.law, loop.signals, loop.step
+    return of_cycle(*about, cycle, growth.rate, proof, (loop.start, u0), 0.0, evaluated, None)
 
 
 def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from deadtime.imperfections import SensorImperfection
+from deadtime.imperfections.base import Sizes
+from deadtime.imperfections.received import Heard
+from deadtime.imperfections.received import Relaying
+
 import math
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,19 +17,38 @@ from deadtime.base.checks import count
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.lost_at import LostAt
-from deadtime.certificates.worst_case.proof import GrowthProof, prove
+from deadtime.certificates.worst_case.growth_proof import GrowthProof, prove
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.spectrum import least_growth
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import SignalClass, SwitchingSignal
 
 DELAYS = 20  # the signal is at least this long
 CYCLES = 10
 SLACK = 1e-9  # of a period: round-off in a sojourn
 NAMED = 8  # lost samples
+
+
+@dataclass(frozen=True)
+class LostAt(Relaying, SensorImperfection):
+    """Loses the samples of a pattern that is gone through again and again.
+
+    Parameters
+    ----------
+    lost : tuple of int
+        The samples of a cycle that are lost.
+    periods : int
+        The length of the cycle.
+    """
+
+    lost: tuple[int, ...]
+    periods: int
+
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+        each = np.arange(heard.samples)
+        return heard.at(np.where(np.isin(each % self.periods, self.lost), -1, each))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,10 +95,9 @@ class WorstCase(Frozen):
     proof: GrowthProof
     plant: SwitchedSystem = field(repr=False)
     law: Law = field(repr=False)
-    dwell_time: tuple[float, ...] = field(repr=False)
+    signals: SignalClass = field(repr=False)
     step: float = field(repr=False)
     cycle: Cycle = field(repr=False)
-    mode_lag: int = field(default=0, repr=False)
 
     @property
     def proven(self) -> bool:
@@ -112,8 +134,11 @@ class WorstCase(Frozen):
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
-            signal = repeat(self.cycle, cycles, self.dwell_time, self.step)
-        late: list[Imperfection] = [ModeDelay(self.mode_lag)] if self.mode_lag else []
+            least = self.signals.limits(self.plant.modes).dwell_time
+            signal = repeat(self.cycle, cycles, least, self.step)
+        late: list[Imperfection] = []
+        if self.signals.mode_lag:
+            late.append(ModeDelay(self.signals.mode_lag))
         if self.lost:
             late.append(LostAt(self.lost, self.cycle.periods))
         return simulate(
@@ -138,7 +163,7 @@ def worst_case(
     loop: SampledLoop,
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: tuple[float, ...],
+    signals: SignalClass,
     cycle: Cycle,
     growth: Growth,
     evaluated: int,
@@ -151,22 +176,15 @@ def worst_case(
     start = x0, outputs[q:]
     law = law.beginning_at(outputs[:q, -1])
     proof = prove(loop, cycle, growth.rate)
-    kept = KeptLoop(plant, law, dwell_time, loop.step, loop.lag)
-    return of_cycle(kept, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
-
-
-class KeptLoop(NamedTuple):
-    """The loop that a result is about."""
-
-    plant: SwitchedSystem
-    law: Law
-    dwell_time: tuple[float, ...]
-    step: float
-    lag: int
+    about = plant, law, replace(signals, mode_lag=loop.lag), loop.step
+    return of_cycle(*about, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
 
 
 def of_cycle(
-    loop: KeptLoop,
+    plant: SwitchedSystem,
+    law: Law,
+    signals: SignalClass,
+    step: float,
     cycle: Cycle,
     rate: float,
     proof: GrowthProof,
@@ -176,8 +194,7 @@ def of_cycle(
     upper_estimate: float | None,
 ) -> WorstCase:
     """The result for a cycle, its rate, its start (x0, u0), and the age of a constant mode, s."""
-    plant, law, dwell_time, step, lag = loop
-    x0, u0 = start
+    (x0, u0), dwell_time = start, signals.limits(plant.modes).dwell_time
     if cycle.constant:
         signal = SwitchingSignal([0.0], [cycle.modes[0]], initial_age=aged)
         sojourns = (math.inf,)
@@ -195,7 +212,7 @@ def of_cycle(
     message = _message(rate, proof, how)
     return WorstCase(
         signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
-        plant, law, dwell_time, step, cycle, lag,
+        plant, law, signals, step, cycle,
     )  # fmt: skip
 
 

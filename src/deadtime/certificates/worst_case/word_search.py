@@ -11,19 +11,24 @@ their length. A word with β(w) at most the best rate found, plus a tolerance, h
 Where too many words are left the ones of largest bound go on and the rest is given up, so that
 the bound is lost (the modified Gripenberg algorithm; Mejstrik, ACM Trans. Math. Softw. 46, 2020).
 The norm is Euclidean in coordinates in which the mean over sojourns of |A z|² is |z|² nearly.
+The best cycles are then improved by changing their lengths (`climb`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.certificates.worst_case.cycle_words import Word, distinct
 from deadtime.certificates.worst_case.products import Sojourns
 
+KEPT = 5  # cycles of each number of sojourns that are improved,
+ALIKE = 3  # and of them with the same kinds in turn
+NEAR = 20  # part of the range of lengths within which cycles count as the same
+MOST_CLIMBED = 600  # cycles looked at to improve one
 LETTERS = 40  # sojourns a word may be grown by, about
 WIDTH = 100  # words that go on
 LONGEST = 10  # sojourns in a word
@@ -33,22 +38,67 @@ SQUARINGS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What a search leaves behind.
+class Word:
+    """A cycle on the grid: kinds, indices of their lengths, and its growth per sample."""
 
-    Attributes
-    ----------
-    words : list of Word
-        The best cycles of each number of sojourns, the best first.
-    bound : float or None
-        No signal of these letters grows faster, per sample; None where words were given up.
-    evaluated : int
-        How many words were looked at.
+    kinds: Int[np.ndarray, " sojourn"]
+    index: Int[np.ndarray, " sojourn"]
+    rate: float
+
+
+def distinct(words: list[Word], sojourns: Sojourns) -> list[Word]:
+    """The best few of these, no two of which are rotations of nearly the same."""
+    kept: list[Word] = []
+    near = sojourns.length.size // NEAR
+    for word in sorted(words, key=lambda word: -word.rate):
+        if not math.isfinite(word.rate):
+            continue
+        alike = [away for other in kept if (away := _apart(word, other)) is not None]
+        if len(alike) < ALIKE and min(alike, default=np.inf) > near:
+            kept.append(word)
+        if len(kept) == KEPT:
+            break
+    return kept
+
+
+def _apart(word: Word, other: Word) -> int | None:
+    """The least change of a length from one of the turns of a word to another word of its kinds."""
+    if word.kinds.size != other.kinds.size:
+        return None
+    turns = _turns(word.kinds.size)
+    same = (word.kinds[turns] == other.kinds).all(axis=1)
+    if not same.any():
+        return None
+    return int(np.abs(word.index[turns[same]] - other.index).max(axis=1).min())
+
+
+@lru_cache(maxsize=64)
+def _turns(size: int) -> np.ndarray:
+    """Every rotation of the places 0, …, size − 1, one a row."""
+    return (np.arange(size) - np.arange(size)[:, None]) % size
+
+
+def climb(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
+    """The cycle improved by longer and shorter sojourns, and how many were looked at.
+
+    One sojourn is changed, two neighbours against each other, or all together.
     """
-
-    words: list[Word]
-    bound: float | None
-    evaluated: int
+    count, low, high = word.index.size, sojourns.low[word.kinds], sojourns.high[word.kinds]
+    eye = np.eye(count, dtype=np.int64)
+    moves = np.vstack((eye, eye - np.roll(eye, 1, axis=1), np.ones((1, count), np.int64)))
+    moves = np.unique(np.vstack((moves, -moves)), axis=0)
+    index, rate, evaluated = word.index, word.rate, 0
+    reach = max(1, sojourns.length.size // 8)
+    while reach and evaluated < MOST_CLIMBED:
+        trials = np.clip(index + reach * moves, low, high)
+        rates = sojourns.rates(word.kinds, trials)
+        evaluated += len(trials)
+        best = int(np.argmax(rates))
+        if rates[best] > rate + 1e-12:
+            index, rate = trials[best], float(rates[best])
+        else:
+            reach //= 2
+    return Word(word.kinds, index, rate), evaluated
 
 
 @dataclass(eq=False)
@@ -133,10 +183,12 @@ def branch_and_bound(
     floor: float,
     tolerance: float,
     budget: int,
-) -> Found:
+) -> tuple[list[Word], float | None, int]:
     """Words of sojourns with `letters` for the indices of their lengths, a list of each kind.
 
     `floor` is a rate per sample that is known to be reached; `budget` is how many words may be
+    looked at. Returns the best cycles of each number of sojourns, the best first; a rate per sample
+    that no signal of these letters exceeds, None where words were given up; and how many words were
     looked at.
     """
     search = _CycleSearch(_adapt(sojourns, letters, floor), letters, tolerance, floor)
@@ -154,7 +206,7 @@ def branch_and_bound(
     complete = complete and not level.time.size
     words = [word for some in search.cycles.values() for word in distinct(some, sojourns)]
     words.sort(key=lambda word: -word.rate)
-    return Found(words, search.best + tolerance if complete else None, evaluated)
+    return words, search.best + tolerance if complete else None, evaluated
 
 
 def _most_promising(level: _Level) -> np.ndarray:

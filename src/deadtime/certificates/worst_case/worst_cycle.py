@@ -1,16 +1,37 @@
-"""From candidates to the worst cycle: evaluated on the loop itself, improved, the simplest kept."""
+"""The worst cycle: candidates evaluated on the loop itself and improved, the simplest kept.
+
+A cycle of n switches over K periods is changed at a reach: one sojourn longer or shorter and the
+cycle with it, all of them, one switch earlier or later, or all switches against the samples. What
+is not admissible is moved to the nearest sojourns that are. A change that helps is kept; where
+none does the reach is halved, from several periods down to 1/64 of one. Below one period the
+length K stays.
+
+Of the worst cycles, and of the modes that may last, the samples lost are chosen so that the loop
+grows fastest: first every pattern of some lost and some measured in turn, wherever it begins, then
+the best of these is improved by losing or measuring one sample at a time. A cycle is gone through
+as often as a pattern needs to come round. Deterministic; that there is no worse pattern is not
+proved.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
-from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.admissible import Admissible
-from deadtime.certificates.worst_case.cycle_growth import Growing, Growth, SampledLoop
-from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.certificates.worst_case.switch_instants import COARSE, polish, refine
+import numpy as np
 
+from deadtime.base.errors import ArgumentError
+from deadtime.certificates.worst_case.cycle_growth import Growing, Growth, SampledLoop
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+
+REACH = 1.0 / 40.0  # of the longest sojourn: where the search begins
+FINEST = 1.0 / 64.0  # of a period
+LONG = 60  # periods; a longer cycle is fine enough as it is
+MOST_TIMES = 5
+WORTH = 1e-3  # growth over a cycle for which a longer one is worth it
+COARSE = 1e-6  # relative error of eigenvalues while searching
+GAIN = 1e-9  # per period; a smaller gain is none
 TRIED = 12  # cycles evaluated on the loop itself
 POLISHED = 3  # of them, cycles whose switches leave the grid
 RINGS = 3  # short rings improved besides
@@ -20,6 +41,123 @@ MOVES = 80  # cycles looked at to improve one, per sojourn
 LONGER = 1.25  # how much longer a cycle slower than a constant signal may become
 BETTER = 1e-6  # per period: by how much a cycle must beat a constant signal
 SIMPLER = 2e-4  # growth over a cycle that may be lost for a cycle of fewer sojourns
+BASES = 4  # cycles in which samples are lost
+ROUND = 3  # samples measured in a row, at most, in the patterns tried first
+LONGEST = 240  # periods of a cycle with its pattern, unless the cycle itself is longer
+FLIPS = 120  # samples lost or measured one at a time, per cycle
+RELATIVE_GAIN = 1e-9  # 1/s, relative, that a change has to bring
+
+
+def polish(
+    loop: Growing,
+    signals: Admissible,
+    cycle: Cycle,
+    growth: Growth,
+    most: int,
+    longest: float = math.inf,
+) -> tuple[Cycle, Growth, int]:
+    """The cycle improved, its growth, and how many cycles were evaluated, at most `most`.
+
+    No cycle of more than `longest` periods is looked at.
+    """
+    evaluated, scale = 0, 2.0 ** max(0, round(math.log2(max(cycle.gaps) * REACH)))
+    gain = GAIN / loop.step
+    seen = {_key(cycle)}
+    while scale >= (1.0 if signals.at_samples else FINEST):
+        better = False
+        for trial in _neighbours(cycle, signals, scale):
+            if evaluated >= most:
+                return cycle, growth, evaluated
+            key = _key(trial)
+            if key in seen or trial.periods > longest:
+                continue
+            seen.add(key)
+            evaluated += 1
+            trial_growth = loop.growth(trial, COARSE)
+            if trial_growth is not None and trial_growth.rate > growth.rate + gain:
+                cycle, growth, better = trial, trial_growth, True
+                break
+        if not better:
+            scale /= 2.0
+    return cycle, growth, evaluated
+
+
+def refine(
+    loop: SampledLoop, signals: Admissible, cycle: Cycle, growth: Growth, most: int
+) -> tuple[Cycle, Growth, int]:
+    """The cycle repeated a few times over a length that it does not divide, where that is better.
+
+    So its own length need be no whole number of periods, only a fraction with a small denominator.
+    """
+    best, evaluated = (cycle, growth), 0
+    if cycle.periods > LONG or signals.at_samples:
+        return cycle, growth, 0
+    for times in range(2, MOST_TIMES + 1):
+        for extra in range(1 - times, times):
+            if math.gcd(times, extra) != 1:
+                continue
+            total = times * cycle.periods + extra
+            scale = total / (times * cycle.periods)
+            gaps = tuple(scale * gap for gap in cycle.gaps) * times
+            trial = admissible(Cycle(cycle.modes * times, gaps, cycle.offset), signals, total)
+            if trial is None:
+                continue
+            evaluated += 1
+            trial_growth = loop.growth(trial, COARSE)
+            if trial_growth is not None and trial_growth.rate > best[1].rate:
+                best = trial, trial_growth
+    if best[0] is cycle:
+        return cycle, growth, evaluated
+    better, faster, looked = polish(loop, signals, *best, most)
+    evaluated += looked
+    if (faster.rate - growth.rate) * cycle.periods * loop.step < WORTH:
+        return cycle, growth, evaluated
+    return better, faster, evaluated
+
+
+def admissible(cycle: Cycle, signals: Admissible, total: int) -> Cycle | None:
+    """The nearest admissible cycle of a whole length; None if there is none."""
+    allowed = signals.totals(cycle.modes)
+    if allowed is None or not allowed[0] <= total <= allowed[1]:
+        return None
+    gaps = signals.near(np.array(cycle.gaps), total, cycle.modes)
+    return Cycle(cycle.modes, tuple(gaps.tolist()), cycle.offset)
+
+
+def _neighbours(cycle: Cycle, signals: Admissible, scale: float) -> Iterator[Cycle]:
+    """The admissible cycles at this reach."""
+    count, total = len(cycle.modes), cycle.periods
+    gaps = np.array(cycle.gaps)
+    for sign in (scale, -scale):
+        for i in range(count):
+            moved, offset = gaps.copy(), cycle.offset
+            moved[i - 1] += sign
+            moved[i] -= sign
+            if i == 0:
+                offset += sign
+            yield from _valid(cycle, signals, moved, offset, total)
+        if scale < 1.0:
+            yield from _valid(cycle, signals, gaps, cycle.offset + sign, total)
+            continue
+        for i in range(count):
+            moved = gaps.copy()
+            moved[i] += sign
+            yield from _valid(cycle, signals, moved, cycle.offset, total + round(sign))
+        yield from _valid(cycle, signals, gaps + sign, cycle.offset, total + count * round(sign))
+
+
+def _valid(
+    cycle: Cycle, signals: Admissible, gaps: np.ndarray, offset: float, total: int
+) -> Iterator[Cycle]:
+    moved = Cycle(cycle.modes, tuple(gaps.tolist()), offset - math.floor(offset))
+    cycle_in_range = admissible(moved, signals, total)
+    if cycle_in_range is not None:
+        yield cycle_in_range
+
+
+def _key(cycle: Cycle) -> tuple:
+    return (*np.round(cycle.gaps, 9).tolist(), round(cycle.offset, 9))
+
 
 Rated = tuple[Cycle, Growth]
 
@@ -112,3 +250,74 @@ def _exact(pair: Rated, loop: Growing, floor: float) -> Rated | None:
         return None
     exact = loop.growth(cycle)
     return None if exact is None or exact.rate <= floor else (cycle, exact)
+
+
+def with_losses(loop: SampledLoop, known: list[Rated], most: int) -> tuple[list[Rated], int]:
+    """The worst of these cycles, with the samples lost along them that were found worst."""
+    bases: dict[tuple, Rated] = {}
+    for cycle, growth in sorted(known, key=lambda pair: -pair[1].rate):
+        bases.setdefault((cycle.modes, cycle.gaps, cycle.offset), (cycle, growth))
+    chosen = list(bases.values())[:BASES]
+    chosen += [one for one in bases.values() if one[0].constant and one not in chosen]
+    found, evaluated = [], 0
+    for cycle, _ in chosen:
+        best, looked = _worst_pattern(loop, cycle, most)
+        evaluated += looked
+        found += [] if best is None else [best]
+    return found, evaluated
+
+
+def _worst_pattern(loop: SampledLoop, cycle: Cycle, most: int) -> tuple[Rated | None, int]:
+    """A cycle with the losses found worst."""
+    best: Rated | None = None
+    evaluated = 0
+    for tried in _in_turn(cycle, most):
+        growth, evaluated = loop.growth(tried, COARSE), evaluated + 1
+        if growth is not None and (best is None or growth.rate > best[1].rate):
+            best = tried, growth
+    if best is None:
+        return None, evaluated
+    flips = range(min(best[0].periods, FLIPS))
+    for sample in flips:
+        changed = tuple(sorted({*best[0].lost} ^ {sample}))
+        if not changed or not _allowed(changed, best[0].periods, most):
+            continue
+        tried = replace(best[0], lost=changed)
+        growth, evaluated = loop.growth(tried, COARSE), evaluated + 1
+        if growth is not None and growth.rate > best[1].rate + RELATIVE_GAIN * abs(best[1].rate):
+            best = tried, growth
+    return best, evaluated
+
+
+def _in_turn(cycle: Cycle, most: int) -> Iterator[Cycle]:
+    """The cycle, as often as need be, with l samples lost and r measured in turn from each on."""
+    for lost in range(1, most + 1):
+        for measured in range(1, ROUND + 1):
+            turn = lost + measured
+            if cycle.constant:
+                yield replace(cycle, gaps=(float(turn),), lost=tuple(range(1, lost + 1)))
+                continue
+            times = int(np.lcm(cycle.periods, turn)) // cycle.periods
+            if times * cycle.periods > max(LONGEST, cycle.periods):
+                times = 1
+            long = replace(cycle, modes=cycle.modes * times, gaps=cycle.gaps * times)
+            for first in range(turn):
+                kept = tuple(k for k in range(long.periods) if (k - first) % turn < lost)
+                if _allowed(kept, long.periods, most):
+                    yield replace(long, lost=kept)
+
+
+def _allowed(lost: tuple[int, ...], periods: int, most: int) -> bool:
+    """Whether no more than so many samples in a row are lost, round and round.
+
+    Examples
+    --------
+    >>> _allowed((0, 4), 5, 1), _allowed((1, 3), 5, 1)
+    (False, True)
+    """
+    mask = np.isin(np.arange(periods), lost)
+    if mask.all():
+        return False
+    turned = np.roll(mask, -int(np.flatnonzero(~mask)[0]))
+    ends = np.flatnonzero(~np.append(turned, False))
+    return bool(np.diff(ends).max(initial=1) - 1 <= most)

@@ -20,18 +20,11 @@ from deadtime.problems.file.imperfections import build_imperfections, offsets_of
 from deadtime.problems.file.laws import Laws, change_plant
 from deadtime.problems.file.observer import add_observers, names_of
 from deadtime.problems.file.servo import FileServo
-from deadtime.problems.file.switching import (
-    average_of,
-    build_rule,
-    build_signal,
-    instants_of,
-    promise_of,
-)
+from deadtime.problems.file.switching import build_rule, build_signal, promise_of
 from deadtime.problems.file.units import labels, require_units
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
-from deadtime.switching import Rule, SwitchingModel, SwitchingSignal
-from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching import Rule, SignalClass, SwitchingModel, SwitchingSignal
 
 
 def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
@@ -63,7 +56,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     with _section("truth"):
         truth = change_plant(plant, file.truth) if file.truth is not None else plant
     imperfections = _imperfections(file, plant, laws, step, following)
-    signal, promise = rule, None
+    signal, promise = rule, SignalClass()
     if signal is None:
         longest = max(truth.longest_delay, *(law.plant.longest_delay for law in laws.values()))
         end = horizon + longest + min(step or 0.0, horizon)
@@ -91,10 +84,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         outputs=labels(outputs, units),
         tracked=() if following is None else labels(following.names, units),
         switching=model,
-        dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
-        constraint=promise,
-        average_dwell_time=average_of(file.signal),
-        switches_at=instants_of(file.signal, model, step),
+        signals=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
         uncertain=_uncertain(file, plant),
         operating_point=_operating_point(file, plant),
@@ -145,12 +135,12 @@ def _signal(
     folder: Path,
     model: SwitchingModel | None,
     step: float | None,
-) -> tuple[SwitchingSignal, SwitchingConstraint | None]:
+) -> tuple[SwitchingSignal, SignalClass]:
     """The switching signal up to `end`, s, and what the file says of every one."""
     with _section("signal"):
         signal = build_signal(file.signal, plant, end, folder, model, step)
         signal.require_modes(plant.modes)
-        return signal, promise_of(file, model, plant.modes)
+        return signal, promise_of(file, model, plant.modes, step)
 
 
 def _imperfections(

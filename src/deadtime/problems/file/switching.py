@@ -19,34 +19,30 @@ from deadtime.switching import (
     SwitchingModel,
     SwitchingSignal,
 )
-from deadtime.switching.constraint import SwitchingConstraint
 from deadtime.switching.signal_class import Instants
 
 
 def promise_of(
-    file: schema.ProblemFile, model: SwitchingModel | None, modes: int
-) -> SwitchingConstraint | None:
+    file: schema.ProblemFile, model: SwitchingModel | None, modes: int, step: float | None = None
+) -> SignalClass:
     """What the file says of every signal: [signal] where it states something, else [switching].
 
-    None where neither states anything.
+    Modes change as [signal] says, or at samples of a step where it is drawn from a chain of them.
     """
-    signal = file.signal
+    signal, chatter = file.signal, 1
+    stated: Promise = getattr(signal, "dwell_time", None), None, None
     if isinstance(signal, schema.RandomSignal):
-        stated: Promise = signal.dwell_time, signal.maximum_dwell, signal.transitions
-    else:
-        stated = getattr(signal, "dwell_time", None), None, None
+        stated = signal.dwell_time, signal.maximum_dwell, signal.transitions
+        if signal.average_dwell_time is not None:
+            stated, chatter = (signal.average_dwell_time, *stated[1:]), signal.chatter
     if all(one is None for one in stated) and file.switching is not None and model is not None:
         stated = file.switching.promise(model)
-    if all(one is None for one in stated):
-        return None
-    return SwitchingConstraint.of(modes, *stated)
-
-
-def average_of(section: schema.Signal) -> tuple[float, int] | None:
-    """The average dwell time of [signal], seconds, and its chatter; None where there is none."""
-    if not isinstance(section, schema.RandomSignal) or section.average_dwell_time is None:
-        return None
-    return section.average_dwell_time, section.chatter
+    at: Instants = getattr(signal, "at", "anywhere")
+    if isinstance(signal, schema.ModelSignal) and model is not None and step is not None:
+        at = "samples" if model.at_samples(step) else "anywhere"
+    signals = SignalClass(*stated, at, chatter=chatter)
+    signals.limits(modes)  # refuses what does not fit them
+    return signals
 
 
 def build_rule(section: schema.Signal) -> Rule | None:
@@ -103,15 +99,6 @@ def build_signal(
     if section.dwell_time is not None:
         signal.require_dwell_time(section.dwell_time)
     return signal
-
-
-def instants_of(
-    section: schema.Signal, model: SwitchingModel | None, step: float | None
-) -> Instants:
-    """When modes change: as [signal] says, or at samples where it is drawn from a chain of them."""
-    if isinstance(section, schema.ModelSignal) and model is not None and step is not None:
-        return "samples" if model.at_samples(step) else "anywhere"
-    return getattr(section, "at", "anywhere")
 
 
 def _random(section: schema.RandomSignal, modes: int, end: float) -> SwitchingSignal:

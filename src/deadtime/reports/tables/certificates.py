@@ -24,7 +24,7 @@ from deadtime.switching import SignalClass
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
-    from deadtime.margins.constant_modes import DelayMargin
+    from deadtime.margins.delay import DelayMargin
     from deadtime.plant import UncertainPlant
 
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
@@ -181,7 +181,7 @@ def _judge(
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify
-    from deadtime.margins.constant_modes import constant_delay_margin
+    from deadtime.margins.delay import constant_delay_margin
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
@@ -303,7 +303,7 @@ def delay_sentence(problem: Problem) -> list[str]:
 
     Where it would take long, that it was left out.
     """
-    from deadtime.margins.constant_modes import constant_delay_margin
+    from deadtime.margins.delay import constant_delay_margin
     from deadtime.spectrum.affordable import why_left_out
 
     name, law = next(iter(problem.laws.items()))

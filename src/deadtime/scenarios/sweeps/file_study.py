@@ -161,8 +161,7 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> SwitchingModel
             raise ArgumentError(
                 "a study draws switches between samples: leave at out of the file's [signal]."
             )
-        own = promise_of(file, None, modes)
-        assert own is not None
+        own = promise_of(file, None, modes).limits(modes)
         return random_model(own, signal.mean_sojourn)
     raise ArgumentError(
         "a study draws its signals: give grid.dwell_time, or the problem file a [switching] "

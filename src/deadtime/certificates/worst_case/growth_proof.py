@@ -63,7 +63,15 @@ def prove(loop: SampledLoop, cycle: Cycle, rate: float) -> GrowthProof:
     if not rate > 0.0:
         return GrowthProof(False, reason="no growth was computed")
     if cycle.constant and not cycle.lost:
-        return _constant(loop, cycle.modes[0])
+        if loop.order > LARGEST:
+            reason = f"the loop has order {loop.order:,}, and {LARGEST:,} is the limit"
+            return GrowthProof(False, reason=f"{reason}; lengthen the step")
+        mode, feedback = cycle.modes[0], loop.feedback
+        low, high = enclose_growth(loop.plant, feedback, mode, aged_row(feedback, mode))
+        if low > 0.0:
+            return GrowthProof(True, low)
+        reason = f"the growth rate is between {low:.4g} /s and {high:.4g} /s"
+        return GrowthProof(False, reason=reason)
     order, step = loop.order, loop.step
     time = cycle.periods * step
     squarings = max(1, math.ceil(math.log2((math.log(order) + BEYOND) / (rate * time))) + TURNS)
@@ -79,17 +87,6 @@ def prove(loop: SampledLoop, cycle: Cycle, rate: float) -> GrowthProof:
         if proof is not None:
             return proof
     return GrowthProof(False, reason=f"{BITS[-1]} bits do not suffice")
-
-
-def _constant(loop: SampledLoop, mode: int) -> GrowthProof:
-    if loop.order > LARGEST:
-        reason = f"the loop has order {loop.order:,}, and {LARGEST:,} is the limit"
-        return GrowthProof(False, reason=f"{reason}; lengthen the step")
-    feedback = loop.feedback
-    low, high = enclose_growth(loop.plant, feedback, mode, aged_row(feedback, mode))
-    if low > 0.0:
-        return GrowthProof(True, low)
-    return GrowthProof(False, reason=f"the growth rate is between {low:.4g} /s and {high:.4g} /s")
 
 
 def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> GrowthProof | None:

@@ -13,11 +13,11 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import sentence_of
 from deadtime.feedback import Law
 from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay, streams
-from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
+from deadtime.margins.delay import DelayMargin, constant_delay_margin
 from deadtime.margins.gain import GainMargin, gain_margin
-from deadtime.margins.robustness.robustness_runs import RobustnessRuns
-from deadtime.margins.robustness.tolerance import (
+from deadtime.margins.tolerance import (
     NoisePrice,
+    RobustnessRuns,
     Tolerance,
     noise_price,
     sweep as _sweep,

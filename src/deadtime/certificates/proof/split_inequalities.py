@@ -1,8 +1,13 @@
-"""The large inequalities of a proof: K ≻ 0, and that the Lyapunov function is positive.
+"""The inequalities of evidence of the first kind: small ones for every step, and a large one.
 
-Two residuals, of the filter (ε = Ψ [M₀ B] − F Y) and of the rows (η_c ξ = (row_c − row₀) ξ −
-T_c (y, r)), are not zero in floats. With (v, w) = Y ζ they take at most c |ζ̂|² from the sum of
-the large and a small inequality, ζ̂ = ζ in units in which diag K is about 1, and
+Small: [I; Δ]ᵀ Θ [I; Δ] ≻ 0 for every step that the plant can take, Θ = Π + S_{i,a} on ψ − Fᵀ
+S_{j,b} F/ρ², of a transition (i, a) → (j, b); `covering` has how they are checked for all instants
+of a switch.
+
+Large: K ≻ 0, and that the Lyapunov function is positive. Two residuals, of the filter (ε = Ψ [M₀ B]
+− F Y) and of the rows (η_c ξ = (row_c − row₀) ξ − T_c (y, r)), are not zero in floats. With (v, w)
+= Y ζ they take at most c |ζ̂|² from the sum of the large and a small inequality, ζ̂ = ζ in units in
+which diag K is about 1, and
 
     c = 2 |(Θ Y)_u| |η| + |Θ_uu| |η|² + (2 |S F Y| |ε| + |S| |ε|²)/ρ²,
 
@@ -12,25 +17,103 @@ after the step. K − c I ≻ 0 is what is factorised.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from deadtime.certificates.proof import balls
-from deadtime.certificates.proof.channels import Channels
-from deadtime.certificates.proof.definite import is_positive_definite, powers_of_two
-from deadtime.certificates.proof.evidence import Evidence
-from deadtime.certificates.proof.small import SmallInequalities
+from deadtime.certificates.proof.balls import is_positive_definite, powers_of_two
+from deadtime.certificates.proof.covering import Covering, QuadraticForm
+from deadtime.certificates.proof.evidence import Channels, Evidence
+from deadtime.certificates.proof.transitions import Transition, interpolation
+from deadtime.certificates.proof.work import Work, cost
 
 
-class LargeInequalities:
-    """The large inequalities of one piece of evidence, after its small ones."""
+class SplitInequalities:
+    """The inequalities of one piece of evidence, in balls; the large ones after the small ones."""
 
-    def __init__(self, evidence: Evidence, channels: Channels, small: SmallInequalities) -> None:
-        self.evidence = evidence
-        self.channels = channels
-        self.small = small
+    def __init__(self, evidence: Evidence, channels: Channels, work: Work) -> None:
+        from flint import arb
+
+        self.evidence, self.channels = evidence, channels
+        centre = evidence.centre
         self.v, self.w = channels.D.shape
-        self.s = small.s
-        self.rho2 = small.rho2
+        self.s = len(centre.Psi)
+        self.rho2 = arb(evidence.rho) * arb(evidence.rho)
+        self.Pi = balls.exact(evidence.Pi)
+        self.F: Any = balls.exact(centre.F) if self.s else None
+        self.E = balls.exact(centre.E)
+        self.y = balls.exact(np.eye(centre.E.shape[1], self.v))
+        self.T = [balls.exact(T).tolist() for T in centre.T]
+        self.work = work
+        self.covering = Covering(evidence.setting.family, work)
+        self.forms: dict[Any, tuple[QuadraticForm, Any]] = {}
+        self.answers: dict[Any, tuple[int, float | None]] = {}
+
+    def holds(self, transition: Transition) -> tuple[int, float | None]:
+        """Check all cells of a transition: how many, and the instant where it fails, if it does.
+
+        The instant is that of the switch as a fraction of the period.
+        """
+        lower: list[Any] = []
+        row = b""
+        if self.evidence.setting.rows_differ:
+            row = self.evidence.centre.T[transition.row].tobytes()
+            lower = [line + [0] * self.s for line in self.T[transition.row]]
+        # Ages at which rows and S are the same ask for the same inequality.
+        ends = self._ends(transition)
+        key = ends, transition.mode, transition.after, transition.instants, row
+        if key not in self.answers:
+            form, _ = self.form(transition)
+            self.answers[key] = self.covering.holds(form, transition, lower)
+        return self.answers[key]
+
+    def _ends(self, transition: Transition) -> tuple[int, ...]:
+        """What Θ depends on: where the transition begins and ends; on nothing without S."""
+        here, there = self._places(transition)
+        ends = (here, transition.age, there, transition.next_age)
+        return ends if self.s else ()
+
+    def _places(self, transition: Transition) -> tuple[int, int]:
+        """Where S before and after a transition stands."""
+        place = self.evidence.setting.transitions.place
+        here = place(transition.mode, transition.lost)
+        return here, place(transition.after, transition.next_lost)
+
+    def S(self, place: int, age: int) -> Any:
+        """S_{place, age}, interpolated exactly."""
+        from flint import arb, fmpq
+
+        total = balls.zeros(self.s, self.s)
+        for knot, weight in interpolation(self.evidence.knots, age):
+            factor = arb(fmpq(weight.numerator, weight.denominator))
+            total = total + balls.exact(self.evidence.S[place, knot]) * factor
+        return total
+
+    def form(self, transition: Transition) -> tuple[QuadraticForm, Any]:
+        """Θ of a transition, and S F of its end; the same for all rows and instants."""
+        from flint import arb_mat
+
+        key = self._ends(transition)
+        if key in self.forms:
+            return self.forms[key]
+        self.work.do(cost(self.Pi.nrows()))
+        lines, SF = self.Pi.tolist(), None
+        if self.s:
+            first, last = self._places(transition)
+            here = self.S(first, transition.age)
+            SF = self.S(last, transition.next_age) * self.F
+            lines = (self.Pi - self.F.transpose() * SF * (1 / self.rho2)).tolist()
+            at = self.v - self.s
+            for i in range(self.s):
+                for j in range(self.s):
+                    lines[at + i][at + j] += here[i, j]
+        v = self.v
+        vv = arb_mat([line[:v] for line in lines[:v]])
+        wv = arb_mat([line[:v] for line in lines[v:]])
+        ww = arb_mat([line[v:] for line in lines[v:]])
+        self.forms[key] = QuadraticForm.of(vv, wv, ww, self.E, self.y), SF
+        return self.forms[key]
 
     def positive(self) -> bool:
         """P + Ψᵀ S Ψ ≻ 0 where every walk can end: by the inequalities then everywhere.
@@ -50,7 +133,7 @@ class LargeInequalities:
         if self.s:
             Psi = balls.exact(psi)
             value, error = balls.split(
-                balls.exact(evidence.P) + Psi.transpose() * self.small.S(mode, age) * Psi
+                balls.exact(evidence.P) + Psi.transpose() * self.S(mode, age) * Psi
             )
             even = 0.5 * (value + value.T)
             error = error + np.abs(even - value) + np.spacing(np.abs(even))
@@ -88,7 +171,7 @@ class LargeInequalities:
         Y = (half + balls.exact(across)) * (1 / self.rho2)
         wide = balls.exact(self.channels.wide)
         low = Z.transpose() * Y
-        shared = low + low.transpose() + wide.transpose() * self.small.Pi * wide
+        shared = low + low.transpose() + wide.transpose() * self.Pi * wide
         base = np.zeros((full, full))
         base[:d, :d] = P
         moved = np.zeros((full, full))
@@ -104,17 +187,17 @@ class LargeInequalities:
         wide, grow = self.channels.wide * unit, 1.0 + 1e-10
         u, worst = self.v + self.evidence.setting.states, 0.0
         largest = float(np.linalg.norm(self.evidence.S)) * grow
-        if not self.small.forms:
+        if not self.forms:
             return np.inf
-        for theta in self.small.forms.values():
-            form, c = theta.form, 0.0
+        for form, SF in self.forms.values():
+            c = 0.0
             if eta:
                 blocks = balls.blocks([[form.wv, form.ww]])
                 centre, error = (x[self.evidence.setting.states :] for x in balls.split(blocks))
                 below = float((np.abs(centre) + error)[:, u:].sum())
                 c += 2.0 * _above((centre, error), wide) * eta + below * eta**2
             if epsilon:
-                pull = _above(balls.split(theta.SF), wide)
+                pull = _above(balls.split(SF), wide)
                 c += (2.0 * pull * epsilon + largest * epsilon**2) / self.evidence.rho**2
             if not np.isfinite(c):
                 return np.inf
@@ -148,7 +231,7 @@ class LargeInequalities:
         moved = np.zeros((self.s, setting.order + self.w))
         moved[:, n : n + setting.order - top] = Psi[:, top:]
         residual = balls.exact(Psi[:, :top]) * Z + balls.exact(moved)
-        return balls.frobenius(residual - self.small.F * balls.exact(self.channels.wide), unit)
+        return balls.frobenius(residual - self.F * balls.exact(self.channels.wide), unit)
 
 
 def _above(left: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> float:
