@@ -11,7 +11,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.cli.asked_signals import with_step
+from deadtime.cli.problem_options import with_step
 from deadtime.problems.asked import random_model, signals_of
 from deadtime.problems.file import load_problem
 

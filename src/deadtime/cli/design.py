@@ -19,7 +19,7 @@ from deadtime.cli.printing import (
     require_name,
     save_figure,
 )
-from deadtime.cli.problems import numbers_of, one_or_several, problem_of
+from deadtime.cli.problem_options import numbers_of, one_or_several, problem_of
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem

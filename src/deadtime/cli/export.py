@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import BUILD, AsJson, FirstLaw, ProblemFile, Step, app, lines
 from deadtime.cli.printing import print_json
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller

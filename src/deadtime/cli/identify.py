@@ -1,4 +1,4 @@
-"""`deadtime identify`."""
+"""`deadtime identify` and `fit`: from logs to a plant, and to a model of its switching."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, File, Flag, app, command_line, lines
+from deadtime.cli.application import BUILD, AsJson, File, Flag, Folder, app, command_line, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -20,7 +20,7 @@ from deadtime.cli.printing import (
     save_figure,
     stage_line,
 )
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problem_options import numbers_of, problem_of
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
@@ -280,3 +280,92 @@ def _hidden(hidden: HiddenModes) -> dict:
         "starts": hidden.starts,
         "agreed": hidden.agreed,
     }
+
+
+@app.command(
+    group=BUILD,
+    help_epilogue=lines(
+        "deadtime fit log.csv",
+        "deadtime fit week-*.csv --first drop",
+        "deadtime fit log.csv --dwell-time 0.2 --maximum-dwell 3,inf",
+        "deadtime fit log.csv --labels.throttle 0 --labels.brake 1",
+        "deadtime fit log.csv --step 0.05",
+    ),
+)
+def fit(
+    *logs: Path,
+    family: str = "auto",
+    first: Literal["whole", "drop"] = "whole",
+    labels: dict[str, int] | None = None,
+    unit: Literal["s", "ms", "us", "ns"] | None = None,
+    dwell_time: str | None = None,
+    maximum_dwell: str | None = None,
+    step: float | None = None,
+    out: Folder = Path("fit.png"),
+    json_output: AsJson = False,
+) -> None:
+    """Fit a model of the switching to logs, and print it as a section for a problem file.
+
+    Parameters
+    ----------
+    logs
+        CSV files with the columns t (or time) and mode, as for identify.
+    family
+        Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
+        lognormal, fixed; auto takes the best.
+    first
+        drop, if the logs begin in the middle of a sojourn.
+    labels
+        Mode of each text in the logs, such as --labels.idle 0 --labels.busy 1.
+    unit
+        Of the times; s by default.
+    dwell_time
+        The shortest sojourn, seconds, where it is known, or one per mode with commas between them:
+        families are fitted as truncated there.
+    maximum_dwell
+        The longest sojourn likewise, inf for none.
+    step
+        Fit a Markov chain of this period, seconds, in place of sojourns: it switches at samples
+        only. It has no family and no figure.
+    out
+        The figure, PNG, SVG, PDF or PGF.
+    """
+    from deadtime.problems.asked import one_or_all
+    from deadtime.reports.figures.fit import plot_fit
+    from deadtime.reports.tables import fit as fit_report
+    from deadtime.switching import SwitchingSignal
+    from deadtime.switching.models.markov_chain import MarkovChain
+    from deadtime.switching.models.semi_markov import SemiMarkov
+
+    if not logs:
+        raise ArgumentError("logs must be given: the CSV files to fit a model to.")
+    out = output_file("out", out)
+    signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
+    if step is not None:
+        if family != "auto" or dwell_time is not None or maximum_dwell is not None:
+            raise ArgumentError(
+                "step fits a chain, which has neither families nor limits of sojourns: leave out "
+                "family, dwell-time and maximum-dwell, or the step."
+            )
+        chain = MarkovChain.fit(signals, step)
+        if json_output:
+            print_json({"P": chain.P.tolist(), "step": chain.step}, [])
+        else:
+            print(chain.section())
+        return
+    least, most = (
+        None if text is None else one_or_all(numbers_of(name, text))
+        for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
+    )
+    model = SemiMarkov.fit(
+        signals, family=family, first=first, dwell_time=least, maximum_dwell=most
+    )
+    texts = {mode: text for text, mode in (labels or {}).items()}
+    names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
+    save_figure(plot_fit(model, signals, names, first=first), out)
+    if json_output:
+        print_json(fit_report.fit_record(model, names), [out])
+        return
+    print_table(fit_report.HEADINGS, fit_report.fit_rows(model, names))
+    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{model.section()}")
+    print(f"\nFigure: {out}")

@@ -29,7 +29,7 @@ from deadtime.cli.printing import (
     save_figure,
     save_text,
 )
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     import xarray as xr
