@@ -12,16 +12,13 @@ import pytest
 
 import deadtime as dt
 from deadtime.app import jobs
-from deadtime.app.costs import table_of
+from deadtime.app.controls import ranges_of, steps_of
 from deadtime.app.documents import open_named
-from deadtime.app.drawing import MOST, switch_at
-from deadtime.app.offered_laws import laws_on_offer
+from deadtime.app.first_view import laws_on_offer
+from deadtime.app.outcome import csv_of, run_draft, table_of
 from deadtime.app.page import Page
-from deadtime.app.page_run import run_draft
-from deadtime.app.ranges import ranges_of, steps_of
-from deadtime.app.samples_table import csv_of
 from deadtime.app.script import script_of
-from deadtime.app.settings import DrawnSignal, Settings, draft_of
+from deadtime.app.settings import MOST, DrawnSignal, Settings, draft_of, switch_at
 from deadtime.problems.file import load_problem
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.runs import plot_laws

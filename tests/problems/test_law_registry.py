@@ -10,7 +10,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import open_named
-from deadtime.app.offered_laws import laws_on_offer
+from deadtime.app.first_view import laws_on_offer
 from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.named_problems import template
 from deadtime.problems.file.schema import ProblemFile

@@ -13,10 +13,8 @@ import panel_material_ui as pmui
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.documents import Document
 from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
-from deadtime.app.page_chart import BOUNDS, KEY, Chart
-from deadtime.app.page_panels import ProblemPanels
-from deadtime.app.page_run import ProblemOutcome
-from deadtime.app.samples_table import csv_of
+from deadtime.app.outcome import ProblemOutcome, csv_of
+from deadtime.app.page_panels import BOUNDS, KEY, Chart, ProblemPanels
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import GivenSignal
 from deadtime.base.wording import as_rate, file_name

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
-from deadtime.app.page_run import run_draft
+from deadtime.app.outcome import run_draft
 from deadtime.app.uploaded_log import Columns, LogRequest, Tell, look_at, open_log, report_of
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify

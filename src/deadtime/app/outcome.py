@@ -1,27 +1,45 @@
-"""Run what a page shows: every chosen law, and the oracle to compare with."""
+"""The outcome of a problem on a page: a run of every chosen law, costs as HTML, samples as CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import Any
 
-from deadtime.app.delays import longest_delay, shortest_delay
+import numpy as np
+
+from deadtime.app.draft_facts import longest_delay, shortest_delay
 from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.base.wording import compact
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.laws import ExactPredictor
+from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import ending
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.law_registry import QUICK
 from deadtime.problems.slips import slips_of
+from deadtime.reports.figures.colours import Look, looks_of
 from deadtime.simulation import Trajectory
+from deadtime.simulation.columns import numbered_columns
 from deadtime.simulation.outcome import Outcome as Ending, why_untested
-from deadtime.simulation.tracking import measure_of
+from deadtime.simulation.tracking import TRACKING_ERROR, measure_of
 from deadtime.switching import SwitchingSignal
+
+DASHES = ("solid", "dashed", "dashdot", "dotted")
+
+
+def dash_of(place: int) -> str:
+    """The dash that figures give the same number."""
+    return DASHES[place % len(DASHES)]
+
 
 MOST_SAMPLES = 20_000
 MOST_TAPS = 2_000
@@ -190,3 +208,92 @@ def _oracle(problem: Problem) -> Law:
         return law
     begun = {"estimate": first.estimate, "covariance": first.covariance}
     return OutputFeedback(law, first.observer, **begun, **followed)
+
+
+_HEAD = (
+    "<table class='costs'><caption>{caption}, and against the oracle{more}</caption>"
+    "<thead><tr><th scope='col'>law</th><th scope='col'>{word}</th><th scope='col'>× oracle</th>"
+    "<th scope='col'>settles (s)</th><th scope='col'>max |x|</th></tr></thead><tbody>"
+)
+_BORDERS = {"solid": "solid", "dashed": "dashed", "dashdot": "dashed", "dotted": "dotted"}
+CSS = """
+.costs { border-collapse: collapse; width: 100%; font-size: 0.9rem; color: inherit; }
+.costs caption { text-align: left; font-size: 0.85rem; padding-bottom: 4px; }
+.costs th, .costs td { text-align: right; padding: 3px 5px; white-space: nowrap; }
+.costs th:first-child, .costs td:first-child { text-align: left; white-space: normal; }
+.costs tbody tr { border-top: 1px solid rgba(128, 128, 128, 0.35); }
+.costs .swatch { display: inline-block; width: 18px; margin-right: 5px; vertical-align: middle;
+                 border-top-width: 3px; }
+.costs .why { text-align: left; white-space: normal; opacity: 0.85; }
+"""
+
+
+def table_of(outcome: ProblemOutcome, laws: Sequence[str]) -> str:
+    """The table; `laws` are all on offer, which share the colours.
+
+    Full figures are in the `data-` attributes of the rows.
+    """
+    looks = looks_of([*laws, *outcome.runs])
+    rows = [_row(outcome, law, looks[law]) for law in outcome.runs]
+    for law, why in outcome.reasons.items():
+        rows.append(
+            f"<tr><td>{escape(law)}</td><td class='why' colspan='4'>{escape(why)}</td></tr>"
+        )
+    more = ", on estimates of the same observer" if outcome.observed else ""
+    caption, word = f"Cost {text_of(outcome.problem.weight)}", "cost"
+    if outcome.measure == "iae":
+        caption, word = f"Tracking error {TRACKING_ERROR} over the whole run", TRACKING_ERROR
+    head = _HEAD.format(caption=caption, word=word, more=more)
+    return f"{head}{''.join(rows)}</tbody></table>"
+
+
+def _row(outcome: ProblemOutcome, law: str, look: Look) -> str:
+    metrics, ratio = outcome.metrics[law], outcome.ratio(law)
+    colour = look.colour
+    swatch = f"<span class='swatch' style='border-top-style: {_BORDERS[dash_of(look.dash)]}; " + (
+        f"border-top-color: {colour}'></span>"
+    )
+    grows = outcome.runs[law].diverged or (ratio is not None and math.isinf(ratio))
+    bar = 0.0 if ratio is None else 100.0 if grows else _bar(ratio)
+    shade = f"background: linear-gradient(to right, {colour}55 {bar:.0f}%, transparent {bar:.0f}%)"
+    relative = "–" if ratio is None else "grows" if grows else f"{compact(ratio)}"
+    settling = outcome.endings[law].settling
+    settles = "no" if not math.isfinite(settling) else f"{settling:.2f}"
+    return (
+        f"<tr data-law='{escape(law, quote=True)}' data-cost='{metrics['cost']!r}' "
+        f"data-peak='{metrics['peak']!r}'><td>{swatch}{escape(law)}</td>"
+        f"<td>{compact(metrics[outcome.measure])}</td><td style='{shade}'>{relative}</td>"
+        f"<td>{settles}</td><td>{compact(metrics['peak'])}</td></tr>"
+    )
+
+
+def _bar(ratio: float) -> float:
+    """Per cent of a cell, growing with the logarithm of the ratio: all of it at 1,000."""
+    return min(100.0, 100.0 * math.log10(max(ratio, 1.02)) / 3.0)
+
+
+def csv_of(runs: Mapping[str, Trajectory]) -> str:
+    """Time, mode, and the states, inputs and mismatch of every law, full precision.
+
+    Of laws that follow a reference also y and r. Columns are named as those of `Trajectory.to_csv`,
+    behind the law's name; a run that ended early leaves its cells empty from there on.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> csv_of({"mean": problem.simulate("mean")}).splitlines()[0]
+    'time,mode,mean: x[0],mean: x[1],mean: u[0],mean: w[0]'
+    """
+    longest = max(runs.values(), key=lambda run: run.time.size)
+    columns: dict[str, np.ndarray] = {"time": longest.time, "mode": longest.mode}
+    for law, run in runs.items():
+        signals = {"x": run.states, "u": run.inputs, "w": run.mismatch}
+        rows = numbered_columns(signals | {"y": run.tracked, "r": run.reference})
+        columns |= {f"{law}: {name}": row for name, row in rows.items()}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for i in range(longest.time.size):
+        writer.writerow([row[i].item() if i < row.size else "" for row in columns.values()])
+    return text.getvalue()

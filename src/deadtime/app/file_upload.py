@@ -16,7 +16,7 @@ _MOST = {"csv": uploaded_log.MOST_BYTES, "toml": MOST_BYTES}
 Take = Callable[[str, int, bytes | None], None]
 
 
-class Door(JSComponent):
+class FileUpload(JSComponent):
     """A button that opens a file, and a page that takes what is dropped on it.
 
     A file larger than its kind may be is not sent: only its name and size are.

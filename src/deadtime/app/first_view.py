@@ -1,17 +1,18 @@
-"""The laws that a page has on offer for a problem: those of its file first, then all others."""
+"""A problem as a page first shows it: the laws on offer, and the outcome of those in its file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from deadtime.app.assumed_switching import dwell_time_of, with_model
 from deadtime.app.documents import Document
+from deadtime.app.draft_facts import dwell_time_of, with_model
+from deadtime.app.outcome import ProblemOutcome, run_draft
+from deadtime.app.settings import Section, Settings, draft_of
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.law_registry import LAWS
 from deadtime.switching import SwitchingSignal
-
-Section = dict[str, Any]
 
 
 def laws_on_offer(document: Document) -> tuple[dict[str, Section], tuple[str, ...]]:
@@ -65,3 +66,31 @@ def _sections_by_name(document: Document, draft: Mapping[str, Any]) -> list[tupl
             continue
         found.append((next(iter(problem.laws)), section))
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class FirstView:
+    """A document as a page first shows it (immutable): all pages that begin with it share one.
+
+    Attributes
+    ----------
+    document : Document
+    offer : dict
+        The laws on offer, by name.
+    chosen : tuple of str
+        The laws of the file.
+    outcome : Outcome
+        What its laws do.
+    """
+
+    document: Document
+    offer: Mapping[str, Section]
+    chosen: tuple[str, ...]
+    outcome: ProblemOutcome
+
+    @classmethod
+    def of(cls, document: Document) -> FirstView:
+        """Run the laws of a document as it stands."""
+        offer, chosen = laws_on_offer(document)
+        outcome = run_draft(draft_of(document, offer, Settings()), document.source)
+        return cls(document, offer, chosen, outcome)
