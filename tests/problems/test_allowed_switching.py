@@ -12,8 +12,8 @@ import pytest
 import deadtime as dt
 from deadtime.cli.application import main
 from deadtime.cli.problem_options import with_step
-from deadtime.problems.asked import random_model, signals_of
 from deadtime.problems.file import load_problem
+from deadtime.problems.switching_assumptions import random_model, signals_of
 
 PLANT = """\
 [plant]

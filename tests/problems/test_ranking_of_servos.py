@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.app.outcome import ProblemOutcome, csv_of, table_of
+from deadtime.app.page_outcome import ProblemOutcome, csv_of, table_of
 from deadtime.imperfections.words import in_words
 from deadtime.problems.comparison import compare
 from deadtime.reports.figures.comparison import all_laws, plot_tracking

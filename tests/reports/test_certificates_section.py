@@ -9,8 +9,8 @@ import pytest
 
 import deadtime as dt
 from deadtime.problems import Problem
-from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import compare
+from deadtime.problems.switching_assumptions import dwell_time_of
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
 from deadtime.reports.tables.certificates import delay_sentence
 

@@ -10,7 +10,7 @@ from scipy.stats import expon
 import deadtime as dt
 from deadtime.cli.application import main
 from deadtime.problems.law_registry import LEVELS
-from deadtime.problems.switching_registry.entries.semi_markov import SemiMarkovSwitching
+from deadtime.problems.switching_registry.entries.switching_models import SemiMarkovSwitching
 from deadtime.reports.study import run_study
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import best, summary

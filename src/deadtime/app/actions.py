@@ -13,7 +13,7 @@ import panel_material_ui as pmui
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.documents import Document
 from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
-from deadtime.app.outcome import ProblemOutcome, csv_of
+from deadtime.app.page_outcome import ProblemOutcome, csv_of
 from deadtime.app.page_panels import BOUNDS, KEY, Chart, ProblemPanels
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import GivenSignal

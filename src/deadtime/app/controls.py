@@ -11,7 +11,7 @@ import panel_material_ui as pmui
 
 from deadtime.app.documents import Document
 from deadtime.app.draft_facts import delay_error, dwell_time_of, longest_delay, moved_delays
-from deadtime.app.outcome import MOST_SAMPLES, MOST_TAPS
+from deadtime.app.page_outcome import MOST_SAMPLES, MOST_TAPS
 from deadtime.app.settings import DrawnSignal, GivenSignal, Section, Settings
 from deadtime.base.wording import subscript
 from deadtime.problems.file.schema import RULES

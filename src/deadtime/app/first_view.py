@@ -8,9 +8,9 @@ from typing import Any
 
 from deadtime.app.documents import Document
 from deadtime.app.draft_facts import dwell_time_of, with_model
-from deadtime.app.outcome import ProblemOutcome, run_draft
+from deadtime.app.page_outcome import ProblemOutcome, run_draft
 from deadtime.app.settings import Section, Settings, draft_of
-from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.file.load import build_what_can
 from deadtime.problems.law_registry import LAWS
 from deadtime.switching import SwitchingSignal
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
-from deadtime.app.outcome import run_draft
+from deadtime.app.page_outcome import run_draft
 from deadtime.app.uploaded_log import Columns, LogRequest, Tell, look_at, open_log, report_of
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify
@@ -22,7 +22,7 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.margins import stability_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
-from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.file.load import build_what_can
 from deadtime.problems.toml import SectionError
 from deadtime.reports.identification_report import Picture
 from deadtime.scenarios.sweeps.axes import AXES

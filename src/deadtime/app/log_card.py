@@ -13,7 +13,7 @@ import panel_material_ui as pmui
 from deadtime.app.background_jobs import BackgroundJobs, ProgressBar
 from deadtime.app.documents import Document, file_stem
 from deadtime.app.jobs import look_at_log, try_log
-from deadtime.app.outcome import MOST_MODES
+from deadtime.app.page_outcome import MOST_MODES
 from deadtime.app.uploaded_log import (
     LOG_CSS,
     Columns,

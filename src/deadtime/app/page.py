@@ -21,7 +21,7 @@ from deadtime.app.file_upload import FileUpload
 from deadtime.app.first_view import FirstView
 from deadtime.app.jobs import try_upload
 from deadtime.app.log_card import LogCard
-from deadtime.app.outcome import CSS, ProblemOutcome, run_draft, table_of
+from deadtime.app.page_outcome import CSS, ProblemOutcome, run_draft, table_of
 from deadtime.app.page_panels import MOST_PANELS, ProblemPanels
 from deadtime.app.settings import DrawnSignal, GivenSignal, draft_of, switch_at
 from deadtime.app.workers import Workers

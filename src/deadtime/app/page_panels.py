@@ -12,7 +12,7 @@ from bokeh.events import Tap
 from bokeh.models import ColumnDataSource, FixedTicker, HoverTool, PlainText, Range1d, Span
 from bokeh.plotting import figure
 
-from deadtime.app.outcome import ProblemOutcome, dash_of
+from deadtime.app.page_outcome import ProblemOutcome, dash_of
 from deadtime.base.palette import GREY
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.margins import BAD, GOOD

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadtime.app.documents import Document, file_stem, open_upload
-from deadtime.app.outcome import MOST_MODES
+from deadtime.app.page_outcome import MOST_MODES
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
 from deadtime.identification.log.read_tables import (

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from deadtime.certificates import Verification
     from deadtime.feedback import Law
     from deadtime.problems import Problem
-    from deadtime.problems.asked import AskedSignals
+    from deadtime.problems.switching_assumptions import AssumedSignals
     from deadtime.reports.tables.certificates import Judged
     from deadtime.switching import SignalClass
 
@@ -230,7 +230,7 @@ def verify(
     """
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
-    from deadtime.problems.asked import one_or_all
+    from deadtime.problems.switching_assumptions import one_or_all
     from deadtime.reports.tables.certificates import uncertain_plant
 
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
@@ -309,7 +309,7 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 def _print_judged(
     problem: Problem,
     judged: list[Judged],
-    asked: AskedSignals,
+    asked: AssumedSignals,
     step: float,
     in_full: bool,
     left_open: tuple[bool, object],
@@ -374,7 +374,7 @@ def bound(
     dwell_time
         Dwell time in seconds; that of the problem by default, as `certify` takes it.
     """
-    from deadtime.problems.asked import dwell_time_of
+    from deadtime.problems.switching_assumptions import dwell_time_of
     from deadtime.reports.tables.constants import (
         bound_headings,
         bound_rows,
@@ -415,7 +415,7 @@ def least_dwell_times(
 ) -> int:
     """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
-    from deadtime.problems.asked import step_of
+    from deadtime.problems.switching_assumptions import step_of
     from deadtime.reports.tables.certificates import left_out
 
     period = step_of(problem)
@@ -455,7 +455,7 @@ def least_dwell_times(
 
 
 def longest_mode_lags(
-    problem: Problem, law: str | None, asked: AskedSignals, period: float, json_output: bool
+    problem: Problem, law: str | None, asked: AssumedSignals, period: float, json_output: bool
 ) -> int:
     """The bracket of every law, or of one, in periods; 1 if that one has none."""
     from deadtime.margins import longest_mode_lag

@@ -93,7 +93,7 @@ def design(
     """
     from deadtime.base.checks import index, positive
     from deadtime.base.staging import replacing
-    from deadtime.problems.asked import step_of
+    from deadtime.problems.switching_assumptions import step_of
     from deadtime.reports.figures.design import plot_designs
     from deadtime.reports.tables.design import design_record, problem_sections
     from deadtime.synthesis import design as designed

@@ -81,7 +81,7 @@ def experiment(
     """
     from deadtime.base.checks import positive
     from deadtime.identification import design_experiment
-    from deadtime.problems.asked import step_of
+    from deadtime.problems.switching_assumptions import step_of
 
     out = output_file("out", out, kinds=(".csv",))
     chosen = problem_of(problem)

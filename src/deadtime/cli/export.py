@@ -188,7 +188,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
 
     from deadtime.controller import Controller
     from deadtime.imperfections import Limiting, Sizes
-    from deadtime.problems.asked import step_of
+    from deadtime.problems.switching_assumptions import step_of
 
     name = next(iter(problem.laws)) if law is None else law
     chosen = problem.law(name)

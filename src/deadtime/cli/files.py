@@ -41,7 +41,7 @@ def init(
         Replace a file that exists.
     """
     from deadtime.base.staging import replacing
-    from deadtime.problems.file.named_problems import template
+    from deadtime.problems.literature import template
 
     if path.exists() and not force:
         raise ArgumentError(f"{path} exists: choose another name, or replace it with --force.")

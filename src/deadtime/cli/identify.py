@@ -222,7 +222,7 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
         if name is not None:
             raise ArgumentError("law needs beside: the problem file whose law it is.")
         return None
-    from deadtime.problems.asked import step_of
+    from deadtime.problems.switching_assumptions import step_of
 
     problem = problem_of(beside)
     chosen = next(iter(problem.laws)) if name is None else name
@@ -330,7 +330,7 @@ def fit(
     out
         The figure, PNG, SVG, PDF or PGF.
     """
-    from deadtime.problems.asked import one_or_all
+    from deadtime.problems.switching_assumptions import one_or_all
     from deadtime.reports.figures.fit import plot_fit
     from deadtime.reports.tables import fit as fit_report
     from deadtime.switching import SwitchingSignal

@@ -194,8 +194,8 @@ def robustness(
     from deadtime.base.wording import with_names
     from deadtime.margins import robustness as assess
     from deadtime.margins.robustness.assess import STEPS
-    from deadtime.problems.asked import step_of
-    from deadtime.problems.slips import slips_of
+    from deadtime.problems.switching_assumptions import step_of
+    from deadtime.problems.unit_checks import unit_checks_of
     from deadtime.reports.figures.robustness import plot_robustness
     from deadtime.reports.tables import drawn_plants
 
@@ -221,15 +221,15 @@ def robustness(
             progress=advance,
         )
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
-    slips = slips_of(chosen, period)
+    checks = unit_checks_of(chosen, period)
     drawn = drawn_plants.drawn_of(chosen, period, seed)
     if json_output:
         setting = {"problem": chosen.name, "law": name, "step": period}
-        print_json(setting | _robustness_record(result, slips, drawn), [path])
+        print_json(setting | _robustness_record(result, checks, drawn), [path])
         return
     print_heading(chosen.title)
     print(f"Law “{name}”, sampled every {period:g} s:")
-    for sentence in (*result.sentences, *slips):
+    for sentence in (*result.sentences, *checks):
         print(f"• {with_names(sentence, chosen.modes)}")
     if drawn:
         print("\nPlants drawn from [uncertainty]:")
@@ -238,7 +238,7 @@ def robustness(
 
 
 def _robustness_record(
-    result: Robustness, slips: list[str], drawn: dict[str, DrawnStability]
+    result: Robustness, checks: list[str], drawn: dict[str, DrawnStability]
 ) -> dict[str, Any]:
     """The figures for JSON."""
     from deadtime.base.json_records import record
@@ -255,7 +255,7 @@ def _robustness_record(
         "late_samples": _tolerance(result.late),
         "detection_lag": result.lag and _tolerance(result.lag),
         "noise": record(result.noise, "base", "doubling"),
-        "sentences": [*result.sentences, *slips],
+        "sentences": [*result.sentences, *checks],
         **({"drawn_plants": drawn_record(drawn)} if drawn else {}),
         **record_of(result.weight),
     }

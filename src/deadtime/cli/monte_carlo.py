@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from deadtime.problems import Problem
-    from deadtime.problems.asked import SourcedTime
+    from deadtime.problems.switching_assumptions import SourcedTime
     from deadtime.reports.tables.monte_carlo import Summary
     from deadtime.scenarios.dataset import Comparison
     from deadtime.switching import SwitchingModel, SwitchingSignal
@@ -229,7 +229,7 @@ def _require_signals(problem: Problem) -> None:
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
     """Dwell time and mean sojourn of the signals."""
-    from deadtime.problems.asked import mean_sojourn_of
+    from deadtime.problems.switching_assumptions import mean_sojourn_of
 
     shortest = _dwell_time(problem, problem.given_signal, dwell)
     least = shortest.value
@@ -248,7 +248,7 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
 def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> SourcedTime:
     """The dwell time asked for, or the problem's."""
-    from deadtime.problems.asked import dwell_time_of
+    from deadtime.problems.switching_assumptions import dwell_time_of
 
     if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
         raise ArgumentError(
@@ -260,7 +260,7 @@ def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) 
 
 def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SwitchingModel:
     """Sojourns of dwell + Exp(mean − dwell), then any mode that may follow."""
-    from deadtime.problems.asked import AS_ASKED, random_model, signals_of
+    from deadtime.problems.switching_assumptions import AS_ASKED, random_model, signals_of
     from deadtime.switching.models.semi_markov import SemiMarkov
     from deadtime.switching.models.sojourns import ShiftedExponential
 
@@ -291,7 +291,7 @@ def _print(
     """Heading, remarks and tables on the terminal."""
     from deadtime.base.wording import with_names
     from deadtime.plant.weight import text_of
-    from deadtime.problems.slips import slips_of
+    from deadtime.problems.unit_checks import unit_checks_of
     from deadtime.reports.tables import tracking
     from deadtime.simulation.tracking import TRACKING_ERROR
 
@@ -306,7 +306,7 @@ def _print(
             f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "
             f"Mean sojourn {sojourn.mean.value:g} s: {sojourn.mean.source}."
         )
-    for sentence in slips_of(problem, data.attributes["step"]):
+    for sentence in unit_checks_of(problem, data.attributes["step"]):
         print(f"• {sentence}")
     if data.attributes["imperfections"]:
         print(f"• Imperfect: {', '.join(data.attributes['imperfections'])}.")

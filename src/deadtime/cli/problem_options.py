@@ -10,7 +10,7 @@ from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
-    from deadtime.problems.asked import AskedSignals
+    from deadtime.problems.switching_assumptions import AssumedSignals
     from deadtime.switching import SignalClass
     from deadtime.switching.signal_class import Instants
 
@@ -19,7 +19,7 @@ def problem_of(place: Path) -> Problem:
     """A named problem, or one from a file."""
     from deadtime.problems import NAMED
     from deadtime.problems.file import load_problem
-    from deadtime.problems.file.named_problems import is_named
+    from deadtime.problems.literature import is_named
 
     return NAMED[str(place)]() if is_named(place) else load_problem(place)
 
@@ -94,12 +94,12 @@ def signals_and_step(
     maximum_dwell: str | None,
     chatter: int | None,
     **others: Any,
-) -> tuple[AskedSignals, float]:
+) -> tuple[AssumedSignals, float]:
     """The signals and the period, in seconds, that a problem asks about.
 
     `others`: what problems do not know of signals, as `signals_of` takes it.
     """
-    from deadtime.problems.asked import signals_of, step_of
+    from deadtime.problems.switching_assumptions import signals_of, step_of
 
     promised = problem.dwell_time is not None or problem.average_dwell_time is not None
     if dwell_time is None and not promised and problem.switching is not None:
@@ -122,7 +122,7 @@ def kept_by_search(
 ) -> SignalClass:
     """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
     from deadtime.margins.dwell_time import SHORT
-    from deadtime.problems.asked import signals_of, step_of
+    from deadtime.problems.switching_assumptions import signals_of, step_of
 
     times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
     least, own = times[0], problem.constraint

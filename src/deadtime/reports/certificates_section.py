@@ -10,8 +10,8 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import file_name, with_names
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
-from deadtime.problems.asked import signals_of, step_of
 from deadtime.problems.comparison import Comparison, Progress
+from deadtime.problems.switching_assumptions import signals_of, step_of
 from deadtime.reports.tables.certificates import (
     HEADINGS,
     Judged,

@@ -16,8 +16,8 @@ from deadtime.base.wording import file_name
 from deadtime.laws import DelayedStateFeedback
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
-from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import Comparison, Progress, compare
+from deadtime.problems.switching_assumptions import dwell_time_of
 from deadtime.reports.audit import STEPS, audit
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
 from deadtime.reports.figures.comparison import (

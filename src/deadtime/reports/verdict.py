@@ -21,7 +21,7 @@ from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.law_registry import the_problem_law
-from deadtime.problems.slips import disagreement_of, slips_of
+from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
 from deadtime.reports.tables.tracking import NEVER
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
@@ -43,7 +43,7 @@ def verdict(result: Comparison) -> list[str]:
     Ignoring the delay fails: |x| reaches 1.5 × 10¹³ by the end.
     """
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
-    sentences = [*result.problem.operating_sentences, *slips_of(result.problem)]
+    sentences = [*result.problem.operating_sentences, *unit_checks_of(result.problem)]
     sentences += [_headline(result), *([lead] if lead else [])]
     sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
     sentences += _imperfections(result) + _observer_reads_mode(result) + _slow_observer(result)

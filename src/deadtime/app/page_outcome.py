@@ -23,9 +23,9 @@ from deadtime.laws import ExactPredictor
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import ending
-from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.file.load import build_what_can
 from deadtime.problems.law_registry import QUICK
-from deadtime.problems.slips import slips_of
+from deadtime.problems.unit_checks import unit_checks_of
 from deadtime.reports.figures.colours import Look, looks_of
 from deadtime.simulation import Trajectory
 from deadtime.simulation.columns import numbered_columns
@@ -98,7 +98,7 @@ class ProblemOutcome:
         """What to look at: a signal that tests nothing, numbers that do not fit each other."""
         law, run = next(iter(self.runs.items()))
         said = why_untested(run, self.endings[law])
-        return [*([said] if said else []), *slips_of(self.problem)]
+        return [*([said] if said else []), *unit_checks_of(self.problem)]
 
     def ratio(self, law: str) -> float | None:
         """A law's measure over the oracle's; infinite for a run that grew without end."""

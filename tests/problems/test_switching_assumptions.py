@@ -7,9 +7,9 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.problems.asked import dwell_time_of, mean_sojourn_of
 from deadtime.problems.comparison import compare
 from deadtime.problems.file import load_problem
+from deadtime.problems.switching_assumptions import dwell_time_of, mean_sojourn_of
 from deadtime.reports.report import write_report
 
 FILE = """

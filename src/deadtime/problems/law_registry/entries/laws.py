@@ -1,4 +1,4 @@
-"""Laws that predict with fixed plants: each mode's, their average, the mean, or one of them."""
+"""The package's own laws as sections of a problem file."""
 
 from __future__ import annotations
 
@@ -10,12 +10,40 @@ from pydantic import Field
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.base.palette import BLUE, ORANGE, PINK, PURPLE, SKY, VERMILION
+from deadtime.base.palette import (
+    BLUE,
+    BROWN,
+    GREEN,
+    GREY,
+    OLIVE,
+    ORANGE,
+    PINK,
+    PURPLE,
+    SKY,
+    VERMILION,
+)
+from deadtime.estimation import BeliefPredictor
 from deadtime.feedback import Law
-from deadtime.laws import AveragedPredictor, MeanPredictor, SingleModePredictor
-from deadtime.plant import SwitchedSystem
-from deadtime.problems.law_registry.entry import COLUMN, SQUARE, LawSection, Named
-from deadtime.problems.law_registry.law_setting import LawSetting
+from deadtime.laws import (
+    AveragedPredictor,
+    DelayedStateFeedback,
+    ExactPredictor,
+    ExpectedPredictor,
+    MeanPredictor,
+    OptimalPredictor,
+    SingleModePredictor,
+    StateDependentPredictor,
+)
+from deadtime.plant import SwitchedSystem, Weight
+from deadtime.problems.law_registry.entry import (
+    COLUMN,
+    SQUARE,
+    InputWeight,
+    LawSection,
+    LawSetting,
+    Named,
+    Square,
+)
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import Matrix, Vector
 
@@ -181,3 +209,131 @@ class MeanLaw(LawSection):
             (A, B),
             allow_unstable=setting.allow_unstable,
         )
+
+
+class ExpectedLaw(LawSection):
+    """Expected predictor feedback under the file's [switching] model."""
+
+    names: ClassVar = (
+        Named(
+            name="expected",
+            knows="the distribution",
+            colour=GREEN,
+            noun="expected law",
+            in_files=True,
+            in_studies=True,
+        ),
+    )
+    needs: ClassVar = ("model",)
+
+    kind: Literal["expected"]
+    ages: int | None = Field(None, description="Most ages (samples) that the table tells apart.")
+
+    def law(self, setting: LawSetting) -> Law:
+        assert setting.model is not None
+        return ExpectedPredictor(
+            setting.plant,
+            setting.gains,
+            setting.model,
+            ages=self.ages,
+            allow_unstable=setting.allow_unstable,
+        )
+
+
+class OptimalLaw(LawSection):
+    """The best causal law under the file's [switching] model, for ∫ xᵀQx + uᵀRu."""
+
+    names: ClassVar = (
+        Named(name="optimal", knows="the distribution", colour=OLIVE, noun="optimal law"),
+    )
+    needs: ClassVar = ("model",)
+    quick: ClassVar = 100
+    follows: ClassVar = False
+
+    kind: Literal["optimal"]
+    Q: Square | None = Field(None, description="n × n; that of [cost] or [gains.lqr], or I.")
+    R: InputWeight | None = Field(None, description="m × m; that of [cost] or [gains.lqr], or I.")
+
+    def law(self, setting: LawSetting) -> Law:
+        assert setting.model is not None
+        plant = setting.plant
+        weight = (setting.weight or Weight()).of(plant)
+        return OptimalPredictor(plant, setting.model, self.Q or weight.Q, self.R or weight.R)
+
+
+class ExactLaw(LawSection):
+    """The oracle, which knows the signal."""
+
+    names: ClassVar = (
+        Named(
+            name="oracle",
+            knows="the future",
+            colour=GREY,
+            noun="oracle",
+            in_files=True,
+            in_studies=True,
+        ),
+    )
+    needs: ClassVar = ("signal",)
+
+    kind: Literal["exact"]
+
+    def law(self, setting: LawSetting) -> Law:
+        return ExactPredictor(setting.plant, setting.gains, allow_unstable=setting.allow_unstable)
+
+
+class StateDependentLaw(LawSection):
+    """Exact predictor feedback where the state decides the mode, by the rule in [signal]."""
+
+    names: ClassVar = (Named(name="state-dependent", knows="nothing", in_files=True),)
+    needs: ClassVar = ("rule",)
+    follows: ClassVar = False
+
+    kind: Literal["state-dependent"]
+
+    def law(self, setting: LawSetting) -> Law:
+        assert setting.rule is not None
+        return StateDependentPredictor(
+            setting.plant, setting.gains, setting.rule, allow_unstable=setting.allow_unstable
+        )
+
+
+class DelayedLaw(LawSection):
+    """State feedback that ignores the delay."""
+
+    names: ClassVar = (Named(name="delay ignored", knows="nothing", in_files=True),)
+
+    kind: Literal["delayed"]
+
+    def law(self, setting: LawSetting) -> Law:
+        return DelayedStateFeedback(
+            setting.plant, setting.gains, allow_unstable=setting.allow_unstable
+        )
+
+
+class BeliefLaw(LawSection):
+    """A law under the file's [switching] model that reads the belief of [mode_filter]."""
+
+    names: ClassVar = (
+        Named(
+            name="belief",
+            knows="the distribution",
+            colour=BROWN,
+            noun="law on a belief",
+            several=True,
+            in_files=True,
+        ),
+    )
+    needs: ClassVar = ("model", "mode_filter")
+    follows: ClassVar = False
+
+    kind: Literal["belief"]
+    of: Literal["expected", "optimal"] = Field(
+        "expected", description="The law whose rows are weighed by the belief."
+    )
+
+    def law(self, setting: LawSetting) -> Law:
+        assert setting.mode_filter is not None
+        told = {"expected": ExpectedLaw, "optimal": OptimalLaw}[self.of]
+        law = told.model_validate({"kind": self.of}).law(setting)
+        return BeliefPredictor(law, setting.mode_filter(setting.plant))

@@ -19,7 +19,7 @@ from deadtime.switching import SwitchingSignal
 _APART = 0.1  # relative: growth rates further apart do not agree
 
 
-def slips_of(problem: Problem, step: float | None = None) -> list[str]:
+def unit_checks_of(problem: Problem, step: float | None = None) -> list[str]:
     """What does not fit: a delay beyond the horizon, a step beyond the horizon or the dwell time.
 
     Parameters
@@ -33,7 +33,7 @@ def slips_of(problem: Problem, step: float | None = None) -> list[str]:
     --------
     >>> import dataclasses, deadtime as dt
     >>> problem = dataclasses.replace(dt.problems.paper(), step=1.5)
-    >>> print(slips_of(problem)[0])
+    >>> print(unit_checks_of(problem)[0])
     The step, 1.5 s, is longer than the dwell time, 0.2 s: modes come and go between two samples, \
 and the law does not see them. Is it in seconds? Shorten it.
     """

@@ -31,7 +31,7 @@ class SourcedTime(NamedTuple):
     source: str
 
 
-class AskedSignals(NamedTuple):
+class AssumedSignals(NamedTuple):
     """The signals that a problem is asked about; `dwell` is the shortest dwell time of a mode."""
 
     dwell: SourcedTime
@@ -95,7 +95,7 @@ def signals_of(
     at: Instants | None = None,
     mode_lag: int = 0,
     lost_samples: int = 0,
-) -> AskedSignals:
+) -> AssumedSignals:
     """The signals that a problem is about: its dwell time, and what else it promises of them.
 
     `dwell_time` and `maximum_dwell` are what somebody wanted instead, seconds: one, or one per
@@ -135,7 +135,7 @@ def signals_of(
         chatter=chatter,
     )
     asked.limits(modes)  # refuses what does not fit them
-    return AskedSignals(given, asked)
+    return AssumedSignals(given, asked)
 
 
 def one_or_all(values: Any) -> Any:

@@ -1,18 +1,24 @@
-"""What the law is told: noise, and samples that are late, early or lost."""
+"""The package's own imperfections as sections of a problem file: of sensors, inputs, plant."""
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+import math
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from deadtime.imperfections import (
+    ColouredDisturbance,
     Dropout,
     Jitter,
     LateSamples,
     MeasurementDelay,
     ModeDelay,
     Noise,
+    RateLimit,
+    Saturation,
+    StepDisturbance,
+    WhiteDisturbance,
     WrongMode,
 )
 from deadtime.problems.imperfection_registry.entry import (
@@ -21,7 +27,8 @@ from deadtime.problems.imperfection_registry.entry import (
     PerSignal,
     Slider,
 )
-from deadtime.problems.toml.sections import Count, Probability
+from deadtime.problems.toml import Shape
+from deadtime.problems.toml.sections import Count, Matrices, Matrix, Probability, Vector
 
 
 class NoiseSection(ImperfectionSection):
@@ -132,3 +139,90 @@ class WrongModeSection(ImperfectionSection):
 
     kind: Literal["wrong-mode"]
     probability: float = Field(description="Of each sample.")
+
+
+class SaturationSection(ImperfectionSection):
+    """Limits of the input."""
+
+    made: ClassVar = Saturation
+    axis: ClassVar = ImperfectionAxis(
+        name="saturation",
+        label="input limit",
+        unit="u",
+        description="Inputs stay within plus and minus this; 0: no limit.",
+        keys=lambda value: {"low": -value, "high": value},
+    )
+    slider: ClassVar = Slider("Input limit (0: none)", "high", reach=100.0, steps=200)
+
+    kind: Literal["saturation"]
+    low: PerSignal = Field(description="A number or one per input.")
+    high: PerSignal = Field(description="A number or one per input.")
+
+
+class RateLimitSection(ImperfectionSection):
+    """A limit of the input's rate."""
+
+    made: ClassVar = RateLimit
+    axis: ClassVar = ImperfectionAxis(
+        name="rate_limit",
+        label="input rate limit",
+        unit="u/s",
+        description="Inputs move by so much a second; 0: no limit.",
+        keys=lambda value: {"rate": value},
+    )
+
+    kind: Literal["rate-limit"]
+    rate: PerSignal = Field(description="Units of the input per second.")
+
+
+def _without_default(schema: dict[str, Any]) -> None:
+    """JSON has no infinity."""
+    del schema["default"]
+
+
+class WhiteDisturbanceSection(ImperfectionSection):
+    """White process noise."""
+
+    made: ClassVar = WhiteDisturbance
+    axis: ClassVar = ImperfectionAxis(
+        name="disturbance",
+        label="disturbance intensity",
+        unit="x^2/s",
+        description="Intensity of a white disturbance on every state.",
+        keys=lambda value: {"intensity": value},
+    )
+
+    kind: Literal["white-disturbance"]
+    intensity: Annotated[
+        float | Vector | Matrix | Matrices,
+        Shape("a number, (n,), (n, n), or (n, n) for each mode", [0.1, 0.1]),
+    ] = Field(
+        description="W in units of x² per second: a number, a diagonal, an n × n matrix, or one "
+        "for every mode."
+    )
+
+
+class ColouredDisturbanceSection(ImperfectionSection):
+    """Process noise with a correlation time."""
+
+    made: ClassVar = ColouredDisturbance
+
+    kind: Literal["coloured-disturbance"]
+    std: PerSignal = Field(description="Standard deviation of each source.")
+    time_constant: PerSignal = Field(description="Correlation time of each source, seconds.")
+    force: Annotated[Vector | Matrix, Shape("(n,) or (n, q)", [0.0, 1.0])] = Field(
+        description="How the sources act on dx/dt, n or n × q."
+    )
+
+
+class StepDisturbanceSection(ImperfectionSection):
+    """A constant force on dx/dt."""
+
+    made: ClassVar = StepDisturbance
+
+    kind: Literal["step-disturbance"]
+    force: Annotated[Vector | Matrix, Shape("(n,) or (modes, n)", [0.0, 1.0])] = Field(
+        description="Units of x per second; or a row for every mode."
+    )
+    start: float = Field(0.0, description="Seconds.")
+    end: float = Field(math.inf, description="Seconds.", json_schema_extra=_without_default)

@@ -9,7 +9,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.problems.comparison import compare
-from deadtime.problems.slips import disagreement_of, slips_of
+from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
 from deadtime.reports.tables.certificates import delay_sentence, judge
 from deadtime.reports.verdict import verdict
 from deadtime.spectrum.affordable import MOST, seconds_of, why_left_out
@@ -30,13 +30,15 @@ PAPER = dt.problems.paper()
     ],
 )
 def test_numbers_that_do_not_fit_each_other_are_named(changes, said):
-    found = slips_of(dataclasses.replace(PAPER, **changes))
+    found = unit_checks_of(dataclasses.replace(PAPER, **changes))
     assert len(found) == len(said)
     assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
 
 
 def test_a_step_to_ask_about_takes_the_place_of_the_problem_s():
-    assert slips_of(PAPER, 0.25)[0].startswith("The step, 0.25 s, is longer than the dwell time")
+    assert unit_checks_of(PAPER, 0.25)[0].startswith(
+        "The step, 0.25 s, is longer than the dwell time"
+    )
 
 
 @pytest.mark.parametrize("step", [10.0, 3.0])
@@ -156,6 +158,6 @@ def test_short_sojourns_of_a_drawn_signal_are_no_slip_but_short_ones_as_a_rule_a
     drawn = dataclasses.replace(
         PAPER, switching=model, signal=signal, dwell_time=None, horizon=300.0 / rate
     )
-    assert slips_of(drawn, 0.05 / rate) == []
-    (said,) = slips_of(drawn, 5.0 / rate)
+    assert unit_checks_of(drawn, 0.05 / rate) == []
+    (said,) = unit_checks_of(drawn, 5.0 / rate)
     assert said.startswith(f"The step, {5.0 / rate:g} s, is longer than half of the signal's soj")

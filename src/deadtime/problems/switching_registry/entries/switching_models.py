@@ -1,4 +1,4 @@
-"""Semi-Markov models: given, and fitted from logs."""
+"""The package's own switching models as sections of a problem file."""
 
 from __future__ import annotations
 
@@ -8,16 +8,48 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from deadtime.problems.switching_registry.entry import (
+    PerMode,
     Probabilities,
     Promise,
     SwitchingSection,
     Times,
 )
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.distributions import DistributionSection, frozen
-from deadtime.problems.toml.sections import Texts
+from deadtime.problems.toml.sections import DistributionSection, Matrix, Texts, frozen
 from deadtime.switching import SwitchingModel, SwitchingSignal
+from deadtime.switching.models.markov import Markov
+from deadtime.switching.models.markov_chain import MarkovChain
 from deadtime.switching.models.semi_markov import SemiMarkov
+
+
+class MarkovSwitching(SwitchingSection):
+    """A Markov process of the mode."""
+
+    kind: Literal["markov"]
+    rates: PerMode = Field(description="Rates from mode (row) to mode (column), 1/s.")
+
+    def build(self, modes: int, folder: Path) -> SwitchingModel:
+        return Markov(self.rates)
+
+    def promise(self, model: SwitchingModel) -> Promise:
+        return None, None, model.transitions
+
+
+class MarkovChainSwitching(SwitchingSection):
+    """A Markov chain of the mode, which switches at samples only."""
+
+    kind: Literal["markov-chain"]
+    P: Annotated[Matrix, Shape("(modes, modes)", [[0.9, 0.1], [0.1, 0.9]])] = Field(
+        description="Probabilities from mode (row) to mode (column) in a step; rows sum to 1."
+    )
+    step: float = Field(description="Period of the chain, seconds: that of [run], or a part of it.")
+
+    def build(self, modes: int, folder: Path) -> SwitchingModel:
+        return MarkovChain(self.P, self.step)
+
+    def promise(self, model: SwitchingModel) -> Promise:
+        return self.step, None, model.transitions
+
 
 Sojourn = float | DistributionSection
 
