@@ -15,8 +15,8 @@ from deadtime.app import jobs
 from deadtime.app.controls import ranges_of, steps_of
 from deadtime.app.documents import open_named
 from deadtime.app.first_view import laws_on_offer
-from deadtime.app.page_outcome import csv_of, run_draft, table_of
 from deadtime.app.page import Page
+from deadtime.app.page_outcome import csv_of, run_draft, table_of
 from deadtime.app.script import script_of
 from deadtime.app.settings import MOST, DrawnSignal, Settings, draft_of, switch_at
 from deadtime.problems.file import load_problem

@@ -337,7 +337,7 @@ def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, mo
         asked.append(delays)
         return []
 
-    monkeypatch.setattr(import_module("deadtime.reports.tables.certificates"), "judge", judge)
+    monkeypatch.setattr(import_module("deadtime.reports.certificate_tables"), "judge", judge)
     ranges = ("--delays", "[0.25,0.12]", "[[0.28,0.15],[0.3,0.15]]")
     code, out, _ = run(capsys, "certify", "paper", *ranges, "--json")
     assert code == 0

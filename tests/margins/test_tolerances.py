@@ -7,7 +7,7 @@ import deadtime as dt
 import plants
 from deadtime.imperfections import LateSamples, Noise, Saturation, StepDisturbance
 from deadtime.margins.robustness.robustness_runs import BOUNDED, KEPT, LOST, RobustnessRuns
-from deadtime.reports.figures.robustness import plot_robustness
+from deadtime.reports.robustness import plot_robustness
 from deadtime.simulation.outcome import outcome_of
 
 STEP = 0.005

@@ -10,7 +10,7 @@ import deadtime as dt
 import plants
 from deadtime.problems.comparison import compare
 from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
-from deadtime.reports.tables.certificates import delay_sentence, judge
+from deadtime.reports.certificate_tables import delay_sentence, judge
 from deadtime.reports.verdict import verdict
 from deadtime.spectrum.affordable import MOST, seconds_of, why_left_out
 

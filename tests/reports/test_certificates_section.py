@@ -11,8 +11,8 @@ import deadtime as dt
 from deadtime.problems import Problem
 from deadtime.problems.comparison import compare
 from deadtime.problems.switching_assumptions import dwell_time_of
+from deadtime.reports.certificate_tables import delay_sentence
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
-from deadtime.reports.tables.certificates import delay_sentence
 
 LIMIT = 0.64
 

@@ -14,7 +14,7 @@ from deadtime.problems.switching_registry.entries.switching_models import SemiMa
 from deadtime.reports.study import run_study
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import best, summary
-from deadtime.reports.study.study_runs import failures
+from deadtime.reports.study.study_data import failures
 from deadtime.scenarios.sweeps import load_study
 from deadtime.scenarios.sweeps.cell import run_cell
 from deadtime.scenarios.sweeps.study_laws import kinds_of, within

@@ -14,8 +14,8 @@ from bokeh.plotting import figure
 
 from deadtime.app.page_outcome import ProblemOutcome, dash_of
 from deadtime.base.palette import GREY
+from deadtime.reports.figures.certificates import BAD, GOOD
 from deadtime.reports.figures.colours import looks_of
-from deadtime.reports.figures.margins import BAD, GOOD
 from deadtime.reports.figures.runs import frame, mismatch_floor, mismatch_norm
 from deadtime.simulation import Trajectory
 

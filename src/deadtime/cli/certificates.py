@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.problems import Problem
     from deadtime.problems.switching_assumptions import AssumedSignals
-    from deadtime.reports.tables.certificates import Judged
+    from deadtime.reports.certificate_tables import Judged
     from deadtime.switching import SignalClass
 
 
@@ -114,7 +114,7 @@ def certify(
         .json or in nothing; of several laws, each into a file named after the law.
     """
     from deadtime.certificates.certificate import require_json
-    from deadtime.reports.tables.certificates import certificate_record, judge
+    from deadtime.reports.certificate_tables import certificate_record, judge
 
     chosen = with_step(problem_of(problem), step)
     if least_dwell_time:
@@ -231,7 +231,7 @@ def verify(
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
     from deadtime.problems.switching_assumptions import one_or_all
-    from deadtime.reports.tables.certificates import uncertain_plant
+    from deadtime.reports.certificate_tables import uncertain_plant
 
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
     late = {name: value for name, value in late.items() if value is not None}
@@ -316,7 +316,7 @@ def _print_judged(
 ) -> None:
     from deadtime.base.wording import number_of, with_names
     from deadtime.cli.console import Terminal
-    from deadtime.reports.tables.certificates import (
+    from deadtime.reports.certificate_tables import (
         HEADINGS,
         LEGEND,
         certificate_rows,
@@ -375,7 +375,7 @@ def bound(
         Dwell time in seconds; that of the problem by default, as `certify` takes it.
     """
     from deadtime.problems.switching_assumptions import dwell_time_of
-    from deadtime.reports.tables.constants import (
+    from deadtime.reports.certificate_tables import (
         bound_headings,
         bound_rows,
         bound_sentence,
@@ -416,7 +416,7 @@ def least_dwell_times(
     """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
     from deadtime.problems.switching_assumptions import step_of
-    from deadtime.reports.tables.certificates import left_out
+    from deadtime.reports.certificate_tables import left_out
 
     period = step_of(problem)
 
@@ -459,7 +459,7 @@ def longest_mode_lags(
 ) -> int:
     """The bracket of every law, or of one, in periods; 1 if that one has none."""
     from deadtime.margins import longest_mode_lag
-    from deadtime.reports.tables.certificates import left_out
+    from deadtime.reports.certificate_tables import left_out
 
     (dwell, source), signals = asked
     if signals.chatter > 1:

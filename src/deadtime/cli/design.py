@@ -94,8 +94,7 @@ def design(
     from deadtime.base.checks import index, positive
     from deadtime.base.staging import replacing
     from deadtime.problems.switching_assumptions import step_of
-    from deadtime.reports.figures.design import plot_designs
-    from deadtime.reports.tables.design import design_record, problem_sections
+    from deadtime.reports.design import design_record, plot_designs, problem_sections
     from deadtime.synthesis import design as designed
 
     chosen = problem_of(problem)
@@ -199,7 +198,7 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
-    from deadtime.reports.tables.design import (
+    from deadtime.reports.design import (
         HEADINGS,
         LIMIT_HEADINGS,
         STEP,

@@ -331,8 +331,7 @@ def fit(
         The figure, PNG, SVG, PDF or PGF.
     """
     from deadtime.problems.switching_assumptions import one_or_all
-    from deadtime.reports.figures.fit import plot_fit
-    from deadtime.reports.tables import fit as fit_report
+    from deadtime.reports.fit import HEADINGS, fit_record, fit_rows, fit_sentence, plot_fit
     from deadtime.switching import SwitchingSignal
     from deadtime.switching.models.markov_chain import MarkovChain
     from deadtime.switching.models.semi_markov import SemiMarkov
@@ -364,8 +363,8 @@ def fit(
     names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
     save_figure(plot_fit(model, signals, names, first=first), out)
     if json_output:
-        print_json(fit_report.fit_record(model, names), [out])
+        print_json(fit_record(model, names), [out])
         return
-    print_table(fit_report.HEADINGS, fit_report.fit_rows(model, names))
-    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{model.section()}")
+    print_table(HEADINGS, fit_rows(model, names))
+    print(f"\n{fit_sentence(model, names)}\n\n{model.section()}")
     print(f"\nFigure: {out}")

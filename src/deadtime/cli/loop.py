@@ -196,8 +196,12 @@ def robustness(
     from deadtime.margins.robustness.assess import STEPS
     from deadtime.problems.switching_assumptions import step_of
     from deadtime.problems.unit_checks import unit_checks_of
-    from deadtime.reports.figures.robustness import plot_robustness
-    from deadtime.reports.tables import drawn_plants
+    from deadtime.reports.robustness import (
+        DRAWN_HEADINGS,
+        drawn_of,
+        drawn_rows,
+        plot_robustness,
+    )
 
     chosen = problem_of(problem)
     path = output_file("out", out, f"{chosen.name}-robustness")
@@ -222,7 +226,7 @@ def robustness(
         )
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
     checks = unit_checks_of(chosen, period)
-    drawn = drawn_plants.drawn_of(chosen, period, seed)
+    drawn = drawn_of(chosen, period, seed)
     if json_output:
         setting = {"problem": chosen.name, "law": name, "step": period}
         print_json(setting | _robustness_record(result, checks, drawn), [path])
@@ -233,7 +237,7 @@ def robustness(
         print(f"• {with_names(sentence, chosen.modes)}")
     if drawn:
         print("\nPlants drawn from [uncertainty]:")
-        print_table(drawn_plants.HEADINGS, drawn_plants.drawn_rows(drawn))
+        print_table(DRAWN_HEADINGS, drawn_rows(drawn))
     print(f"\nFigure: {path}")
 
 
@@ -243,7 +247,7 @@ def _robustness_record(
     """The figures for JSON."""
     from deadtime.base.json_records import record
     from deadtime.plant.weight import record_of
-    from deadtime.reports.tables.drawn_plants import drawn_record
+    from deadtime.reports.robustness import drawn_record
 
     delay, gain = result.delay, result.gain
     return {

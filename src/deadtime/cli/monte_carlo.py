@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from deadtime.problems import Problem
     from deadtime.problems.switching_assumptions import SourcedTime
-    from deadtime.reports.tables.monte_carlo import Summary
+    from deadtime.reports.scenario_tables import Summary
     from deadtime.scenarios.dataset import Comparison
     from deadtime.switching import SwitchingModel, SwitchingSignal
 
@@ -92,7 +92,7 @@ def monte_carlo(
         A file for the table of the laws, with intervals, for LaTeX (.tex).
     """
     from deadtime.reports.figures.monte_carlo import plot_monte_carlo
-    from deadtime.reports.tables.monte_carlo import summary
+    from deadtime.reports.scenario_tables import summary
     from deadtime.scenarios.batch_run import compare
     from deadtime.scenarios.dataset import dataset_of
 
@@ -292,7 +292,7 @@ def _print(
     from deadtime.base.wording import with_names
     from deadtime.plant.weight import text_of
     from deadtime.problems.unit_checks import unit_checks_of
-    from deadtime.reports.tables import tracking
+    from deadtime.reports import metrics
     from deadtime.simulation.tracking import TRACKING_ERROR
 
     print_heading(problem.title)
@@ -327,10 +327,10 @@ def _print(
     other = "ise" if outcome.measure == "cost" else "cost"
     print(f"\n{titles[other]}")
     print_table(outcome.headings[:4], outcome.rows_of(other))
-    shown = [tracking.rows_of_many(data, i) for i in range(len(problem.tracked))]
+    shown = [metrics.rows_of_many(data, i) for i in range(len(problem.tracked))]
     for i, rows in enumerate(shown):
-        print(f"\n{tracking.heading_of(problem, i)}, medians")
-        print_table(tracking.HEADINGS, rows)
+        print(f"\n{metrics.heading_of(problem, i)}, medians")
+        print_table(metrics.HEADINGS, rows)
     print_never(shown)
 
 
@@ -365,7 +365,7 @@ def _record(
 ) -> dict[str, object]:
     """The results for JSON."""
     from deadtime.plant.weight import record_of
-    from deadtime.reports.tables import tracking
+    from deadtime.reports import metrics
 
     return {
         "problem": problem.name,
@@ -379,5 +379,5 @@ def _record(
         "reference": outcome.reference,
         **record_of(problem.weight),
         "laws": outcome.records(),
-        **tracking.record_of_many(problem, data),
+        **metrics.record_of_many(problem, data),
     }

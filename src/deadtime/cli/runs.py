@@ -114,8 +114,8 @@ def simulate(
         reference, outputs; of several laws, each into a file named after the law.
     """
     from deadtime.problems.comparison import compare
+    from deadtime.reports.certificate_tables import delay_sentence
     from deadtime.reports.metrics import metrics_of
-    from deadtime.reports.tables.certificates import delay_sentence
     from deadtime.reports.verdict import verdict
 
     require_width(width)
@@ -155,7 +155,7 @@ def _save_logs(result: Comparison, path: Path) -> list[Path]:
 
 def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
-    from deadtime.reports.figures.comparison import all_laws
+    from deadtime.reports.figures.runs import all_laws
     from deadtime.simulation.run_figure import plot_run
 
     problem = result.problem

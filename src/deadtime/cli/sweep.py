@@ -124,7 +124,7 @@ def sweep(
         return 130
     reasons = _reasons(data)
     if table is not None:
-        from deadtime.reports.tables.sweep import sweep_table
+        from deadtime.reports.scenario_tables import sweep_table
 
         save_text("table", table, sweep_table(data).to_latex())
     if json_output:
@@ -147,7 +147,7 @@ def sweep(
 
 def _print_medians(data: xr.Dataset) -> None:
     """Medians with their intervals, of a sweep that a terminal holds."""
-    from deadtime.reports.tables.sweep import sweep_table
+    from deadtime.reports.scenario_tables import sweep_table
 
     if data["reason"].size > _SHOWN or not bool((data["done"] == 1).any()):
         return

@@ -18,9 +18,17 @@ from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison, Progress, compare
 from deadtime.problems.switching_assumptions import dwell_time_of
+from deadtime.reports import metrics
 from deadtime.reports.audit import STEPS, audit
+from deadtime.reports.certificate_tables import (
+    bound_headings,
+    bound_rows,
+    bound_sentence,
+    bounds_of,
+    delay_sentence,
+)
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
-from deadtime.reports.figures.comparison import (
+from deadtime.reports.figures.runs import (
     all_laws,
     plot_signal,
     plot_verdict,
@@ -28,14 +36,6 @@ from deadtime.reports.figures.comparison import (
 )
 from deadtime.reports.metrics import metrics_of
 from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, write_page, writing
-from deadtime.reports.tables import tracking
-from deadtime.reports.tables.certificates import delay_sentence
-from deadtime.reports.tables.constants import (
-    bound_headings,
-    bound_rows,
-    bound_sentence,
-    bounds_of,
-)
 from deadtime.reports.verdict import headings_of, table, verdict
 from deadtime.simulation.run_figure import plot_run
 from deadtime.switching import SwitchingSignal
@@ -164,13 +164,13 @@ def _write(
         rows=table(result),
         tracking=[
             (
-                tracking.heading_of_runs(problem, result.runs, i),
-                tracking.rows_of_runs(problem, result.runs, i),
+                metrics.heading_of_runs(problem, result.runs, i),
+                metrics.rows_of_runs(problem, result.runs, i),
             )
             for i in range(len(problem.tracked))
         ],
-        tracking_headings=tracking.HEADINGS,
-        never=tracking.LEGEND,
+        tracking_headings=metrics.HEADINGS,
+        never=metrics.LEGEND,
         figures=images,
         audited=audited,
         constants=constants,

@@ -22,7 +22,7 @@ from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.law_registry import the_problem_law
 from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
-from deadtime.reports.tables.tracking import NEVER
+from deadtime.reports.metrics import NEVER
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR

@@ -1,9 +1,10 @@
-"""The picture of what a loop tolerates: a panel for each error and imperfection."""
+"""What a loop tolerates as a figure, and how many of the plants left open every law stabilises."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -13,12 +14,52 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from deadtime.base.errors import DeadtimeError
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
-from deadtime.margins import Robustness, Tolerance
+from deadtime.base.wording import as_rate
+from deadtime.margins import DrawnStability, Robustness, Tolerance, drawn_stability
+from deadtime.margins.drawn_plants import has_rates
 from deadtime.plant import SwitchedSystem
+from deadtime.problems import Problem
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import MOST, seconds_of
+
+DRAWN_HEADINGS = ("law, each mode held", "stable on", "slowest, 1/s")
+
+
+def drawn_of(problem: Problem, step: float, seed: int = 0) -> dict[str, DrawnStability]:
+    """Of every law that has growth rates; nothing where the file has no [uncertainty]."""
+    found: dict[str, DrawnStability] = {}
+    for name, law in problem.laws.items():
+        if problem.uncertain is None or not has_rates(law):
+            continue
+        try:
+            found[name] = drawn_stability(problem.uncertain, law, step, seed=seed)
+        except DeadtimeError:  # a law that has no rates at this period
+            continue
+    return found
+
+
+def drawn_rows(drawn: dict[str, DrawnStability]) -> list[tuple[str, ...]]:
+    """Rows of the table, columns as in `DRAWN_HEADINGS`."""
+    return [
+        (name, f"{one.stable} of {len(one.growth)}", as_rate(float(one.growth.max())))
+        for name, one in drawn.items()
+    ]
+
+
+def drawn_record(drawn: dict[str, DrawnStability]) -> dict[str, Any]:
+    """The same for JSON."""
+    return {
+        name: {
+            "plants": len(one.growth),
+            "stable": one.stable,
+            "slowest": float(one.growth.max()),
+        }
+        for name, one in drawn.items()
+    }
+
 
 GOOD, BAD = "#e3f0f8", COLOURS[1]
 HEADINGS = ("wrong delay", "wrong gain", "noise", "lost samples", "late samples", "late modes")
