@@ -12,7 +12,7 @@ from deadtime.problems import Problem
 from deadtime.problems.comparison import compare
 from deadtime.problems.switching_assumptions import dwell_time_of
 from deadtime.reports.certificate_tables import delay_sentence
-from deadtime.reports.certificates_section import certificates_section, steps_of_section
+from deadtime.reports.report import certificates_section, steps_of_section
 
 LIMIT = 0.64
 

@@ -1,6 +1,5 @@
 from .audit import audit as audit
 from .certificate_tables import judge as judge
-from .certificates_section import tightness as tightness
 from .design import (
     design_record as design_record,
     design_rows as design_rows,
@@ -10,7 +9,6 @@ from .design import (
 )
 from .figures.certificates import (
     plot_chart as plot_chart,
-    plot_tightness as plot_tightness,
     plot_witness as plot_witness,
 )
 from .figures.loop import plot_loop as plot_loop
@@ -38,4 +36,5 @@ from .scenario_tables import (
 )
 from .study import run_study as run_study
 from .study.report import write_study as write_study
+from .tightness import plot_tightness as plot_tightness, tightness as tightness
 from .verdict import verdict as verdict

@@ -1,4 +1,4 @@
-"""A fitted model of the switching: how long modes lasted as a figure, a table, a sentence and JSON."""
+"""A fitted model of the switching: how long modes lasted, as a figure, a table and JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The metrics of runs for tables and JSON, and how well a reference is followed; nothing is drawn."""
+"""Metrics of runs for tables and JSON, and how well a reference is followed."""
 
 from __future__ import annotations
 

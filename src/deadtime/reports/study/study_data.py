@@ -1,4 +1,4 @@
-"""The data of a study: runs with every axis of the maps, and findings as JSON and a table of cells."""
+"""The data of a study: runs with every axis of the maps, findings as JSON, a table of cells."""
 
 from __future__ import annotations
 

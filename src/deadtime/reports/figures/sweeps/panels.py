@@ -1,4 +1,4 @@
-"""The panels that maps are drawn on: small grids with a figure per cell, and the title above them."""
+"""The panels that maps are drawn on: small grids with a figure per cell, titles above them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The part of a sweep to draw, checked: cells, axes, metrics and laws by name, with words for them."""
+"""The part of a sweep to draw, checked, and words for its cells, axes, metrics and laws."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""The report's section “Stable for every signal?”: certificates, witnesses, and how far they reach.
+"""How far each certificate reaches: theorem as printed, corrected, sharp; lifted loop; witness.
 
-The theorem as printed, corrected and sharp, the lifted loop and a witness are put on one axis, the
-distance ε between modes and gains, equation (5), as the modes are moved apart along their own
-difference: A_0 + α(A_i − A_0), B alike. A form of the theorem reaches the ε at which
-ε(α) = ε*(α); the bracket of `stability_margin` ends at a proof and at a witness.
+All are put on one axis, the distance ε between modes and gains, equation (5), as the modes are
+moved apart along their own difference: A_0 + α(A_i − A_0), B alike. A form of the theorem reaches
+the ε at which ε(α) = ε*(α); the bracket of `stability_margin` ends at a proof and at a witness.
 """
 
 from __future__ import annotations
@@ -12,35 +11,25 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
-from deadtime.base.wording import file_name, with_names
+from deadtime.base.figure_files import new_figure
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
+from deadtime.base.wording import amount
 from deadtime.certificates import theorem_bound
 from deadtime.certificates.theorem.bound import stated_forms
 from deadtime.certificates.theorem.constants import distance
 from deadtime.gains import place
-from deadtime.laws import AveragedPredictor, DelayedStateFeedback
+from deadtime.laws import AveragedPredictor
 from deadtime.margins import StabilityMargin, stability_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
-from deadtime.problems.comparison import Comparison, Progress
-from deadtime.problems.switching_assumptions import signals_of, step_of
-from deadtime.reports.certificate_tables import (
-    HEADINGS,
-    Judged,
-    certificate_rows,
-    certificate_sentences,
-    judge,
-    left_out,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 TINY = 1e-6  # below this α everything is linear in α, and computed at this α
 LOW = 0.01  # the α at which the search for a margin starts
@@ -228,111 +217,60 @@ def _improvements(reaches: list[Reach]) -> list[str]:
     return [f"{text} From the last proof to a signal that grows it is {100.0 * left:.2g} %."]
 
 
-@dataclass(frozen=True, eq=False)
-class CertificatesSection:
-    """What the section says (immutable).
+def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
+    """How far each certificate reaches, on one logarithmic axis of the distance ε.
 
-    Attributes
-    ----------
-    dwell_time, step : float
-        What the certificates are about, seconds.
-    source : str
-        Where the dwell time comes from.
-    headings, rows, sentences
-        The table of verdicts, and a sentence or two per law.
-    statement, statement_of : tuple of str, str
-        What is proved, and about which numbers: of the first certificate that is a proof; its law.
-    figures : list of (name, caption, Figure)
+    Between two steps stands how many times farther the second one reaches.
     """
-
-    dwell_time: float
-    source: str
-    step: float
-    headings: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    sentences: list[str]
-    statement: tuple[str, ...]
-    statement_of: str
-    figures: list[tuple[str, str, Figure]]
-
-
-def steps_of_section(problem: Problem) -> int:
-    """How often `certificates_section` reports progress."""
-    return len(problem.laws) + 3
-
-
-def certificates_section(
-    result: Comparison, progress: Progress | None = None
-) -> CertificatesSection:
-    """Certify every law of a comparison for the dwell time of its signal.
-
-    A signal that never switches is held to the horizon. The loop is the sampled one, at the
-    problem's period, or at 0.01 s where the problem's loop is ideal.
-    """
-    progress, problem = reporter("progress", progress), result.problem
-    ((dwell, source), signals), step = signals_of(problem, result.signal), step_of(problem)
-    judged = judge(problem, signals, step, progress=progress)
-    sentences = [
-        *left_out(problem),
-        *(with_names(one, problem.modes) for one in certificate_sentences(judged)),
-    ]
-    modes = problem.plant.modes
-    if not signals.is_plain(modes):
-        stays, switches = (with_names(one, problem.modes) for one in signals.in_words(modes))
-        sentences.insert(0, f"Certificates are about every signal that {stays}, and {switches}.")
-    figures = []
-    reach = _tightness_figure(problem, dwell, step, progress)
-    if reach is not None:
-        sentences.append(reach[0])
-        figures.append(reach[1])
-    progress("drawing: worst signals")
-    figures = [*_witness_figures(problem, judged), *figures]
-    proofs = [
-        (one.certificate.statement, one.law)
-        for one in judged
-        if one.certificate and one.certificate.proven
-    ]
-    statement, law = proofs[0] if proofs else ((), "")
-    rows = certificate_rows(judged)
-    return CertificatesSection(
-        dwell, source, step, HEADINGS, rows, sentences, statement, law, figures
-    )
+    rows = [*found.reaches]
+    count = len(rows)
+    with rc_context(STYLE):
+        figure = new_figure(WIDTH, 1.15 + 0.38 * count)
+        axes = figure.subplots()
+        own = np.log10(found.own)
+        logs = [own, *(reach.log10_distance for reach in rows)]
+        left, right = min(logs), max(logs)
+        room = max(right - left, 0.5)
+        left, right = left - 0.06 * room, right + 0.3 * room
+        axes.axvline(own, color="#888888", linewidth=0.9, linestyle="--")
+        for row, reach in enumerate(rows):
+            _reach_bar(axes, row, reach, left)
+        for row, (before, after) in enumerate(pairwise(rows)):
+            gain = after.log10_distance - before.log10_distance
+            if gain >= 0.05 and after.stable:
+                axes.text(
+                    0.5 * (before.log10_distance + after.log10_distance), row + 0.5,
+                    f"× {amount(10.0**gain)}" if gain < 300.0 else f"× 10^{gain:.0f}",
+                    ha="center", va="center", fontsize=8.0, color="#555555",
+                )  # fmt: skip
+        axes.set_yticks(range(count), [reach.name for reach in rows])
+        axes.set_ylim(count - 0.4, -0.9)
+        axes.set_xlim(left, right)
+        every = max(1, int(np.ceil((right - left) / 6.0)))
+        ticks = np.arange(np.ceil(left / every) * every, right, every) + 0.0  # no −0
+        axes.set_xticks(ticks, [f"$10^{{{tick:.0f}}}$" for tick in ticks])
+        axes.set_xlabel("distance ε between modes and gains")
+        axes.grid(False, axis="y")
+        axes.text(
+            own, -0.62, " this plant ", ha="left" if own < 0.5 * (left + right) else "right",
+            va="center", fontsize=8.0, color="#555555",
+        )  # fmt: skip
+        if title:
+            axes.set_title(plain(title))
+    return figure
 
 
-def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:
-    """A run of the worst signal of each law that is refuted, but of a baseline."""
-    from deadtime.reports.figures.certificates import plot_witness
-
-    figures = []
-    for one in judged:
-        baseline = isinstance(problem.laws[one.law], DelayedStateFeedback)
-        if one.stable is not False or one.worst is None or baseline:
-            continue
-        figures.append((
-            f"witness-{file_name(one.law)}",
-            f"A signal with the dwell time that the law “{one.law}” does not stabilise.",
-            plot_witness(one.worst, f"Law: {one.law}", problem.modes),
-        ))  # fmt: skip
-    return figures
-
-
-def _tightness_figure(
-    problem: Problem, dwell: float, step: float, progress: Progress
-) -> tuple[str, tuple[str, str, Figure]] | None:
-    from deadtime.reports.figures.certificates import plot_tightness
-
-    try:
-        found = tightness(
-            problem, dwell, step, progress=lambda what: progress(f"certificates: {what}")
-        )
-    except ArgumentError:  # modes that do not differ
-        progress("certificates: the theorem's reach")
-        progress("certificates: between proof and witness")
-        return None
-    caption = (
-        "How far apart modes and gains may be, as the modes are moved along their own difference, "
-        "for the averaged law: what each certificate allows, and where a signal grows, if one was "
-        "found. The theorem's ε* depends on the plant; it is that of modes as close as it allows."
-    )
-    figure = ("certificates-reach", caption, plot_tightness(found))
-    return (found.message, figure) if len(found.reaches) > 1 else None
+def _reach_bar(axes: Axes, row: int, reach: Reach, left: float) -> None:
+    colour = COLOURS[0] if reach.stable else COLOURS[1]
+    end = reach.log10_distance
+    if reach.stable:
+        axes.plot([left, end], [row, row], color=colour, linewidth=3.0, solid_capstyle="butt")
+    axes.plot([end], [row], "o" if reach.stable else "X", color=colour, markersize=6.0)
+    text = f"10^{end:.0f}"
+    if end > -300.0:
+        value = 10.0**end
+        text = f"{value:#.4g}".rstrip(".") if 1e-3 <= value < 1e5 else amount(value)
+    axes.annotate(
+        text, (end, row), (6.0, 0.0), textcoords="offset points", va="center", fontsize=8.5,
+        bbox={"facecolor": "white", "linewidth": 0.0, "pad": 1.0},
+    )  # fmt: skip
