@@ -212,7 +212,8 @@ class Actions:
         def on_found(result: dict[str, Any]) -> None:
             self.state.object = html.escape(result["message"])
             about = f"the worst found for {law} ({as_rate(result['growth_rate'])} /s)"
-            page.controls.choose(GivenSignal(tuple(result["times"]), tuple(result["modes"]), about))
+            times, modes = tuple(result["times"]), tuple(result["modes"])
+            page.controls.choose(GivenSignal(times, modes, about, result["at"]))
 
         self._search(
             self.worst, f"Looking for the worst signal of {law} …", on_found,

@@ -298,13 +298,19 @@ class Page:
     def draw_by_hand(self, at: float, mode: int) -> None:
         """Switch to a mode at an instant, as `drawing.switch_at` does."""
         problem, signal = self.outcome.problem, self.outcome.signal
-        at = round(min(max(at, 0.0), problem.horizon), 3)
+        at, instants = min(max(at, 0.0), problem.horizon), problem.switches_at
+        if instants == "samples" and problem.step is not None:
+            at = problem.step * round(at / problem.step)
+        at = round(at, 3 if instants == "anywhere" else 12)
         mode = min(max(mode, 0), problem.plant.modes - 1)
         inside = signal.times < problem.horizon
         times, modes = signal.times[inside].tolist(), signal.modes[inside].tolist()
-        self.attempt(
-            lambda: self.controls.choose(switch_at(times, modes, at, mode, problem.plant.modes))
-        )
+
+        def draw() -> None:
+            drawn = switch_at(times, modes, at, mode, problem.plant.modes)
+            self.controls.choose(replace(drawn, at=instants))
+
+        self.attempt(draw)
 
     # -- layout ----------------------------------------------------------------------------
 

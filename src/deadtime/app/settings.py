@@ -13,6 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.problems.imperfection_registry import SWEPT
 from deadtime.problems.law_registry import MODEL_KINDS
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
+from deadtime.switching.signal_class import Instants
 
 Section = dict[str, Any]
 
@@ -31,6 +32,7 @@ class GivenSignal:
     times: tuple[float, ...]
     modes: tuple[int, ...]
     about: str = ""
+    at: Instants = "anywhere"
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,9 @@ def draft_of(document: Document, offer: Mapping[str, Section], settings: Setting
     match settings.signal:
         case DrawnSignal(seed):
             draft["signal"] = {"kind": "model", "seed": seed}
-        case GivenSignal(times, modes):
+        case GivenSignal(times, modes, at=at):
             draft["signal"] = {"kind": "switches", "times": list(times), "modes": list(modes)}
+            draft["signal"] |= {} if at == "anywhere" else {"at": at}
         case None:
             pass
     return draft

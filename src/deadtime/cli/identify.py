@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, File, Flag, Folder, app, command_line, lines
+from deadtime.cli.application import BUILD, AsJson, File, Flag, app, command_line, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.identification import Identification
     from deadtime.identification.hidden_modes import HiddenModes
+    from deadtime.switching import SwitchingSignal
 
 
 @app.command(
@@ -301,7 +302,7 @@ def fit(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     step: float | None = None,
-    out: Folder = Path("fit.png"),
+    out: File = None,
     json_output: AsJson = False,
 ) -> None:
     """Fit a model of the switching to logs, and print it as a section for a problem file.
@@ -328,7 +329,7 @@ def fit(
         Fit a Markov chain of this period, seconds, in place of sojourns: it switches at samples
         only. It has no family and no figure.
     out
-        The figure, PNG, SVG, PDF or PGF.
+        The figure, PNG, SVG, PDF or PGF; fit.png by default.
     """
     from deadtime.problems.switching_assumptions import one_or_all
     from deadtime.reports.fit import HEADINGS, fit_record, fit_rows, fit_sentence, plot_fit
@@ -338,20 +339,27 @@ def fit(
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
-    out = output_file("out", out)
     signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
     if step is not None:
-        if family != "auto" or dwell_time is not None or maximum_dwell is not None:
+        if family != "auto" or any(one is not None for one in (dwell_time, maximum_dwell, out)):
             raise ArgumentError(
-                "step fits a chain, which has neither families nor limits of sojourns: leave out "
-                "family, dwell-time and maximum-dwell, or the step."
+                "step fits a chain, which has neither families nor limits of sojourns, and no "
+                "figure: leave out family, dwell-time, maximum-dwell and out, or the step."
             )
         chain = MarkovChain.fit(signals, step)
+        found = {"P": chain.P.tolist(), "step": chain.step} | _off_grid(signals, chain.step)
         if json_output:
-            print_json({"P": chain.P.tolist(), "step": chain.step}, [])
-        else:
-            print(chain.section())
+            print_json(found, [])
+            return
+        between, switches = found["off_grid"], found["switches"]
+        if between:
+            print(
+                f"Between samples of {chain.step:g} s: {between:,} of {switches:,} switches; the "
+                "chain makes each at the next sample.\n"
+            )
+        print(chain.section())
         return
+    out = output_file("out", out, "fit")
     least, most = (
         None if text is None else one_or_all(numbers_of(name, text))
         for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
@@ -368,3 +376,13 @@ def fit(
     print_table(HEADINGS, fit_rows(model, names))
     print(f"\n{fit_sentence(model, names)}\n\n{model.section()}")
     print(f"\nFigure: {out}")
+
+
+def _off_grid(signals: list[SwitchingSignal], step: float) -> dict[str, int]:
+    """How many switches the logs have, and how many of them lie between samples."""
+    import numpy as np
+
+    from deadtime.plant.steps import snap_all
+
+    periods = snap_all(np.concatenate([one.times[1:] for one in signals]) / step)
+    return {"switches": periods.size, "off_grid": int(np.sum(periods != np.round(periods)))}

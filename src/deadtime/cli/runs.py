@@ -20,7 +20,7 @@ from deadtime.cli.application import (
     Folder,
     ProblemFile,
     StepOrIdeal,
-    app,
+    app as commands,
     lines,
 )
 from deadtime.cli.printing import (
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from deadtime.problems.comparison import Comparison
 
 
-@app.command(
+@commands.command(
     group=START,
     help_epilogue=lines(
         "deadtime reproduce",
@@ -77,7 +77,7 @@ def reproduce(
     print(f"\nReport: {report.path}")
 
 
-@app.command(
+@commands.command(
     group=START,
     help_epilogue=lines(
         "deadtime simulate problem.toml",
@@ -171,8 +171,7 @@ def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Pa
     return [target for target, _ in figures]
 
 
-@app.command(
-    name="app",
+@commands.command(
     group=START,
     help_epilogue=lines(
         "deadtime app",
@@ -181,7 +180,7 @@ def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Pa
         "deadtime app --address 0.0.0.0   # for the whole network: there is no password",
     ),
 )
-def explorer(
+def app(
     problem: ProblemFile = Path("paper"),
     *,
     port: int | None = None,

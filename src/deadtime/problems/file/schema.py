@@ -176,6 +176,7 @@ class LogSignal(Section):
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
         None, description="Of the log's times; seconds by default."
     )
+    at: Instants = Field("anywhere", description=AT)
     end: float | None = Field(None, description="Up to when the log is known, on its own clock.")
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 
