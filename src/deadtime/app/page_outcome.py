@@ -20,13 +20,13 @@ from deadtime.base.wording import compact
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.laws import ExactPredictor
-from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import ending
 from deadtime.problems.file.load import build_what_can
 from deadtime.problems.law_registry import QUICK
 from deadtime.problems.unit_checks import unit_checks_of
 from deadtime.reports.figures.colours import Look, looks_of
+from deadtime.reports.metrics import measure_title
 from deadtime.simulation import Trajectory
 from deadtime.simulation.columns import numbered_columns
 from deadtime.simulation.outcome import Outcome as Ending, why_untested
@@ -240,9 +240,8 @@ def table_of(outcome: ProblemOutcome, laws: Sequence[str]) -> str:
             f"<tr><td>{escape(law)}</td><td class='why' colspan='4'>{escape(why)}</td></tr>"
         )
     more = ", on estimates of the same observer" if outcome.observed else ""
-    caption, word = f"Cost {text_of(outcome.problem.weight)}", "cost"
-    if outcome.measure == "iae":
-        caption, word = f"Tracking error {TRACKING_ERROR} over the whole run", TRACKING_ERROR
+    caption = measure_title(outcome.measure, outcome.problem.weight)
+    word = TRACKING_ERROR if outcome.measure == "iae" else "cost"
     head = _HEAD.format(caption=caption, word=word, more=more)
     return f"{head}{''.join(rows)}</tbody></table>"
 

@@ -14,7 +14,7 @@ from bokeh.plotting import figure
 
 from deadtime.app.page_outcome import ProblemOutcome, dash_of
 from deadtime.base.palette import GREY
-from deadtime.reports.figures.certificates import BAD, GOOD
+from deadtime.reports.figures.certificates import BAD, CHART_WORDS, GOOD
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.runs import frame, mismatch_floor, mismatch_norm
 from deadtime.simulation import Trajectory
@@ -253,9 +253,9 @@ def _patch(colour: str, text: str) -> str:
 
 
 KEY = (
-    "<div class='key'>Stability of the law in question over all signals with a dwell time: "
-    f"{_patch(GOOD, 'certified')}{_patch(BAD, 'some signal grows')}{_patch(HERE, 'this problem')}"
-    "</div>"
+    "<div class='key'>The law in question, over all signals with a dwell time: "
+    + "".join(_patch(colour, CHART_WORDS[colour]) for colour in (GOOD, BAD))
+    + f"{_patch(HERE, 'this problem')}</div>"
 )
 
 

@@ -24,13 +24,13 @@ from deadtime.identification.log.read_tables import (
 )
 from deadtime.identification.results.identification_figure import likelihood_figure, quick_figures
 from deadtime.laws import ExactPredictor
-from deadtime.margins import delay_margin
 from deadtime.problems import load_problem
 from deadtime.reports.identification_report import (
     HEADINGS,
     Picture,
     identification_page,
     interval_rows,
+    law_beside,
     pictures_of,
 )
 
@@ -282,8 +282,7 @@ def _verdicts(fit: Identification, saved: Path) -> tuple[str, ...]:
         if isinstance(law, ExactPredictor):  # to compare with: no plant offers what it knows
             continue
         try:
-            margin = delay_margin(fit.plant, law, fit.step)
-            said.append(f"Law “{name}”, each mode held: {fit.verdict(margin, law)}")
+            said.append(law_beside(fit, name, law))
         except DeadtimeError as error:
             refused = f"No margin of law “{name}”: {error}"
     return tuple(said) or (refused,)

@@ -235,7 +235,7 @@ def verify(
 
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
     late = {name: value for name, value in late.items() if value is not None}
-    matches = None
+    matches, about = None, ""
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
@@ -263,6 +263,7 @@ def verify(
         result = check(certificate, plant, only, step=period, dwell_time=asked.signals, limit=limit)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
+            about = asked.in_words(chosen.modes, period)
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
             matches |= {"chatter": chatter} if chatter > 1 else {}
         elif result.proven:
@@ -275,13 +276,8 @@ def verify(
     else:
         _print_verification(result)
         if matches is not None:
-            of = matches.get("chatter", 1)
-            with_chatter = f" on average (chatter {of})" if of > 1 else ""
-            print(
-                f"Matches {matches['problem']}: its plant, period {matches['step']:g} s, dwell "
-                f"time {matches['dwell_time']:g} s{with_chatter}, and its law "
-                f"{' = '.join(matches['laws'])}."
-            )
+            its = f"its plant and its law {' = '.join(matches['laws'])}"
+            print(f"Matches {matches['problem']}: {its}. {about}")
     return 0 if result.proven else 1
 
 
@@ -314,7 +310,7 @@ def _print_judged(
     in_full: bool,
     left_open: tuple[bool, object],
 ) -> None:
-    from deadtime.base.wording import number_of, with_names
+    from deadtime.base.wording import with_names
     from deadtime.cli.console import Terminal
     from deadtime.reports.certificate_tables import (
         HEADINGS,
@@ -325,19 +321,9 @@ def _print_judged(
         plants_in_words,
     )
 
-    console, signals, modes = Terminal(), asked.signals, problem.plant.modes
-    lag, lost = signals.mode_lag, signals.lost_samples
-    late = f"; laws are told the mode {number_of(lag, 'period')} late" if lag else ""
-    late += f"; up to {number_of(lost, 'sample')} in a row may be lost" if lost else ""
-    stays, switches = signals.in_words(modes)
+    console, about = Terminal(), asked.in_words(problem.modes, step)
     console.print(problem.title, style="bold", markup=False)
-    console.print(
-        f"Every signal that {with_names(stays, problem.modes)} ({asked.dwell.source}), "
-        f"{with_names(switches, problem.modes)}; "
-        f"sampling period {step:g} s{late}.",
-        markup=False,
-    )
-    for sentence in (*plants_in_words(problem, *left_open), *left_out(problem)):
+    for sentence in (about, *plants_in_words(problem, *left_open), *left_out(problem)):
         console.print(sentence, markup=False)
     console.print()
     print_table(HEADINGS, certificate_rows(judged))
@@ -461,7 +447,7 @@ def longest_mode_lags(
     from deadtime.margins import longest_mode_lag
     from deadtime.reports.certificate_tables import left_out
 
-    (dwell, source), signals = asked
+    signals = asked.signals
     if signals.chatter > 1:
         raise ArgumentError(
             "--longest-mode-lag is asked of a dwell time, not of an average one: give "
@@ -478,11 +464,7 @@ def longest_mode_lags(
         each = {name: one.record() for name, one in brackets.items()}
         print_json(record | {"longest_mode_lags": each})
     else:
-        said = f"Sampling period {period:g} s, dwell time {dwell:.4g} s ({source})."
-        if not signals.is_plain(problem.plant.modes):
-            stays, switches = signals.in_words(problem.plant.modes)
-            said = f"Sampling period {period:g} s; every signal that {stays}, {switches}."
-            said = with_names(said, problem.modes)
+        said = asked.in_words(problem.modes, period)
         print("\n".join((problem.title, said, *left_out(problem), "")))
         rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
         print_table(("law", "proved up to", "refuted at"), rows)

@@ -107,7 +107,7 @@ def identify(
         The page to write, HTML: what there is to say, all intervals, figures of how well it fits.
     """
     from deadtime.identification import identify as identified
-    from deadtime.reports.identification_report import HEADINGS, interval_rows
+    from deadtime.reports.identification_report import HEADINGS, interval_rows, sampling_of
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
@@ -146,8 +146,7 @@ def identify(
     if json_output:
         print_json(_record(fit, said), written)
     else:
-        rows = f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s"
-        print_heading(rows + _numbered(fit), said)
+        print_heading(f"A plant from {sampling_of(fit)}{_numbered(fit)}", said)
         print()
         print_table(HEADINGS, interval_rows(fit))
         for path in written:
@@ -232,15 +231,14 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
 
 def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
     """The law's delay margin beside the interval."""
-    from deadtime.margins import delay_margin
+    from deadtime.reports.identification_report import law_beside
 
     sizes = [(p.modes, p.states, p.inputs) for p in (fit.plant, law.plant)]
     if sizes[0] != sizes[1]:
         raise ArgumentError(
             f"beside must have the modes, states and inputs of the log, {sizes[0]}, got {sizes[1]}."
         )
-    margin = delay_margin(fit.plant, law, step)
-    return f"Law “{name}”, each mode held: {fit.verdict(margin, law, step)}"
+    return law_beside(fit, name, law, step)
 
 
 def _record(fit: Identification, said: list[str]) -> dict:

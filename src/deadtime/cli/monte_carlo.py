@@ -290,10 +290,8 @@ def _print(
 ) -> None:
     """Heading, remarks and tables on the terminal."""
     from deadtime.base.wording import with_names
-    from deadtime.plant.weight import text_of
     from deadtime.problems.unit_checks import unit_checks_of
     from deadtime.reports import metrics
-    from deadtime.simulation.tracking import TRACKING_ERROR
 
     print_heading(problem.title)
     print(_drawn(problem, model, sojourn, data, outcome))
@@ -314,18 +312,14 @@ def _print(
         print(f"• Run one by one, which takes longer: {', '.join(data.attributes['one_by_one'])}.")
     if data.attributes["message"]:
         print(f"• {data.attributes['message']}")
-    titles = {
-        "iae": f"{TRACKING_ERROR} over the whole run",
-        "cost": f"Cost, {text_of(problem.weight)}",
-        "ise": "∫|x|²",
-    }
-    print(f"\n{titles[outcome.measure]}")
+    print(f"\n{metrics.measure_title(outcome.measure, problem.weight)}")
     print_table(outcome.headings, outcome.rows())
-    print(f"/ {outcome.reference}: the median of the ratio on the same signal.\n")
+    ratio, intervals = outcome.notes
+    print(f"{ratio}\n")
     print_table(outcome.interval_headings, outcome.interval_rows())
-    print("Intervals hold the true median at 95 % or more: order statistics, of any distribution.")
+    print(intervals)
     other = "ise" if outcome.measure == "cost" else "cost"
-    print(f"\n{titles[other]}")
+    print(f"\n{metrics.measure_title(other, problem.weight)}")
     print_table(outcome.headings[:4], outcome.rows_of(other))
     shown = [metrics.rows_of_many(data, i) for i in range(len(problem.tracked))]
     for i, rows in enumerate(shown):

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import number_of, with_names
 from deadtime.problems.problem import Problem
 from deadtime.switching import Rule, SignalClass, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint, one_or_each
@@ -36,6 +37,26 @@ class AssumedSignals(NamedTuple):
 
     dwell: SourcedTime
     signals: SignalClass
+
+    def in_words(self, modes: Sequence[str], step: float) -> str:
+        """What is asked about: the signals, by the names of the modes, and the sampling.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> problem = dt.problems.paper()
+        >>> signals_of(problem, problem.signal, mode_lag=2).in_words(problem.modes, 0.01)
+        "Every signal that stays in each mode for at least 0.2 s (the problem's dwell time), \
+switches at any time; sampling period 0.01 s; laws are told the mode 2 periods late."
+        """
+        stays, switches = (with_names(one, modes) for one in self.signals.in_words(len(modes)))
+        lag, lost = self.signals.mode_lag, self.signals.lost_samples
+        late = f"; laws are told the mode {number_of(lag, 'period')} late" * (lag > 0)
+        late += f"; up to {number_of(lost, 'sample')} in a row may be lost" * (lost > 0)
+        return (
+            f"Every signal that {stays} ({self.dwell.source}), {switches}; sampling period "
+            f"{step:g} s{late}."
+        )
 
 
 def step_of(problem: Problem) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive, reporter
-from deadtime.base.errors import ArgumentError
+from deadtime.base.errors import ArgumentError, SolverError
 from deadtime.base.json_records import record
 from deadtime.base.threads import in_order
 from deadtime.base.wording import as_rate, compact, sentence_of, with_names
@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
 LEGEND = (
-    "Stable: for every such signal. Decay: the rate at which every run falls at least. Proved: "
-    "verified in ball arithmetic, also where a witness refutes. Growth: of the worst signal found. "
+    "Stable: for every such signal; no: one makes |x| grow; no answer: neither was found. Decay: "
+    "the rate at which every run falls at least. Proved: verified in ball arithmetic, also where a "
+    "witness refutes. Growth: of the worst signal found. "
     "Delay margin: true delays, of several what all may be off by, between which the law as it is "
     "keeps every constant mode stable."
 )
@@ -356,6 +357,13 @@ def bounds_of(problem: Problem, dwell_time: float) -> dict[str, TheoremBound]:
     return {
         form: theorem_bound(problem.plant, problem.gains, dwell_time, form=form) for form in forms
     }
+
+
+def theorem_refusal(error: Exception) -> str:
+    """Why there are no constants of the theorem: it does not apply, or a solver failed."""
+    if isinstance(error, SolverError):
+        return f"The theorem's constants were not computed: {error}"
+    return f"The theorem does not apply: {error}"
 
 
 def bound_rows(

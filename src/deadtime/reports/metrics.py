@@ -12,21 +12,29 @@ from deadtime.base.json_records import plain, record
 from deadtime.base.version import __version__
 from deadtime.base.wording import compact
 from deadtime.plant.steps import TOLERANCE
-from deadtime.plant.weight import record_of
+from deadtime.plant.weight import Weight, record_of, text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import events_of
 from deadtime.simulation.step_figures import TRACKING
+from deadtime.simulation.tracking import TRACKING_ERROR
 
 if TYPE_CHECKING:
-    from deadtime.scenarios.dataset import Comparison
+    from deadtime.scenarios.dataset import Comparison as ManyRuns
 
 
 HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
 NEVER = "–"
 LEGEND = f"{NEVER}: not settled within the horizon"
 _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
+
+
+def measure_title(measure: str, weight: Weight | None) -> str:
+    """The heading of a table of what laws are ranked by, or of ∫|x|²."""
+    if measure == "iae":
+        return f"{TRACKING_ERROR} over the whole run"
+    return f"Cost, {text_of(weight)}" if measure == "cost" else "∫|x|²"
 
 
 def heading_of(problem: Problem, output: int) -> str:
@@ -72,7 +80,7 @@ def _next_event(problem: Problem, run: Trajectory, since: float) -> float | None
     return next(later, None)
 
 
-def rows_of_many(data: Comparison, output: int) -> list[list[str]]:
+def rows_of_many(data: ManyRuns, output: int) -> list[list[str]]:
     """The medians over scenarios, law by law."""
     tracking = {name: data.keep(data.results.tracking[name])[..., output] for name in _NAMES}
     return [
@@ -81,7 +89,7 @@ def rows_of_many(data: Comparison, output: int) -> list[list[str]]:
     ]
 
 
-def record_of_many(problem: Problem, data: Comparison) -> dict[str, Any]:
+def record_of_many(problem: Problem, data: ManyRuns) -> dict[str, Any]:
     """The same for JSON, by output and law; nothing where nothing is tracked."""
     if not problem.tracked:
         return {}

@@ -22,6 +22,7 @@ from deadtime.reports import metrics
 from deadtime.reports.audit import STEPS, audit
 from deadtime.reports.certificate_tables import (
     HEADINGS,
+    LEGEND,
     Judged,
     bound_headings,
     bound_rows,
@@ -32,6 +33,7 @@ from deadtime.reports.certificate_tables import (
     delay_sentence,
     judge,
     left_out,
+    theorem_refusal,
 )
 from deadtime.reports.figures.runs import (
     all_laws,
@@ -46,60 +48,27 @@ from deadtime.simulation.run_figure import plot_run
 from deadtime.switching import SwitchingSignal
 
 
-@dataclass(frozen=True, eq=False)
-class CertificatesSection:
-    """What the section says (immutable).
-
-    Attributes
-    ----------
-    dwell_time, step : float
-        What the certificates are about, seconds.
-    source : str
-        Where the dwell time comes from.
-    headings, rows, sentences
-        The table of verdicts, and a sentence or two per law.
-    statement, statement_of : tuple of str, str
-        What is proved, and about which numbers: of the first certificate that is a proof; its law.
-    figures : list of (name, caption, Figure)
-    """
-
-    dwell_time: float
-    source: str
-    step: float
-    headings: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    sentences: list[str]
-    statement: tuple[str, ...]
-    statement_of: str
-    figures: list[tuple[str, str, Figure]]
-
-
 def steps_of_section(problem: Problem) -> int:
     """How often `certificates_section` reports progress."""
     return len(problem.laws) + 3
 
 
-def certificates_section(
-    result: Comparison, progress: Progress | None = None
-) -> CertificatesSection:
-    """Certify every law of a comparison for the dwell time of its signal.
+def certificates_section(result: Comparison, progress: Progress | None = None) -> dict[str, Any]:
+    """Certify every law of a comparison for the dwell time of its signal; parts of the page.
 
     A signal that never switches is held to the horizon. The loop is the sampled one, at the
-    problem's period, or at 0.01 s where the problem's loop is ideal.
+    problem's period, or at 0.01 s where the problem's loop is ideal. `figures` are (name, caption,
+    Figure); `statement` says what is proved, of the first certificate that is a proof.
     """
     progress, problem = reporter("progress", progress), result.problem
-    ((dwell, source), signals), step = signals_of(problem, result.signal), step_of(problem)
-    judged = judge(problem, signals, step, progress=progress)
+    asked, step = signals_of(problem, result.signal), step_of(problem)
+    judged = judge(problem, asked.signals, step, progress=progress)
     sentences = [
         *left_out(problem),
         *(with_names(one, problem.modes) for one in certificate_sentences(judged)),
     ]
-    modes = problem.plant.modes
-    if not signals.is_plain(modes):
-        stays, switches = (with_names(one, problem.modes) for one in signals.in_words(modes))
-        sentences.insert(0, f"Certificates are about every signal that {stays}, and {switches}.")
     figures = []
-    reach = _tightness_figure(problem, dwell, step, progress)
+    reach = _tightness_figure(problem, asked.dwell.value, step, progress)
     if reach is not None:
         sentences.append(reach[0])
         figures.append(reach[1])
@@ -111,10 +80,16 @@ def certificates_section(
         if one.certificate and one.certificate.proven
     ]
     statement, law = proofs[0] if proofs else ((), "")
-    rows = certificate_rows(judged)
-    return CertificatesSection(
-        dwell, source, step, HEADINGS, rows, sentences, statement, law, figures
-    )
+    return {
+        "about": asked.in_words(problem.modes, step),
+        "headings": HEADINGS,
+        "rows": certificate_rows(judged),
+        "legend": LEGEND,
+        "sentences": sentences,
+        "statement": statement,
+        "statement_of": law,
+        "figures": figures,
+    }
 
 
 def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:
@@ -266,7 +241,13 @@ def _write(
     audited = _audit(problem, folder, progress)
     progress("computing: constants")
     constants = _constants(result)
-    certified = _section_on_certificates(result, folder, progress) if certificates else None
+    certified = None
+    if certificates:
+        certified = certificates_section(result, progress)
+        certified["figures"] = [
+            save_figure(figure, folder, name, caption)
+            for name, caption, figure in certified["figures"]
+        ]
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
@@ -330,11 +311,8 @@ def _constants(result: Comparison) -> dict[str, Any]:
     dwell_time, source = dwell_time_of(problem, result.signal)
     try:
         bounds = bounds_of(problem, dwell_time)
-    except (ArgumentError, InfeasibleError) as error:
-        return {"rows": [], "sentence": f"The theorem does not apply: {error}", "published": False}
-    except SolverError as error:
-        sentence = f"The theorem's constants were not computed: {error}"
-        return {"rows": [], "sentence": sentence, "published": False}
+    except (ArgumentError, InfeasibleError, SolverError) as error:
+        return {"rows": [], "sentence": theorem_refusal(error), "published": False}
     return {
         "headings": bound_headings(bounds, problem.constants),
         "rows": bound_rows(bounds, problem.constants),
@@ -343,17 +321,6 @@ def _constants(result: Comparison) -> dict[str, Any]:
         "dwell_time": dwell_time,
         "source": source,
     }
-
-
-def _section_on_certificates(
-    result: Comparison, folder: Path, progress: Progress
-) -> dict[str, Any]:
-    """The section on certificates, its figures saved."""
-    section = certificates_section(result, progress)
-    figures = [
-        save_figure(figure, folder, name, caption) for name, caption, figure in section.figures
-    ]
-    return {**vars(section), "figures": figures}
 
 
 def _write_data(result: Comparison, folder: Path) -> None:

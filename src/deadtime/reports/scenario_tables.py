@@ -157,6 +157,15 @@ class Summary:
             for one in self.laws
         ]
 
+    @property
+    def notes(self) -> tuple[str, str]:
+        """What the ratio is, and what intervals are."""
+        return (
+            f"/ {self.reference}: the median of the ratio on the same signal.",
+            "Intervals hold the true median at 95 % or more: order statistics, whatever the "
+            "distribution.",
+        )
+
     def to_latex(self) -> str:
         """The laws as a LaTeX table of the package booktabs: what ranks them, with intervals."""
         both = zip(self.rows(), self.interval_rows(), strict=True)
@@ -169,8 +178,8 @@ class Summary:
         measure = "∫|r - y|" if self.measure == "iae" else "the cost"
         said = [
             f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
-            f"/ {self.reference} is the median of the ratio on the same signal. Intervals of",
-            "medians are order statistics (distribution-free), of shares Wilson's.",
+            *self.notes,
+            "Those of shares are Wilson's.",
         ]
         return booktabs([*headings, *self.interval_headings[3:], "diverged"], rows, said)
 

@@ -30,6 +30,7 @@ from deadtime.laws import AveragedPredictor
 from deadtime.margins import StabilityMargin, stability_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
+from deadtime.reports.certificate_tables import theorem_refusal
 
 TINY = 1e-6  # below this α everything is linear in α, and computed at this α
 LOW = 0.01  # the α at which the search for a margin starts
@@ -142,10 +143,8 @@ def tightness(
     for form in forms:
         try:
             reaches.append(reach_of(problem, dwell_time, form))
-        except (ArgumentError, InfeasibleError) as error:
-            missing = [f"The theorem does not apply: {error}"]
-        except SolverError as error:
-            missing = [f"The theorem's constants were not computed: {error}"]
+        except (ArgumentError, InfeasibleError, SolverError) as error:
+            missing = [theorem_refusal(error)]
     progress("between proof and witness")
     margin = None
     try:

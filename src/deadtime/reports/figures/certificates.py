@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 GOOD, BAD, GAP = "#9ccbe8", "#f3c3a3", "#ffffff"
+CHART_WORDS = {GOOD: "stable for every signal", GAP: "no answer", BAD: "a signal grows"}
 CHART_STYLE = {**STYLE, "hatch.linewidth": 0.6, "axes.grid": False}
 
 
@@ -60,11 +61,9 @@ def plot_chart(chart: StabilityChart, label: str, columns: int = 2) -> Figure:
                 panel.set_xlabel("dwell time (s)")
                 panel.xaxis.set_tick_params(labelbottom=True)
         keys = [
-            Patch(facecolor=GOOD, label="stable for every signal"),
-            Patch(facecolor=GAP, edgecolor="#888888", lw=0.5, label="no answer"),
-            Patch(
-                facecolor=BAD, edgecolor=COLOURS[1], hatch="////", lw=0.0, label="a signal grows"
-            ),
+            Patch(facecolor=GOOD, label=CHART_WORDS[GOOD]),
+            Patch(facecolor=GAP, edgecolor="#888888", lw=0.5, label=CHART_WORDS[GAP]),
+            Patch(fc=BAD, ec=COLOURS[1], hatch="////", lw=0.0, label=CHART_WORDS[BAD]),
         ]
         figure.legend(handles=keys, loc="outside lower center", ncols=3, handlelength=1.6)
     return figure
@@ -76,7 +75,7 @@ def _chart_panel(panel: Axes, chart: StabilityChart, name: str) -> None:
     for i, (certified, refuted) in enumerate(sides):
         if np.isnan(certified):
             panel.text(
-                i, 0.5 * (low + high), "no answer", rotation=90, ha="center", va="center",
+                i, 0.5 * (low + high), CHART_WORDS[GAP], rotation=90, ha="center", va="center",
                 fontsize=7.5, color="#666666",
             )  # fmt: skip
             continue
