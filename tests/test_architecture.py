@@ -111,7 +111,7 @@ KINDS = {
     "markov markov_chain semi_markov",
     "mode_filter observer servo",
     "load schema",
-    "entry registry",
+    "entry",
 }
 SHARED_CLASSES = {"Comparison", "Loop"}  # faces of two rooms, each with its own
 

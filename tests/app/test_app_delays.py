@@ -11,7 +11,7 @@ import deadtime as dt
 from deadtime.app.documents import open_named
 from deadtime.app.jobs import lifted_order, try_upload
 from deadtime.app.page import Page
-from deadtime.app.samples_table import csv_of
+from deadtime.app.page_outcome import csv_of
 from deadtime.problems.file import load_problem
 from deadtime.reports.figures.runs import frame
 

@@ -12,9 +12,9 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import MOST_BYTES, open_named, open_upload, to_toml
-from deadtime.app.offered_laws import laws_on_offer
+from deadtime.app.first_view import laws_on_offer
 from deadtime.app.page import Page
-from deadtime.app.page_run import run_draft
+from deadtime.app.page_outcome import run_draft
 from deadtime.app.settings import DrawnSignal, Settings, draft_of
 from deadtime.problems.file import load_problem
 from mixer import OWN

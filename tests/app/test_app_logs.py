@@ -13,12 +13,19 @@ import pytest
 import deadtime as dt
 from deadtime.app import uploaded_log
 from deadtime.app.documents import open_named
-from deadtime.app.door import Door
-from deadtime.app.identified_page import details, shown
+from deadtime.app.file_upload import FileUpload
 from deadtime.app.jobs import try_log
-from deadtime.app.log_form import HIDDEN, INPUT, MODE, ONE, STATE, UNUSED, LogForm
+from deadtime.app.log_card import HIDDEN, INPUT, MODE, ONE, STATE, UNUSED, LogForm
 from deadtime.app.page import Page
-from deadtime.app.uploaded_log import MOST_ROWS, FoundPlant, LogRequest, look_at, open_log
+from deadtime.app.uploaded_log import (
+    MOST_ROWS,
+    IdentifiedPlant,
+    LogRequest,
+    details_html,
+    identified_html,
+    look_at,
+    open_log,
+)
 from deadtime.app.workers import TooLongError
 from deadtime.cli import main
 from deadtime.problems import load_problem
@@ -73,8 +80,8 @@ def test_delays_are_said_by_the_names_of_inputs_and_modes(per_mode, tmp_path):
     else:
         assert names == ["delay of hot", "delay of <b>"]
     assert [one[1] for one in found.delays] == fit.delays[: 1 + per_mode].ravel().tolist()
-    assert "Delay of hot" in shown(found)
-    assert "Delay of &lt;b&gt;" in shown(found)
+    assert "Delay of hot" in identified_html(found)
+    assert "Delay of &lt;b&gt;" in identified_html(found)
 
 
 def test_a_log_becomes_the_problem_that_identify_makes(log, tmp_path):
@@ -93,10 +100,10 @@ def test_a_log_becomes_the_problem_that_identify_makes(log, tmp_path):
     assert all("Of 100 plants drawn" in one for one in found.verdicts)
     low, high = fit.interval("delay")
     assert found.delays == (("delay", fit.delays[0, 0], low, high),)
-    page = shown(found)
+    page = identified_html(found)
     assert f"Delay <b>{fit.delays[0, 0]:.4g} s</b>" in page
     assert f"({low:.5g} … {high:.5g} s at 95&nbsp;%)" in page
-    more = details(found)
+    more = details_html(found)
     assert f"<td>delay</td><td>{fit.delays[0, 0]:.5g}</td><td>{low:.5g}</td><td>{high:.5g}" in more
     assert more.count("data:image/png;base64,") == 3
     assert "<img src=x>" not in page + more
@@ -184,7 +191,7 @@ def test_a_log_that_is_refused_changes_nothing(own, workers):
 def test_a_plant_of_a_log_that_takes_too_long_to_run_is_for_the_command(own, workers):
     page = Page(own, workers)
     before = page.outcome
-    page.log._on_told((FoundPlant(page.document, (), (), (), (), ()), 9.0))
+    page.log._on_told((IdentifiedPlant(page.document, (), (), (), (), ()), 9.0))
     assert re.search(
         r"The plant of \w+\.csv takes 9\.0 s .* use `deadtime identify`", page.message.object
     )
@@ -198,7 +205,7 @@ def test_a_log_that_takes_too_long_says_what_to_do_and_keeps_what_was_asked(
     page.upload_log("motor.csv", MOTOR.read_bytes())
     wait(lambda: "Say what the columns of motor.csv are" in page.message.object)
     assert page.log.view.visible
-    monkeypatch.setattr(page.log, "_errands", Refusing(TooLongError("too long")))
+    monkeypatch.setattr(page.log, "_jobs", Refusing(TooLongError("too long")))
     for name, role in (("speed", STATE), ("current", STATE), ("voltage", INPUT)):
         page.log.form.roles[name].value = role
     page.log.form.high.value = 0.1
@@ -221,7 +228,7 @@ def test_a_log_that_takes_too_long_says_what_to_do_and_keeps_what_was_asked(
 
 
 class Refusing:
-    """Errands of which every one fails."""
+    """BackgroundJobs of which every one fails."""
 
     def __init__(self, error):
         self.error = error
@@ -304,11 +311,11 @@ def test_a_log_is_asked_about_unless_the_names_of_its_columns_tell_all(
 def test_only_logs_and_problems_come_in_by_the_door(own, workers):
     page = Page(own, workers)
     taken = []
-    door = Door(lambda *given: taken.append(given), page.refuse)
-    door._handle_msg({"name": "a.csv", "size": 3, "content": b"t,x"})
-    door._handle_msg({"name": "b.csv", "size": 46_000_000, "content": None})
+    chooser = FileUpload(lambda *given: taken.append(given), page.refuse)
+    chooser._handle_msg({"name": "a.csv", "size": 3, "content": b"t,x"})
+    chooser._handle_msg({"name": "b.csv", "size": 46_000_000, "content": None})
     assert taken == [("a.csv", 3, b"t,x"), ("b.csv", 46_000_000, None)]
-    door._handle_msg({"count": 2})
+    chooser._handle_msg({"count": 2})
     assert "2 files came at once: drop one at a time." in page.message.object
     page.take(*taken[1])
     assert "b.csv has 46.0 MB, a page takes logs of at most 16 MB" in page.message.object

@@ -12,16 +12,13 @@ import pytest
 
 import deadtime as dt
 from deadtime.app import jobs
-from deadtime.app.costs import table_of
+from deadtime.app.controls import ranges_of, steps_of
 from deadtime.app.documents import open_named
-from deadtime.app.drawing import MOST, switch_at
-from deadtime.app.offered_laws import laws_on_offer
+from deadtime.app.first_view import laws_on_offer
 from deadtime.app.page import Page
-from deadtime.app.page_run import run_draft
-from deadtime.app.ranges import ranges_of, steps_of
-from deadtime.app.samples_table import csv_of
+from deadtime.app.page_outcome import csv_of, run_draft, table_of
 from deadtime.app.script import script_of
-from deadtime.app.settings import DrawnSignal, Settings, draft_of
+from deadtime.app.settings import MOST, DrawnSignal, Settings, draft_of, switch_at
 from deadtime.problems.file import load_problem
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.runs import plot_laws
@@ -286,6 +283,30 @@ def test_the_worst_signal_of_the_page_is_that_of_falsify(own):
     signal = dt.SwitchingSignal(found["times"], found["modes"])
     inner = signal.times[1:]
     assert (np.diff(inner) > 0.6 * (1.0 - 1e-9)).all()
+
+
+def test_a_page_keeps_to_samples_where_the_modes_of_its_file_change_there(tmp_path, monkeypatch):
+    kind = '[signal]\nkind = "switches"\nat = "samples"\ntimes = [0.0, 0.6]\nmodes = [0, 1]\n\n'
+    begin, end = OWN.index("[signal]"), OWN.index("[run]")
+    (tmp_path / "own.toml").write_text(OWN[:begin] + kind + OWN[end:], encoding="utf-8")
+    document = open_named(str(tmp_path / "own.toml"))
+    page = Page(document, None)
+    page.draw_by_hand(1.512, 2)
+    np.testing.assert_array_equal(page.outcome.signal.times, [0.0, 0.6, 1.5])
+    assert page.outcome.problem.switches_at == "samples"
+    asked = []
+
+    def stop(*given, **_):
+        asked.append(next(one for one in given if isinstance(one, dt.SignalClass)))
+        raise dt.ArgumentError("stopped")
+
+    monkeypatch.setattr(jobs, "falsify", stop)
+    monkeypatch.setattr(jobs, "stability_margin", stop)
+    given = page.draft(), document.source, "averaged"
+    with pytest.raises(dt.ArgumentError, match="stopped"):
+        jobs.worst_signal(*given, 0.05)
+    assert jobs.margin(*given, (0.02, 2.0), 0.05)[2] == "stopped"
+    assert asked == [dt.SignalClass(0.05, at="samples")] * 2
 
 
 def test_a_law_on_outputs_has_a_verdict_and_one_that_is_no_table_has_none(tmp_path):

@@ -17,10 +17,10 @@ from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from deadtime.app.documents import open_named
+from deadtime.app.first_view import FirstView
 from deadtime.app.jobs import look_at_log
-from deadtime.app.opening import Opening
 from deadtime.app.page import Page
-from deadtime.app.sessions import Sessions
+from deadtime.app.server import Sessions
 from deadtime.cli.application import main
 
 # Of widgets that set options of other widgets, and of messages that Bokeh had yet to send to a page
@@ -49,14 +49,14 @@ class Served:
 
     def __init__(self, most):
         document = open_named("paper")
-        self.opening = Opening.of(document)
+        self.first_view = FirstView.of(document)
         self.made = 0
         self.alive = weakref.WeakSet()
         self.documents = weakref.WeakSet()
         self.sessions = Sessions(self.make, most)
 
     def make(self):
-        page = Page(self.opening.document, None, self.opening)
+        page = Page(self.first_view.document, None, self.first_view)
         self.made += 1
         self.alive.add(page)
         self.documents.add(pn.state.curdoc)
@@ -161,7 +161,7 @@ def test_a_session_that_ends_in_the_middle_of_a_job_leaves_nothing(caplog):
 
         def make(self):
             page = super().make()
-            page.workers = page._errands._workers = page.log._errands._workers = Busy()
+            page.workers = page._jobs._workers = page.log._jobs._workers = Busy()
             page.upload_log("log.csv", LOG)
             return page
 
@@ -188,10 +188,10 @@ def test_each_step_of_closing_runs_whatever_the_others_do(monkeypatch):
         raise AttributeError("its document is gone")
 
     log = page.log
-    monkeypatch.setattr(page._errands, "stop", fail)
+    monkeypatch.setattr(page._jobs, "stop", fail)
     monkeypatch.setattr(log, "drop", fail)
     monkeypatch.setattr(pn.state, "on_session_destroyed", ended.append)
-    monkeypatch.setattr("deadtime.app.sessions._unwatch", lambda view: (done.append(view), fail()))
+    monkeypatch.setattr("deadtime.app.server._unwatch", lambda view: (done.append(view), fail()))
     sessions = Sessions(lambda: page)
     monkeypatch.setattr(sessions, "_sweep_soon", lambda: done.append("swept"))
     view = sessions.begin()
@@ -203,12 +203,12 @@ def test_each_step_of_closing_runs_whatever_the_others_do(monkeypatch):
 
 
 def test_pages_that_begin_with_one_problem_share_its_runs():
-    opening = Opening.of(open_named("paper"))
-    one, other = (Page(opening.document, None, opening) for _ in range(2))
+    first_view = FirstView.of(open_named("paper"))
+    one, other = (Page(first_view.document, None, first_view) for _ in range(2))
     assert one.outcome is other.outcome
     one.controls.sliders["delay"].value = 0.5
     assert one.outcome is not other.outcome
-    assert other.outcome is opening.outcome
+    assert other.outcome is first_view.outcome
 
 
 @pytest.mark.parametrize("count", ["0", "-3"])

@@ -273,6 +273,6 @@ def test_masked_entries_are_refused_wherever_arrays_are_taken(name):
         ),
     ],
 )
-def test_slips_of_shape_and_sign_are_told_what_to_write_instead(ask, message):
+def test_unit_checks_of_shape_and_sign_are_told_what_to_write_instead(ask, message):
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         ask()

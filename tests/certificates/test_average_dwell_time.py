@@ -14,7 +14,7 @@ from certificate_corpus import aged_pair, free
 from certificate_forgeries import forged, put
 from certified_loops import PAPER, designed, proved
 from deadtime.cli.application import main
-from deadtime.problems.asked import signals_of
+from deadtime.problems.switching_assumptions import signals_of
 
 STEP = 0.1
 PAIR = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])  # they turn

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -257,3 +258,24 @@ def test_commands_load_what_they_need_only(tmp_path, command):
     )
     assert (done.returncode, done.stderr) == (0, "[]\n")
     assert not list(tmp_path.rglob("*.nbi"))
+
+
+def test_a_chain_of_a_log_says_which_switches_lie_between_its_samples(tmp_path, capsys):
+    log = tmp_path / "log.csv"
+    log.write_text("t,mode\n0,0\n0.1,1\n0.25,0\n0.4,1\n0.62,0\n0.9,1\n1.2,0\n", encoding="utf-8")
+    code, out, _ = run(capsys, "fit", str(log), "--step", "0.1")
+    assert code == 0
+    assert out.startswith("Between samples of 0.1 s: 2 of 6 switches; the chain makes each at ")
+    code, out, _ = run(capsys, "fit", str(log), "--step", "0.01")
+    assert (code, out.splitlines()[0]) == (0, "[switching]")
+    _, out, _ = run(capsys, "fit", str(log), "--step", "0.1", "--json")
+    assert {"switches": 6, "off_grid": 2}.items() <= json.loads(out).items()
+
+
+def test_a_chain_has_no_figure_to_write(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text("t,mode\n0,0\n0.1,1\n0.2,0\n", encoding="utf-8")
+    code, _, err = run(capsys, "fit", "log.csv", "--step", "0.1", "--out", "chain.png")
+    assert code == 2
+    assert "no figure: leave out family, dwell-time, maximum-dwell and out, or the step" in err
+    assert not Path("chain.png").exists()

@@ -217,9 +217,9 @@ def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys
     ):
         code, out, _ = run(capsys, "verify", str(saved), "--problem", "follower", *slow, *asked)
         assert (code, out[:7]) == (0, "Proved:"), asked
-        matches = "\nMatches follower: its plant, period 0.1 s, dwell time "
+        matches = "\nMatches follower: its plant and its law averaged. Every signal that stays in "
         assert matches in out
-        assert out.endswith("its law averaged.\n")
+        assert out.endswith(", switches at any time; sampling period 0.1 s.\n")
     for asked, message in (
         (("follower", *slow, "--law", "mean"), "another table than that of the given law"),
         (("follower", *slow, "--dwell-time", "0.9"), ", not 0.9 s"),
@@ -337,7 +337,7 @@ def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, mo
         asked.append(delays)
         return []
 
-    monkeypatch.setattr(import_module("deadtime.reports.tables.certificates"), "judge", judge)
+    monkeypatch.setattr(import_module("deadtime.reports.certificate_tables"), "judge", judge)
     ranges = ("--delays", "[0.25,0.12]", "[[0.28,0.15],[0.3,0.15]]")
     code, out, _ = run(capsys, "certify", "paper", *ranges, "--json")
     assert code == 0

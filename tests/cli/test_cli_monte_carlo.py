@@ -13,7 +13,7 @@ import xarray as xr
 import deadtime as dt
 from deadtime.cli.application import main
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
-from deadtime.reports.tables.monte_carlo import quantile, summary
+from deadtime.reports.scenario_tables import quantile, summary
 
 COARSE = ("--step", "0.05", "--out", "run.png")
 DIMS = ("law", "scenario")

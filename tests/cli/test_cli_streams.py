@@ -254,7 +254,7 @@ def test_an_error_of_the_system_is_one_line_with_its_file(capsys, monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device", "bounds.txt")
 
-    monkeypatch.setattr(import_module("deadtime.reports.tables.constants"), "bounds_of", full)
+    monkeypatch.setattr(import_module("deadtime.reports.certificate_tables"), "bounds_of", full)
     with pytest.raises(SystemExit) as stopped:
         main(["bound", "paper"])
     captured = capsys.readouterr()

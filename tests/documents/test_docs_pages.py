@@ -153,7 +153,7 @@ def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monke
 
 KNOWN_EVERYWHERE = """
 from deadtime.app.documents import open_named
-from deadtime.app.offered_laws import laws_on_offer
+from deadtime.app.first_view import laws_on_offer
 from deadtime.app.script import script_of
 from deadtime.reports.figures.colours import colour_of
 from deadtime.problems.law_registry import the_law
@@ -173,7 +173,7 @@ compile(code, "script", "exec")
 
 IMPERFECTION_ON_THE_PAGE = """
 from deadtime.app.documents import open_named
-from deadtime.app.ranges import ranges_of
+from deadtime.app.controls import ranges_of
 from deadtime.app.script import script_of
 from deadtime.app.settings import Settings, draft_of
 from deadtime.problems import json_schema, load_problem

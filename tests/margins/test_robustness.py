@@ -10,7 +10,7 @@ import deadtime as dt
 import plants
 from deadtime.cli.application import main
 from deadtime.imperfections import Dropout, LateSamples, ModeDelay, Noise, Saturation
-from deadtime.reports.figures.robustness import plot_robustness
+from deadtime.reports.robustness import plot_robustness
 
 NEAR = plants.generic().apart(0.1)
 MODEL = dt.SwitchedSystem(NEAR.A + np.eye(3), NEAR.B, NEAR.delay)

@@ -8,7 +8,7 @@ import deadtime as dt
 import plants
 from deadtime.problems.comparison import compare
 from deadtime.problems.file import load_problem
-from deadtime.reports.figures.design import plot_designs
+from deadtime.reports.design import plot_designs
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
 from deadtime.reports.verdict import verdict
 from deadtime.scenarios.sweeps import load_study

@@ -11,9 +11,9 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.cli.asked_signals import with_step
-from deadtime.problems.asked import random_model, signals_of
+from deadtime.cli.problem_options import with_step
 from deadtime.problems.file import load_problem
+from deadtime.problems.switching_assumptions import random_model, signals_of
 
 PLANT = """\
 [plant]
@@ -207,6 +207,18 @@ def test_given_signals_at_samples_are_checked(load):
     with pytest.raises(dt.ProblemFileError, match=r"got one at 1\.25 s with a period of 0\.1 s"):
         load(text)
     assert load(text.replace("1.25", "1.3")).signals.at == "samples"
+
+
+def test_a_log_at_samples_is_checked_and_asked_about_such(load, tmp_path):
+    text = '[signal]\nkind = "log"\nfile = "log.csv"\nat = "samples"'
+    log = tmp_path / "log.csv"
+    log.write_text("t,mode\n0,0\n0.7,1\n1.25,0\n", encoding="utf-8")
+    with pytest.raises(dt.ProblemFileError, match=r"got one at 1\.25 s with a period of 0\.1 s"):
+        load(text)
+    log.write_text("t,mode\n0,0\n0.7,1\n1.3,0\n", encoding="utf-8")
+    problem = load(text)
+    assert problem.given_signal.times.tolist() == [0.0, 0.7, 1.3]
+    assert signals_of(problem, problem.signal).signals.at == "samples"
 
 
 def test_monte_carlo_and_studies_draw_no_signals_at_samples(load, capsys):

@@ -10,9 +10,8 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import open_named
-from deadtime.app.offered_laws import laws_on_offer
+from deadtime.app.first_view import laws_on_offer
 from deadtime.problems.file.build import build_problem
-from deadtime.problems.file.named_problems import template
 from deadtime.problems.file.schema import ProblemFile
 from deadtime.problems.law_registry import (
     ENTRIES,
@@ -24,6 +23,7 @@ from deadtime.problems.law_registry import (
     collect,
     the_law,
 )
+from deadtime.problems.literature import template
 from deadtime.scenarios.sweeps.study_laws import DEFAULT, KINDS
 
 PAPER = dt.problems.paper()

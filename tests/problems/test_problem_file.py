@@ -10,7 +10,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.problems.file import json_schema, load_problem
-from deadtime.problems.toml.lines import key_lines
+from deadtime.problems.toml.complaints import key_lines
 
 TEMPLATES = Path(str(files("deadtime.problems"))) / "files"
 PLAIN = """\

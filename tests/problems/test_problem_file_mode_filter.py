@@ -5,7 +5,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import open_named
-from deadtime.app.offered_laws import laws_on_offer
+from deadtime.app.first_view import laws_on_offer
 from deadtime.problems import load_problem
 from deadtime.simulation.run_figure import plot_run
 

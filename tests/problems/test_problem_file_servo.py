@@ -9,7 +9,7 @@ import deadtime as dt
 from deadtime.app.script import script_of
 from deadtime.cli.application import main
 from deadtime.problems.file import load_problem
-from deadtime.problems.file.named_problems import template
+from deadtime.problems.literature import template
 
 PLANT = """\
 [plant]

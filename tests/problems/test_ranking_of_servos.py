@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.app.costs import table_of
-from deadtime.app.page_run import ProblemOutcome
-from deadtime.app.samples_table import csv_of
+from deadtime.app.page_outcome import ProblemOutcome, csv_of, table_of
 from deadtime.imperfections.words import in_words
 from deadtime.problems.comparison import compare
-from deadtime.reports.figures.comparison import all_laws, plot_tracking
-from deadtime.reports.tables.monte_carlo import summary
+from deadtime.reports.figures.runs import all_laws, plot_tracking
+from deadtime.reports.scenario_tables import summary
 from deadtime.reports.verdict import headings_of, table, verdict
 
 STEP, HORIZON = 0.05, 12.0

@@ -17,7 +17,7 @@ from deadtime.problems.switching_registry import (
     ENTRIES,
     SwitchingSection,
 )
-from deadtime.problems.toml.entries import collect
+from deadtime.problems.toml.sections import collect
 from deadtime.switching import SwitchingModel
 from deadtime.switching.models.model import SampledChain
 

@@ -10,8 +10,8 @@ from scipy.stats import binomtest
 import deadtime as dt
 import plants
 from deadtime.base.wording import amount
-from deadtime.reports.audit import STEPS, Claim, audit
-from deadtime.reports.audit.measure import (
+from deadtime.reports.audit import STEPS, Claim, audit, move_modes, stretch
+from deadtime.reports.audit_evidence import (
     LEAD,
     MEAN,
     commands,
@@ -19,7 +19,6 @@ from deadtime.reports.audit.measure import (
     gather,
     random_signals,
 )
-from deadtime.reports.audit.sweeps import move_modes, stretch
 from deadtime.reports.figures.audit import plot_claims, plot_distances, plot_dwell_times
 from deadtime.scenarios.paired.proportion import Proportion
 

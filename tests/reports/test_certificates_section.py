@@ -9,10 +9,10 @@ import pytest
 
 import deadtime as dt
 from deadtime.problems import Problem
-from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import compare
-from deadtime.reports.certificates_section import certificates_section, steps_of_section
-from deadtime.reports.tables.certificates import delay_sentence
+from deadtime.problems.switching_assumptions import dwell_time_of
+from deadtime.reports.certificate_tables import delay_sentence
+from deadtime.reports.report import certificates_section, steps_of_section
 
 LIMIT = 0.64
 
@@ -95,9 +95,12 @@ def closer(alpha):
 
 def test_laws_that_are_refuted_get_a_figure_of_their_witness(made_up):
     problem, said = dt.problems.paper(), []
-    section = certificates_section(compare(problem), said.append)
+    section = SimpleNamespace(**certificates_section(compare(problem), said.append))
     assert len(said) == steps_of_section(problem)
-    assert (section.dwell_time, section.step) == (0.2, 0.01)
+    assert section.about == (
+        "Every signal that stays in each mode for at least 0.2 s (the problem's dwell time), "
+        "switches at any time; sampling period 0.01 s."
+    )
     names = [name for name, _, _ in section.figures]
     assert names == [
         "witness-averaged",
@@ -116,7 +119,7 @@ def test_laws_that_are_refuted_get_a_figure_of_their_witness(made_up):
 
 
 def test_a_proof_is_stated_and_needs_no_figure_of_a_witness(made_up):
-    section = certificates_section(compare(closer(0.5)))
+    section = SimpleNamespace(**certificates_section(compare(closer(0.5))))
     assert [name for name, _, _ in section.figures] == ["certificates-reach"]
     assert section.rows == [("averaged", "yes", "0.3", "yes", "−0.400", "none")]
     assert section.statement == ("For every signal.",)
@@ -125,14 +128,14 @@ def test_a_proof_is_stated_and_needs_no_figure_of_a_witness(made_up):
 
 def test_an_ideal_problem_is_asked_about_a_sampled_loop(made_up):
     problem = replace(closer(0.5), step=None)
-    section = certificates_section(compare(problem))
-    assert section.step == 0.01
+    section = SimpleNamespace(**certificates_section(compare(problem)))
+    assert "sampling period 0.01 s" in section.about
     assert section.rows[0][1] == "yes"
 
 
 def test_modes_that_are_the_same_have_no_figure_of_distances(made_up):
     problem, said = closer(0.0), []
-    section = certificates_section(compare(problem), said.append)
+    section = SimpleNamespace(**certificates_section(compare(problem), said.append))
     assert len(said) == steps_of_section(problem)
     assert section.figures == []
 

@@ -4,9 +4,8 @@ import xarray as xr
 
 import deadtime as dt
 from deadtime.reports.figures.colours import GREY, looks_of
-from deadtime.reports.figures.comparison import plot_norms
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
-from deadtime.reports.figures.runs import plot_laws
+from deadtime.reports.figures.runs import plot_laws, plot_norms
 
 LAWS = ["averaged", "mode 0 only", "mean", "oracle", "delay ignored"]
 

@@ -11,12 +11,12 @@ import deadtime as dt
 import plants
 from deadtime.cli.application import main
 from deadtime.problems.file import load_problem
-from deadtime.reports.figures.design import plot_designs
-from deadtime.reports.tables.design import (
+from deadtime.reports.design import (
     HEADINGS,
     design_record,
     design_rows,
     limit_rows,
+    plot_designs,
     problem_sections,
 )
 

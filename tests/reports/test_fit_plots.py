@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from deadtime import ArgumentError, SemiMarkov, SwitchingSignal
-from deadtime.reports.figures.fit import plot_fit
+from deadtime.reports.fit import plot_fit
 from deadtime.switching.models.fit import kaplan_meier, sojourns_of
 
 LOGS = [SemiMarkov(stats.gamma(3.0, scale=0.25)).sample(1.2, seed=i) for i in range(60)]

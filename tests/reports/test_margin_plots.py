@@ -9,8 +9,8 @@ import deadtime as dt
 from deadtime.certificates import theorem_bound
 from deadtime.certificates.theorem.constants import distance
 from deadtime.margins import StabilityChart, StabilityMargin
-from deadtime.reports.figures.margins import plot_chart, plot_tightness
-from deadtime.reports.tightness import Reach, Tightness, move_modes, reach_of
+from deadtime.reports.figures.certificates import plot_chart
+from deadtime.reports.tightness import Reach, Tightness, move_modes, plot_tightness, reach_of
 
 
 def chart():

@@ -10,11 +10,11 @@ from scipy.stats import expon
 import deadtime as dt
 from deadtime.cli.application import main
 from deadtime.problems.law_registry import LEVELS
-from deadtime.problems.switching_registry.entries.semi_markov import SemiMarkovSwitching
+from deadtime.problems.switching_registry.entries.switching_models import SemiMarkovSwitching
 from deadtime.reports.study import run_study
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import best, summary
-from deadtime.reports.study.study_runs import failures
+from deadtime.reports.study.study_data import failures
 from deadtime.scenarios.sweeps import load_study
 from deadtime.scenarios.sweeps.cell import run_cell
 from deadtime.scenarios.sweeps.study_laws import kinds_of, within

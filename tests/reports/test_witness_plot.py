@@ -5,7 +5,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.certificates import falsify
-from deadtime.reports.figures.witness import plot_witness
+from deadtime.reports.figures.certificates import plot_witness
 
 
 def worst_of(alpha, law=dt.AveragedPredictor, dwell_time=0.2):

@@ -9,7 +9,7 @@ from scipy import integrate, optimize, stats
 
 from deadtime import ArgumentError, SemiMarkov, SwitchingSignal
 from deadtime.cli.application import main
-from deadtime.problems.switching_registry.entries.semi_markov import SemiMarkovSwitching
+from deadtime.problems.switching_registry.entries.switching_models import SemiMarkovSwitching
 from deadtime.switching.models.fit import sojourns_of
 from shares import mostly_long
 

@@ -7,8 +7,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.reports.figures.design import plot_designs
-from deadtime.reports.tables.design import HEADINGS, design_rows
+from deadtime.reports.design import HEADINGS, design_rows, plot_designs
 from deadtime.synthesis import input_peak
 from deadtime.synthesis.unit_hints import unit_hints
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.reports.figures.design import plot_designs
-from deadtime.reports.tables.design import HEADINGS, design_record, design_rows
+from deadtime.reports.design import HEADINGS, design_record, design_rows, plot_designs
 from deadtime.synthesis.floors import Floors
 
 # A quadrotor's roll axis with and without payload: poles that turn, in two modes under one law.

@@ -10,7 +10,7 @@ from scipy.special import erf
 
 import deadtime as dt
 from deadtime.imperfections import Noise, WhiteDisturbance
-from deadtime.reports.tables.design import design_record
+from deadtime.reports.design import design_record
 from deadtime.synthesis import input_peak
 from deadtime.synthesis.input_peak import input_covariance
 

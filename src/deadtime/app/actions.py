@@ -13,10 +13,8 @@ import panel_material_ui as pmui
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.documents import Document
 from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
-from deadtime.app.page_chart import BOUNDS, KEY, Chart
-from deadtime.app.page_panels import ProblemPanels
-from deadtime.app.page_run import ProblemOutcome
-from deadtime.app.samples_table import csv_of
+from deadtime.app.page_outcome import ProblemOutcome, csv_of
+from deadtime.app.page_panels import BOUNDS, KEY, Chart, ProblemPanels
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import GivenSignal
 from deadtime.base.wording import as_rate, file_name
@@ -214,7 +212,8 @@ class Actions:
         def on_found(result: dict[str, Any]) -> None:
             self.state.object = html.escape(result["message"])
             about = f"the worst found for {law} ({as_rate(result['growth_rate'])} /s)"
-            page.controls.choose(GivenSignal(tuple(result["times"]), tuple(result["modes"]), about))
+            times, modes = tuple(result["times"]), tuple(result["modes"])
+            page.controls.choose(GivenSignal(times, modes, about, result["at"]))
 
         self._search(
             self.worst, f"Looking for the worst signal of {law} …", on_found,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
-from deadtime.app.page_run import run_draft
+from deadtime.app.page_outcome import run_draft
 from deadtime.app.uploaded_log import Columns, LogRequest, Tell, look_at, open_log, report_of
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify
@@ -22,11 +22,12 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.margins import stability_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
-from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.file.load import build_what_can
 from deadtime.problems.toml import SectionError
 from deadtime.reports.identification_report import Picture
 from deadtime.scenarios.sweeps.axes import AXES
 from deadtime.spectrum import growth_rate
+from deadtime.switching import SignalClass
 
 RATIO = 1.02  # of the values between which a margin of the chart lies
 _BUDGET = 20_000  # cycles that the search for the worst signal looks at
@@ -82,13 +83,15 @@ def worst_signal(
 ) -> dict[str, Any]:
     """The worst admissible signal of a law: its switches up to the horizon, its growth, 1/s."""
     problem, chosen = _problem(draft, source, law)
-    worst = falsify(problem.plant, chosen, dwell_time, step=_step(problem), budget=_BUDGET)
+    asked = SignalClass(dwell_time, at=problem.switches_at)
+    worst = falsify(problem.plant, chosen, asked, step=_step(problem), budget=_BUDGET)
     cycles = int(np.ceil(problem.horizon / worst.length)) + 1
     signal = worst.simulate(cycles).signal
     inside = signal.times < problem.horizon
     return {
         "times": signal.times[inside].tolist(),
         "modes": signal.modes[inside].tolist(),
+        "at": problem.switches_at,
         "growth_rate": worst.growth_rate,
         "message": worst.message,
     }
@@ -144,9 +147,9 @@ def margin(
         return problem.plant, chosen
 
     problem, _ = _problem(draft, source, law)
-    step = _step(problem)
+    step, asked = _step(problem), SignalClass(dwell_time, at=problem.switches_at)
     try:
-        found = stability_margin(problem_at, bounds, dwell_time, step=step, ratio=RATIO)
+        found = stability_margin(problem_at, bounds, asked, step=step, ratio=RATIO)
     except ArgumentError as error:
         return math.nan, math.nan, str(error)
     refuted = math.nan if found.refuted is None else float(found.refuted)

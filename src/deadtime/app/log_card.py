@@ -1,4 +1,4 @@
-"""The card of a log: what its columns are, what is looked for, how far that is, what was found."""
+"""The card of a log: a form for its columns, how far identification is, and what was found."""
 
 from __future__ import annotations
 
@@ -10,16 +10,112 @@ from typing import Any, Protocol
 import panel as pn
 import panel_material_ui as pmui
 
-from deadtime.app import identified_page as page_of
+from deadtime.app.background_jobs import BackgroundJobs, ProgressBar
 from deadtime.app.documents import Document, file_stem
-from deadtime.app.errands import Errands
 from deadtime.app.jobs import look_at_log, try_log
-from deadtime.app.log_form import LogForm
-from deadtime.app.progress import ProgressBar
-from deadtime.app.uploaded_log import Columns, FoundPlant, LogRequest
+from deadtime.app.page_outcome import MOST_MODES
+from deadtime.app.uploaded_log import (
+    LOG_CSS,
+    Columns,
+    IdentifiedPlant,
+    LogRequest,
+    details_html,
+    identified_html,
+    likelihood_html,
+)
 from deadtime.app.workers import TooLongError, Workers
 from deadtime.base.errors import ArgumentError
 from deadtime.reports.identification_report import Picture
+
+UNUSED, STATE, INPUT, MODE = "not used", "state", "input", "mode"
+ONE, HIDDEN = "the plant has one", "there are several, not logged"
+_ROLE: dict[str, Any] = {"width": 150, "margin": (6, 5), "size": "small"}
+_SHORT: dict[str, Any] = {"width": 140, "margin": (6, 5), "size": "small"}
+
+
+class LogForm:
+    """A role for every column, the modes, the range of delays."""
+
+    def __init__(self) -> None:
+        self.roles: dict[str, pmui.Select] = {}
+        self.modes = pmui.Select(
+            label="Modes", options=[ONE, HIDDEN], value=ONE, width=250, margin=(6, 5), size="small"
+        )
+        self.least = pmui.IntInput(label="from", value=1, start=1, end=MOST_MODES, **_SHORT)
+        self.most = pmui.IntInput(label="to", value=3, start=1, end=MOST_MODES, **_SHORT)
+        self.low = pmui.FloatInput(label="Delay, from (s)", value=0.0, start=0.0, **_SHORT)
+        self.high = pmui.FloatInput(label="Delay, to (s)", value=2.0, start=0.0, **_SHORT)
+        self.samples = pmui.Checkbox(label="Modes change at samples only", margin=(0, 5))
+        self.apart = pmui.Checkbox(label="Every mode has delays of its own", margin=(0, 5))
+        self.modes.param.watch(self._on_modes, "value")
+        self._columns = pmui.FlexBox(margin=0)
+        self.view = pmui.Column(
+            self._columns,
+            pmui.FlexBox(self.modes, self.least, self.most, margin=0),
+            pmui.FlexBox(self.low, self.high, margin=0),
+            pmui.FlexBox(self.samples, self.apart, margin=0),
+            sizing_mode="stretch_width", margin=0,
+        )  # fmt: skip
+
+    def fill(self, columns: Columns) -> None:
+        """Offer the columns of a log, and choose those that names tell."""
+        guess, self.roles = columns.guess, {}
+        known = dict.fromkeys(guess.states, STATE) | dict.fromkeys(guess.inputs, INPUT)
+        if isinstance(guess.modes, str):
+            known[guess.modes] = MODE
+        for name in columns.names:
+            options = [UNUSED, *[STATE, INPUT] * (name in columns.numbers)]
+            options += [MODE] * (name in columns.modes)
+            role = pmui.Select(label=name, options=options, value=known.get(name, UNUSED), **_ROLE)
+            role.param.watch(self._on_modes, "value")
+            self.roles[name] = role
+        self._columns.objects = list(self.roles.values())
+        self.modes.value = ONE
+        self.low.value, self.high.value = guess.delay
+        self.samples.value = self.apart.value = False
+        self._on_modes()
+
+    def _of(self, role: str) -> tuple[str, ...]:
+        return tuple(name for name, one in self.roles.items() if one.value == role)
+
+    def asked(self) -> LogRequest:
+        """What the form asks.
+
+        Raises
+        ------
+        ArgumentError
+            If something was not said, or cannot be.
+        """
+        states, inputs, column = (self._of(role) for role in (STATE, INPUT, MODE))
+        for role, chosen in ((STATE, states), (INPUT, inputs)):
+            if not chosen:
+                raise ArgumentError(f"No column is said to be {role}: say which are.")
+        if len(column) > 1:
+            raise ArgumentError(f"{' and '.join(column)}: say of one column that it is the mode.")
+        low, high = self.low.value, self.high.value
+        if low is None or high is None or not 0.0 <= low < high:
+            raise ArgumentError("Delay: give a range of which the first end is the lesser one.")
+        modes: str | tuple[int, int] | None = column[0] if column else None
+        if self._hidden():
+            least, most = self.least.value, self.most.value
+            if least is None or most is None or not 1 <= least <= most:
+                raise ArgumentError("Modes: give their least number, then their largest.")
+            modes = int(least), int(most)
+        at_samples, apart = (
+            modes is not None and bool(box.value) for box in (self.samples, self.apart)
+        )
+        return LogRequest(states, inputs, modes, (float(low), float(high)), at_samples, apart)
+
+    def _hidden(self) -> bool:
+        return not self._of(MODE) and self.modes.value == HIDDEN
+
+    def _on_modes(self, _: Any = None) -> None:
+        """What is asked of modes depends on whether there are several, and who knows of them."""
+        logged, hidden = bool(self._of(MODE)), self._hidden()
+        self.modes.visible = not logged
+        self.least.visible = self.most.visible = hidden
+        self.samples.visible = self.apart.visible = logged or hidden
+
 
 LIMIT = 120.0  # seconds after which a log is given up
 _LOOKING = 30.0
@@ -43,14 +139,14 @@ class LogCard:
     """
 
     def __init__(self, page: CardPage, workers: Workers) -> None:
-        self._page, self._errands = page, Errands(workers)
+        self._page, self._jobs = page, BackgroundJobs(workers)
         self._name, self._content = "", b""
         self._asked: LogRequest | None = None
-        self._found: FoundPlant | None = None
+        self._found: IdentifiedPlant | None = None
         self._report = b""
         self.form = LogForm()
         html: dict[str, Any] = {
-            "sizing_mode": "stretch_width", "margin": (0, 10), "stylesheets": [page_of.CSS]
+            "sizing_mode": "stretch_width", "margin": (0, 10), "stylesheets": [LOG_CSS]
         }  # fmt: skip
         self.about = pn.pane.HTML("", **html)
         self.shown, self.likelihood, self.details = (pn.pane.HTML("", **html) for _ in range(3))
@@ -113,10 +209,10 @@ class LogCard:
                     f"Say what the columns of {file_stem(name)}.csv are, then press Identify."
                 )
 
-        self._errands.stop()
+        self._jobs.stop()
         self._idle()
         self._page.say("Looking at the log …")
-        self._errands.begin(
+        self._jobs.begin(
             _LOOKING, on_seen, lambda error: self._page.refuse(str(error)),
             look_at_log, name, content,
         )  # fmt: skip
@@ -131,24 +227,24 @@ class LogCard:
         self._forget_found()
         self._busy("waiting for a process")
         self._page.say(f"Identifying the plant of {file_stem(self._name)}.csv …")
-        self._errands.begin(
+        self._jobs.begin(
             LIMIT, self._on_done, self._on_failed,
             try_log, self._name, self._content, self._asked, told=self._on_told,
         )  # fmt: skip
 
-    def _on_told(self, said: str | tuple[FoundPlant, float]) -> None:
+    def _on_told(self, said: str | tuple[IdentifiedPlant, float]) -> None:
         if isinstance(said, str):
             self._busy(said)
             return
         found, seconds = said
         called = f"The plant of {found.document.name}.csv"
         if not self._page.open_found(found.document, seconds, called):
-            self._errands.stop()
+            self._jobs.stop()
             self._idle()
             return
         self._found = found
-        self.shown.object, self.details.object = page_of.shown(found), page_of.details(found)
-        self.likelihood.object = page_of.likelihood("The likelihood over the delay follows.")
+        self.shown.object, self.details.object = identified_html(found), details_html(found)
+        self.likelihood.object = likelihood_html("The likelihood over the delay follows.")
         self.settings.active = []
         self._downloads[0].param.update(visible=True, filename=f"{found.document.name}.toml")
         self._page.say(f"{called}, as a problem: its laws run below.")
@@ -157,7 +253,7 @@ class LogCard:
         """The likelihood and the report are there, too."""
         self._idle()
         picture, self._report = rest
-        self.likelihood.object = page_of.likelihood(picture)
+        self.likelihood.object = likelihood_html(picture)
         self._downloads[1].param.update(
             visible=True, filename=f"{file_stem(self._name)}-report.html"
         )
@@ -184,7 +280,7 @@ class LogCard:
         return "" if self._asked is None else self._asked.command(self._name)
 
     def _without_likelihood(self, why: str) -> None:
-        self.likelihood.object = page_of.likelihood(
+        self.likelihood.object = likelihood_html(
             f"No curve of the likelihood over the delay: {why}. All else is here; for the curve "
             f"run {self._command()} --report {file_stem(self._name)}.html"
         )
@@ -193,7 +289,7 @@ class LogCard:
 
     def stop(self) -> None:
         """Cancel what is being computed; what was found stays."""
-        self._errands.stop()
+        self._jobs.stop()
         self._idle()
         if self._found is not None:
             self._without_likelihood("it was cancelled")
@@ -209,7 +305,7 @@ class LogCard:
 
     def drop(self) -> None:
         """Let go of the log, touching no widget: their document may be gone."""
-        self._errands.stop()
+        self._jobs.stop()
         self._name, self._content, self._report = "", b"", b""
         self._asked = self._found = None
 

@@ -14,18 +14,16 @@ from bokeh.layouts import column
 
 from deadtime.app import uploaded_log
 from deadtime.app.actions import Actions
+from deadtime.app.background_jobs import BackgroundJobs
 from deadtime.app.controls import WIDE, Controls
-from deadtime.app.costs import CSS, table_of
 from deadtime.app.documents import MOST_BYTES, Document, file_stem, open_named, to_toml, too_large
-from deadtime.app.door import Door
-from deadtime.app.drawing import switch_at
-from deadtime.app.errands import Errands
+from deadtime.app.file_upload import FileUpload
+from deadtime.app.first_view import FirstView
 from deadtime.app.jobs import try_upload
 from deadtime.app.log_card import LogCard
-from deadtime.app.opening import Opening
+from deadtime.app.page_outcome import CSS, ProblemOutcome, run_draft, table_of
 from deadtime.app.page_panels import MOST_PANELS, ProblemPanels
-from deadtime.app.page_run import ProblemOutcome, run_draft
-from deadtime.app.settings import DrawnSignal, GivenSignal, draft_of
+from deadtime.app.settings import DrawnSignal, GivenSignal, draft_of, switch_at
 from deadtime.app.workers import Workers
 from deadtime.base.errors import DeadtimeError
 from deadtime.problems import NAMED
@@ -45,7 +43,7 @@ class Page:
         What it begins with.
     workers : Workers
         Who does what takes longer than a moment.
-    opening : Opening, optional
+    first_view : FirstView, optional
         The document's, made once where many pages begin with it.
 
     Attributes
@@ -57,7 +55,7 @@ class Page:
     """
 
     def __init__(
-        self, document: Document, workers: Workers, opening: Opening | None = None
+        self, document: Document, workers: Workers, first_view: FirstView | None = None
     ) -> None:
         self.workers = workers
         self.message = pmui.Alert(object="", severity="info", visible=False, margin=(4, 10))
@@ -70,21 +68,21 @@ class Page:
         self.actions = Actions(self)
         self.outcome: ProblemOutcome
         self._scheduled = self._closed = False
-        self._errands = Errands(workers)
-        self._begin(Opening.of(document) if opening is None else opening)
+        self._jobs = BackgroundJobs(workers)
+        self._begin(FirstView.of(document) if first_view is None else first_view)
 
     # -- opening ---------------------------------------------------------------------------
 
     def open(self, document: Document) -> None:
         """Show another problem."""
-        self._begin(Opening.of(document))
+        self._begin(FirstView.of(document))
         self.log.close()
 
-    def _begin(self, opening: Opening) -> None:
-        document, outcome = opening.document, opening.outcome
-        controls = Controls(document, dict(opening.offer), opening.chosen, self.touch)
-        self._errands.stop()
-        self.document, self.offer, self.controls = document, opening.offer, controls
+    def _begin(self, first_view: FirstView) -> None:
+        document, outcome = first_view.document, first_view.outcome
+        controls = Controls(document, dict(first_view.offer), first_view.chosen, self.touch)
+        self._jobs.stop()
+        self.document, self.offer, self.controls = document, first_view.offer, controls
         self._shown = dict(document.draft)
         states = range(min(outcome.problem.plant.states, MOST_PANELS))
         self._draw(outcome, list(states))
@@ -161,7 +159,7 @@ class Page:
     def open_found(self, document: Document, seconds: float, called: str) -> bool:
         """Show the problem of a log, whose card stays; whether it was shown."""
         return self._is_quick(seconds, called, "identify") and self.attempt(
-            lambda: self._begin(Opening.of(document))
+            lambda: self._begin(FirstView.of(document))
         )
 
     def take(self, name: str, size: int, content: bytes | None) -> None:
@@ -189,7 +187,7 @@ class Page:
 
         Nothing comes of it once another problem was opened, or the session is over.
         """
-        self._errands.begin(limit, done, lambda error: failed(str(error)), job, *given)
+        self._jobs.begin(limit, done, lambda error: failed(str(error)), job, *given)
 
     def close(self) -> None:
         """The session is over: let go of what it holds, whoever still holds the page.
@@ -202,7 +200,7 @@ class Page:
             for name in held:
                 steps.callback(vars(self).pop, name, None)
             steps.callback(self.log.drop)
-            steps.callback(self._errands.stop)
+            steps.callback(self._jobs.stop)
 
     # -- showing ---------------------------------------------------------------------------
 
@@ -300,13 +298,19 @@ class Page:
     def draw_by_hand(self, at: float, mode: int) -> None:
         """Switch to a mode at an instant, as `drawing.switch_at` does."""
         problem, signal = self.outcome.problem, self.outcome.signal
-        at = round(min(max(at, 0.0), problem.horizon), 3)
+        at, instants = min(max(at, 0.0), problem.horizon), problem.switches_at
+        if instants == "samples" and problem.step is not None:
+            at = problem.step * round(at / problem.step)
+        at = round(at, 3 if instants == "anywhere" else 12)
         mode = min(max(mode, 0), problem.plant.modes - 1)
         inside = signal.times < problem.horizon
         times, modes = signal.times[inside].tolist(), signal.modes[inside].tolist()
-        self.attempt(
-            lambda: self.controls.choose(switch_at(times, modes, at, mode, problem.plant.modes))
-        )
+
+        def draw() -> None:
+            drawn = switch_at(times, modes, at, mode, problem.plant.modes)
+            self.controls.choose(replace(drawn, at=instants))
+
+        self.attempt(draw)
 
     # -- layout ----------------------------------------------------------------------------
 
@@ -322,7 +326,7 @@ class Page:
             page.sidebar_open = page.sidebar_open and not phone
             self.take(name, size, content)
 
-        door = Door(take, self.refuse, **WIDE)
+        chooser = FileUpload(take, self.refuse, **WIDE)
         groups = pmui.Accordion(
             ("Laws", self.laws),
             *self.groups.items(),
@@ -341,7 +345,7 @@ class Page:
         closing = pmui.Button(label="Close", variant="outlined", visible=phone, **WIDE)
         page = pmui.Page(
             title="deadtime explorer",
-            sidebar=[closing, choice, door, *self.actions.downloads(), groups],
+            sidebar=[closing, choice, chooser, *self.actions.downloads(), groups],
             sidebar_width=330,
             sidebar_open=not phone,
             main=[pmui.Column(self.message, self.log.view, body, sizing_mode="stretch_width")],

@@ -1,19 +1,21 @@
-"""What a person has moved on a page, and the problem file that it makes of the one opened."""
+"""What a person has chosen or drawn on a page, and the problem file that it makes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any
 
-from deadtime.app.assumed_switching import dwell_time_of, with_model
 from deadtime.app.documents import Document
-from deadtime.app.offered_laws import Section
+from deadtime.app.draft_facts import dwell_time_of, with_model
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.imperfection_registry import SWEPT
 from deadtime.problems.law_registry import MODEL_KINDS
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
+from deadtime.switching.signal_class import Instants
+
+Section = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class GivenSignal:
     times: tuple[float, ...]
     modes: tuple[int, ...]
     about: str = ""
+    at: Instants = "anywhere"
 
 
 @dataclass(frozen=True)
@@ -85,8 +88,62 @@ def draft_of(document: Document, offer: Mapping[str, Section], settings: Setting
     match settings.signal:
         case DrawnSignal(seed):
             draft["signal"] = {"kind": "model", "seed": seed}
-        case GivenSignal(times, modes):
+        case GivenSignal(times, modes, at=at):
             draft["signal"] = {"kind": "switches", "times": list(times), "modes": list(modes)}
+            draft["signal"] |= {} if at == "anywhere" else {"at": at}
         case None:
             pass
     return draft
+
+
+MOST = 500  # switches
+
+
+def switch_at(
+    times: Sequence[float], modes: Sequence[int], at: float, mode: int, count: int
+) -> GivenSignal:
+    """The signal that is in a mode from an instant on, up to its next switch.
+
+    Where it is in that mode already, the switch that began it is taken away instead: the mode
+    before goes on.
+
+    Parameters
+    ----------
+    times, modes : sequences
+        Starts of the sojourns, the first 0, in seconds, and their modes.
+    at : float
+        When, in seconds.
+    mode, count : int
+        Which mode from there on, of how many.
+
+    Raises
+    ------
+    ArgumentError
+        If the instant is negative, there is no such mode, or there are too many switches.
+
+    Examples
+    --------
+    >>> switch_at([0.0], [0], 1.5, 1, 2)
+    GivenSignal(times=(0.0, 1.5), modes=(0, 1), about='drawn by hand')
+    >>> switch_at([0.0, 1.5], [0, 1], 2.0, 1, 2)
+    GivenSignal(times=(0.0,), modes=(0,), about='drawn by hand')
+    """
+    if not 0 <= mode < count:
+        raise ArgumentError(f"mode must be in 0..{count - 1}, got {mode}.")
+    if not 0.0 <= at < float("inf"):
+        raise ArgumentError(f"time of a switch must be ≥ 0, in s, got {at:g}.")
+    pairs = list(zip(map(float, times), map(int, modes), strict=True))
+    now = max(i for i, (time, _) in enumerate(pairs) if time <= at)
+    if pairs[now][1] == mode:
+        if now:
+            del pairs[now]
+    elif pairs[now][0] == at:
+        pairs[now] = (at, mode)
+    else:
+        pairs.insert(now + 1, (float(at), mode))
+    merged = [pair for i, pair in enumerate(pairs) if i == 0 or pair[1] != pairs[i - 1][1]]
+    if len(merged) > MOST:
+        raise ArgumentError(f"a drawn signal holds at most {MOST} sojourns: clear it first.")
+    return GivenSignal(
+        tuple(time for time, _ in merged), tuple(which for _, which in merged), "drawn by hand"
+    )

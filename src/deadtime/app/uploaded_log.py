@@ -1,16 +1,18 @@
-"""A log that came through a browser: its columns, its plant as a problem, what to say of it."""
+"""A log that came through a browser: its columns, its plant as a problem, and both as HTML."""
 
 from __future__ import annotations
 
+import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deadtime.app.documents import Document, file_stem, open_upload
-from deadtime.app.page_run import MOST_MODES
+from deadtime.app.page_outcome import MOST_MODES
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
 from deadtime.identification.identification_figure import likelihood_figure, quick_figures
@@ -21,12 +23,13 @@ from deadtime.identification.log.read_tables import (
     numeric_column,
     read_table,
 )
-from deadtime.margins import delay_margin
 from deadtime.problems import load_problem
 from deadtime.reports.identification_report import (
+    HEADINGS,
     Picture,
     identification_page,
     interval_rows,
+    law_beside,
     pictures_of,
 )
 
@@ -95,7 +98,7 @@ class Columns(NamedTuple):
     sure: bool
 
 
-class FoundPlant(NamedTuple):
+class IdentifiedPlant(NamedTuple):
     """A problem made of a log, and what was found.
 
     delays : name, estimate and the ends of the interval of each, seconds
@@ -187,7 +190,7 @@ def _is_of_numbers(column: Any) -> bool:
 
 def open_log(
     name: str, content: bytes, folder: Path, asked: LogRequest, tell: Tell = lambda _: None
-) -> tuple[FoundPlant, Identification]:
+) -> tuple[IdentifiedPlant, Identification]:
     """Identify the plant of a log: nothing that it says is trusted.
 
     Parameters
@@ -236,7 +239,7 @@ def open_log(
     said = (*fit.sentences, f"Delays were looked for between {low:g} and {high:g} s.")
     rows = tuple(map(tuple, interval_rows(fit)))
     pictures = pictures_of(quick_figures(fit))
-    return FoundPlant(document, delays, said, verdicts, rows, pictures), fit
+    return IdentifiedPlant(document, delays, said, verdicts, rows, pictures), fit
 
 
 def _delays(fit: Identification) -> list[tuple[str, str]]:
@@ -250,7 +253,7 @@ def _delays(fit: Identification) -> list[tuple[str, str]]:
     return list(zip(names, said, strict=True))
 
 
-def report_of(fit: Identification, found: FoundPlant, command: str) -> tuple[Picture, bytes]:
+def report_of(fit: Identification, found: IdentifiedPlant, command: str) -> tuple[Picture, bytes]:
     """The likelihood over the delays, and the report on all, HTML; `command` makes it again."""
     (likelihood,) = pictures_of([likelihood_figure(fit)])
     said = (*found.sentences, *found.verdicts)
@@ -278,8 +281,79 @@ def _verdicts(fit: Identification, saved: Path) -> tuple[str, ...]:
         if law.foresees:  # to compare with: no plant offers what it knows
             continue
         try:
-            margin = delay_margin(fit.plant, law, fit.step)
-            said.append(f"Law “{name}”, each mode held: {fit.verdict(margin, law)}")
+            said.append(law_beside(fit, name, law))
         except DeadtimeError as error:
             refused = f"No margin of law “{name}”: {error}"
     return tuple(said) or (refused,)
+
+
+_OF_DELAY = re.compile(r" is \S+ s, at 95 % within ")  # the headings say so
+LOG_CSS = """
+.found { font-size: 0.95rem; color: inherit; }
+.found .delay { font-size: 1.15rem; margin: 2px 0 6px; }
+.found ul { margin: 4px 0; padding-left: 1.2em; } .found li { margin: 3px 0; }
+.found figure { margin: 10px 0; }
+.found figcaption { font-size: 0.85rem; opacity: 0.85; margin-top: 3px; }
+.found img { width: 100%; display: block; background: #fff; border-radius: 6px; }
+.found .pair { display: grid; gap: 0 14px; align-items: start;
+               grid-template-columns: repeat(auto-fit, minmax(min(100%, 300px), 1fr)); }
+.found .scroll { overflow-x: auto; } .found .scroll img { min-width: 620px; }
+.found summary { cursor: pointer; margin: 6px 0; }
+.found table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+.found td, .found th { text-align: right; padding: 2px 8px; white-space: nowrap; }
+.found td:first-child { text-align: left; }
+@media (max-width: 480px) { .found td, .found th { padding: 2px 4px; font-size: 0.8rem; } }
+"""
+
+
+def identified_html(found: IdentifiedPlant) -> str:
+    """The delays, what there is to say, what the laws bear."""
+    said = [one for one in found.sentences if not _OF_DELAY.search(one)]
+    return (
+        f"<div class='found'>{''.join(map(_delay, found.delays))}{_list(said)}"
+        f"{_list(found.verdicts)}</div>"
+    )
+
+
+def likelihood_html(picture: Picture | str) -> str:
+    """The likelihood over the delays, or why it is not there."""
+    body = f"<p>{escape(picture)}</p>" if isinstance(picture, str) else _figure(picture)
+    return f"<div class='found'>{body}</div>"
+
+
+def details_html(found: IdentifiedPlant) -> str:
+    """Predictions and modes; to be opened, what is left, and the table of all unknowns."""
+    head = "".join(f"<th>{escape(one)}</th>" for one in HEADINGS)
+    body = "".join(
+        f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in found.rows
+    )
+    wide, *left = map(_figure, found.pictures)
+    return (
+        f"<div class='found'>{wide}<details><summary>What is left of the log</summary>"
+        f"<div class='pair'>{''.join(left)}</div></details><details><summary>Every "
+        "unknown, with its 95 % interval</summary><div class='scroll'><table>"
+        f"<tr>{head}</tr>{body}</table></div></details></div>"
+    )
+
+
+def _delay(one: tuple[str, float, float, float]) -> str:
+    name, value, low, high = one
+    wide = f"{1e3 * (high - value):.2g}", f"{1e3 * (value - low):.2g}"
+    off = f"± {wide[0]} ms" if wide[0] == wide[1] else f"+ {wide[0]} / − {wide[1]} ms"
+    return (
+        f"<div class='delay'>{escape(name[:1].upper() + name[1:])} <b>{value:.4g} s</b> {off} "
+        f"<small>({low:.5g} … {high:.5g} s at 95&nbsp;%)</small></div>"
+    )
+
+
+def _list(sentences: Iterable[str]) -> str:
+    return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in sentences)}</ul>"
+
+
+def _figure(picture: Picture) -> str:
+    """A figure; the widest scrolls where it would be unreadable."""
+    kind = " class='scroll'" if picture.name == "predictions" else ""
+    return (
+        f"<figure><div{kind}><img alt='{escape(picture.name)}' src='{picture.image}'></div>"
+        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
+    )

@@ -14,41 +14,31 @@ stdout then stays empty.
 
 from deadtime.cli import (
     certificates,
-    completion,
     design,
     experiment,
-    explorer,
     export,
+    files,
     identify,
-    init_and_schema,
     loop,
-    models,
     monte_carlo,
     plot,
-    robustness,
     runs,
     sweep,
-    theorem,
 )
 from deadtime.cli.application import app, main
 
 __all__ = [
     "app",
     "certificates",
-    "completion",
     "design",
     "experiment",
-    "explorer",
     "export",
+    "files",
     "identify",
-    "init_and_schema",
     "loop",
     "main",
-    "models",
     "monte_carlo",
     "plot",
-    "robustness",
     "runs",
     "sweep",
-    "theorem",
 ]

@@ -1,29 +1,32 @@
-"""`deadtime certify` and `verify`."""
+"""`deadtime certify`, `verify` and `bound`: what is proved for every switching signal."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import with_names
 from deadtime.cli.application import JUDGE, AllLaws, AsJson, File, ProblemFile, Step, app, lines
-from deadtime.cli.asked_signals import (
+from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
+from deadtime.cli.problem_options import (
     delays_from,
     kept_by_search,
+    problem_of,
     signals_and_step,
     times_from,
     with_step,
 )
-from deadtime.cli.brackets import about, for_json, least_dwell_times, longest_mode_lags
-from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
-from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
     from deadtime.certificates import Verification
+    from deadtime.feedback import Law
     from deadtime.problems import Problem
-    from deadtime.problems.asked import AskedSignals
-    from deadtime.reports.tables.certificates import Judged
+    from deadtime.problems.switching_assumptions import AssumedSignals
+    from deadtime.reports.certificate_tables import Judged
+    from deadtime.switching import SignalClass
 
 
 @app.command(
@@ -111,7 +114,7 @@ def certify(
         .json or in nothing; of several laws, each into a file named after the law.
     """
     from deadtime.certificates.certificate import require_json
-    from deadtime.reports.tables.certificates import certificate_record, judge
+    from deadtime.reports.certificate_tables import certificate_record, judge
 
     chosen = with_step(problem_of(problem), step)
     if least_dwell_time:
@@ -227,12 +230,12 @@ def verify(
     """
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
-    from deadtime.problems.asked import one_or_all
-    from deadtime.reports.tables.certificates import uncertain_plant
+    from deadtime.problems.switching_assumptions import one_or_all
+    from deadtime.reports.certificate_tables import uncertain_plant
 
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
     late = {name: value for name, value in late.items() if value is not None}
-    matches = None
+    matches, about = None, ""
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
@@ -260,6 +263,7 @@ def verify(
         result = check(certificate, plant, only, step=period, dwell_time=asked.signals, limit=limit)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
+            about = asked.in_words(chosen.modes, period)
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
             matches |= {"chatter": chatter} if chatter > 1 else {}
         elif result.proven:
@@ -272,13 +276,8 @@ def verify(
     else:
         _print_verification(result)
         if matches is not None:
-            of = matches.get("chatter", 1)
-            with_chatter = f" on average (chatter {of})" if of > 1 else ""
-            print(
-                f"Matches {matches['problem']}: its plant, period {matches['step']:g} s, dwell "
-                f"time {matches['dwell_time']:g} s{with_chatter}, and its law "
-                f"{' = '.join(matches['laws'])}."
-            )
+            its = f"its plant and its law {' = '.join(matches['laws'])}"
+            print(f"Matches {matches['problem']}: {its}. {about}")
     return 0 if result.proven else 1
 
 
@@ -306,14 +305,14 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 def _print_judged(
     problem: Problem,
     judged: list[Judged],
-    asked: AskedSignals,
+    asked: AssumedSignals,
     step: float,
     in_full: bool,
     left_open: tuple[bool, object],
 ) -> None:
-    from deadtime.base.wording import number_of, with_names
+    from deadtime.base.wording import with_names
     from deadtime.cli.console import Terminal
-    from deadtime.reports.tables.certificates import (
+    from deadtime.reports.certificate_tables import (
         HEADINGS,
         LEGEND,
         certificate_rows,
@@ -322,19 +321,9 @@ def _print_judged(
         plants_in_words,
     )
 
-    console, signals, modes = Terminal(), asked.signals, problem.plant.modes
-    lag, lost = signals.mode_lag, signals.lost_samples
-    late = f"; laws are told the mode {number_of(lag, 'period')} late" if lag else ""
-    late += f"; up to {number_of(lost, 'sample')} in a row may be lost" if lost else ""
-    stays, switches = signals.in_words(modes)
+    console, about = Terminal(), asked.in_words(problem.modes, step)
     console.print(problem.title, style="bold", markup=False)
-    console.print(
-        f"Every signal that {with_names(stays, problem.modes)} ({asked.dwell.source}), "
-        f"{with_names(switches, problem.modes)}; "
-        f"sampling period {step:g} s{late}.",
-        markup=False,
-    )
-    for sentence in (*plants_in_words(problem, *left_open), *left_out(problem)):
+    for sentence in (about, *plants_in_words(problem, *left_open), *left_out(problem)):
         console.print(sentence, markup=False)
     console.print()
     print_table(HEADINGS, certificate_rows(judged))
@@ -349,3 +338,217 @@ def _print_judged(
         if one.margin is not None:
             text = with_names(one.margin.message, problem.modes)
             console.print(f"• Delay: {text}.", markup=False)
+
+
+@app.command(
+    group=JUDGE,
+    help_epilogue=lines(
+        "deadtime bound problem.toml",
+        "deadtime bound paper --dwell-time 0.2",
+    ),
+)
+def bound(
+    problem: ProblemFile,
+    *,
+    dwell_time: float | None = None,
+    json_output: AsJson = False,
+) -> None:
+    """What the paper's stability theorem says about a plant: its constants in three forms.
+
+    Parameters
+    ----------
+    dwell_time
+        Dwell time in seconds; that of the problem by default, as `certify` takes it.
+    """
+    from deadtime.problems.switching_assumptions import dwell_time_of
+    from deadtime.reports.certificate_tables import (
+        bound_headings,
+        bound_rows,
+        bound_sentence,
+        bounds_of,
+        bounds_record,
+    )
+
+    chosen = problem_of(problem)
+    dwell, source = dwell_time_of(chosen, chosen.signal, dwell_time)
+    bounds = bounds_of(chosen, dwell)
+    if json_output:
+        print_json(bounds_record(bounds))
+        return
+    print_table(bound_headings(bounds, chosen.constants), bound_rows(bounds, chosen.constants))
+    print(f"\nDwell time {dwell:.4g} s ({source}). {bound_sentence(bounds)}")
+
+
+class ProvedBracket(NamedTuple):
+    """What is proved of a law and what refuted, seconds; None where nothing is known."""
+
+    certified: float | None
+    refuted: float | None
+    message: str
+    certified_each: tuple[float, ...] | None = None
+    refuted_each: tuple[float, ...] | None = None
+
+    def record(self) -> dict[str, object]:
+        """For JSON; the dwell times of each mode where they are not one and the same."""
+        found = self._asdict()
+        return (
+            found if _several(self) else {name: found[name] for name in ProvedBracket._fields[:3]}
+        )
+
+
+def least_dwell_times(
+    problem: Problem, law: str | None, signals: SignalClass, mode: int | None, json_output: bool
+) -> int:
+    """The bracket of every law, or of one; 1 if that one has none."""
+    from deadtime.margins import least_dwell_time
+    from deadtime.problems.switching_assumptions import step_of
+    from deadtime.reports.certificate_tables import left_out
+
+    period = step_of(problem)
+
+    def bracket(one: Law) -> ProvedBracket:
+        margin = least_dwell_time(problem.plant, one, period, dwell_time=signals, mode=mode)
+        return ProvedBracket(*(getattr(margin, field) for field in ProvedBracket._fields))
+
+    brackets = _brackets(problem, law, bracket, json_output)
+    if json_output:
+        record = about(problem, period) | for_json(signals, problem.plant.modes)
+        if mode is not None:
+            record["mode"] = mode
+        elif not isinstance(record["dwell_time"], tuple):
+            del record["dwell_time"]
+        each = {name: one.record() for name, one in brackets.items()}
+        print_json(record | {"least_dwell_times": each})
+    else:
+        said = [
+            f"Sampling period {period:g} s.",
+            *_limits(signals, problem.plant.modes, mode),
+            *left_out(problem),
+        ]
+        print("\n".join((problem.title, *(with_names(one, problem.modes) for one in said), "")))
+        rows = [
+            (
+                name,
+                _seconds(one.certified, one.certified_each, up=True),
+                _seconds(one.refuted, one.refuted_each),
+            )
+            for name, one in brackets.items()
+        ]
+        print_table(("law", "proved from", "refuted up to"), rows)
+        for name, one in brackets.items():
+            print(f"• {name}: {with_names(one.message, problem.modes)}")
+    return 0 if law is None or brackets[law].certified is not None else 1
+
+
+def longest_mode_lags(
+    problem: Problem, law: str | None, asked: AssumedSignals, period: float, json_output: bool
+) -> int:
+    """The bracket of every law, or of one, in periods; 1 if that one has none."""
+    from deadtime.margins import longest_mode_lag
+    from deadtime.reports.certificate_tables import left_out
+
+    signals = asked.signals
+    if signals.chatter > 1:
+        raise ArgumentError(
+            "--longest-mode-lag is asked of a dwell time, not of an average one: give "
+            "--dwell-time and --chatter 1."
+        )
+
+    def bracket(one: Law) -> ProvedBracket:
+        found = longest_mode_lag(problem.plant, one, signals, period)
+        return ProvedBracket(found.certified_seconds, found.refuted_seconds, found.message)
+
+    brackets = _brackets(problem, law, bracket, json_output)
+    if json_output:
+        record = about(problem, period) | for_json(signals, problem.plant.modes)
+        each = {name: one.record() for name, one in brackets.items()}
+        print_json(record | {"longest_mode_lags": each})
+    else:
+        said = asked.in_words(problem.modes, period)
+        print("\n".join((problem.title, said, *left_out(problem), "")))
+        rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
+        print_table(("law", "proved up to", "refuted at"), rows)
+        for name, one in brackets.items():
+            print(f"• {name}: {with_names(one.message, problem.modes)}")
+    return 0 if law is None or brackets[law].certified is not None else 1
+
+
+def _brackets(
+    problem: Problem, law: str | None, bracket: Callable[[Law], ProvedBracket], json_output: bool
+) -> dict[str, ProvedBracket]:
+    """The bracket of every law, with what refuses it in place of one, or of one law."""
+    names, found = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
+    laws = [problem.law(name) for name in names]
+    with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
+        for name, one in zip(names, laws, strict=True):
+            try:
+                found[name] = bracket(one)
+            except ArgumentError as error:
+                if law is not None:
+                    raise
+                found[name] = ProvedBracket(None, None, str(error))
+            advance(name)
+    return found
+
+
+def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
+    """What the search keeps of the signals, where it keeps anything."""
+    limits, found = signals.limits(modes), []
+    if mode is not None:
+        found.append(f"The dwell time of mode {mode} moves; the others stay.")
+    elif len(set(limits.dwell_time)) > 1:
+        times = ", ".join(f"{one:g}" for one in limits.dwell_time)
+        found.append(f"Dwell times of the modes stay in proportion to {times} s.")
+    if signals.chatter > 1:
+        found.append(
+            f"Dwell times τ are averages: {signals.chatter} + T/τ switches in any T seconds at "
+            "most, one in a period."
+        )
+    if len(limits.lasting) < modes:
+        found.append("No sojourn is longer than the maximum dwell time of its mode.")
+    if signals.at == "samples":
+        found.append("Modes change at samples only.")
+    if not limits.is_free:
+        found.append("Only those switches are taken to happen that the problem allows.")
+    return found
+
+
+def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
+    """The signals that were asked about; nothing where there is no limit, null for none."""
+    from deadtime.switching import SignalClass
+    from deadtime.switching.constraint import one_or_each
+
+    limits = signals.limits(modes)
+    found: dict[str, object] = {"dwell_time": one_or_each(limits.dwell_time)}
+    if len(limits.lasting) < modes:
+        longest = limits.maximum_dwell
+        found["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
+    if not limits.is_free:
+        found["transitions"] = limits.transitions.astype(int)
+    usual, names = SignalClass(1.0), ("at", "chatter", "mode_lag", "lost_samples")
+    more = {name: getattr(signals, name) for name in names}
+    return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
+
+
+def _lag(seconds: float | None) -> str:
+    return "–" if seconds is None else f"{seconds:.4g} s"
+
+
+def about(problem: Problem, step: float) -> dict[str, object]:
+    """What the answers are about, for JSON."""
+    without = problem.imperfections_in_words
+    return {"problem": problem.name, "step": step, "imperfections_left_out": without}
+
+
+def _several(one: ProvedBracket) -> bool:
+    """Whether modes have dwell times of their own."""
+    return any(len(set(each)) > 1 for each in (one.certified_each, one.refuted_each) if each)
+
+
+def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = False) -> str:
+    from deadtime.margins.dwell_time import in_words
+
+    if value is None or value == float("inf"):
+        return "–" if value is None else "any"
+    times = (value,) if each is None or len(set(each)) == 1 else each
+    return ", ".join(in_words(one, up=up) for one in times) + " s"

@@ -19,7 +19,7 @@ from deadtime.cli.printing import (
     require_name,
     save_figure,
 )
-from deadtime.cli.problems import numbers_of, one_or_several, problem_of
+from deadtime.cli.problem_options import numbers_of, one_or_several, problem_of
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
@@ -93,9 +93,8 @@ def design(
     """
     from deadtime.base.checks import index, positive
     from deadtime.base.staging import replacing
-    from deadtime.problems.asked import step_of
-    from deadtime.reports.figures.design import plot_designs
-    from deadtime.reports.tables.design import design_record, problem_sections
+    from deadtime.problems.switching_assumptions import step_of
+    from deadtime.reports.design import design_record, plot_designs, problem_sections
     from deadtime.synthesis import design as designed
 
     chosen = problem_of(problem)
@@ -199,7 +198,7 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
-    from deadtime.reports.tables.design import (
+    from deadtime.reports.design import (
         HEADINGS,
         LIMIT_HEADINGS,
         STEP,

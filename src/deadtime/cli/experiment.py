@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import BUILD, AsJson, app, lines
 from deadtime.cli.printing import output_file, print_heading, print_json, print_table
-from deadtime.cli.problems import one_or_several, problem_of
+from deadtime.cli.problem_options import one_or_several, problem_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -81,7 +81,7 @@ def experiment(
     """
     from deadtime.base.checks import positive
     from deadtime.identification import design_experiment
-    from deadtime.problems.asked import step_of
+    from deadtime.problems.switching_assumptions import step_of
 
     out = output_file("out", out, kinds=(".csv",))
     chosen = problem_of(problem)

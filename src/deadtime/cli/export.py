@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import BUILD, AsJson, FirstLaw, ProblemFile, Step, app, lines
 from deadtime.cli.printing import print_json
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
@@ -80,6 +80,7 @@ def export(
         raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
     from deadtime.base.staging import Staging
     from deadtime.controller.export import Names, export_c, export_fmu, export_plant_fmu
+    from deadtime.reports.verdict import observer_reads_mode
 
     chosen = problem_of(problem)
     controller = _controller(chosen, law, step)
@@ -124,11 +125,8 @@ def export(
         print_json(told, _files_of(told))
     else:
         print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}{_built_in(chosen)}")
-        if called in chosen.observer_alone_reads_mode:
-            print(
-                "The mode must be given at every call: the observer reads it, though the law does "
-                'not; [observer] model = "mean" reads none.'
-            )
+        for sentence in observer_reads_mode(chosen, [called]):
+            print(sentence)
         print("\n".join(_lines(code, precision, law_fmu, model)))
     return 1 if code is not None and code.check.passed is False else 0
 
@@ -187,21 +185,19 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     import numpy as np
 
     from deadtime.controller import Controller
-    from deadtime.imperfections import Limiting, Sizes
-    from deadtime.problems.asked import step_of
+    from deadtime.imperfections import Sizes
+    from deadtime.problems.file.servo import absolute_limits
+    from deadtime.problems.switching_assumptions import step_of
 
     name = next(iter(problem.laws)) if law is None else law
     chosen = problem.law(name)
     period = step_of(problem) if step is None else step
-    sizes = Sizes.of(problem.plant, period)
     point = problem.operating_point
     rest = 0.0 if point is None else point.u  # of which the file's limits are deviations
-    clips = [one.limits(sizes) for one in problem.imperfections if isinstance(one, Limiting)]
-    clips = [clip for clip in clips if not clip.relative]
+    clips = absolute_limits(problem.imperfections, Sizes.of(problem.plant, period))
     limits = None
     if clips:  # one after the other: what all of them allow
-        low = np.max([clip.low for clip in clips], axis=0)
-        high = np.min([clip.high for clip in clips], axis=0)
+        low, high = np.max([low for low, _ in clips], axis=0), np.min([h for _, h in clips], axis=0)
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")
         limits = (low + rest, high + rest)

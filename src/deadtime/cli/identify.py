@@ -1,4 +1,4 @@
-"""`deadtime identify`."""
+"""`deadtime identify` and `fit`: from logs to a plant, and to a model of its switching."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from deadtime.cli.printing import (
     save_figure,
     stage_line,
 )
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problem_options import numbers_of, problem_of
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
@@ -106,7 +106,7 @@ def identify(
         The page to write, HTML: what there is to say, all intervals, figures of how well it fits.
     """
     from deadtime.identification import identify as identified
-    from deadtime.reports.identification_report import HEADINGS, interval_rows
+    from deadtime.reports.identification_report import HEADINGS, interval_rows, sampling_of
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
@@ -145,8 +145,7 @@ def identify(
     if json_output:
         print_json(_record(fit, said), written)
     else:
-        rows = f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s"
-        print_heading(rows + _numbered(fit), said)
+        print_heading(f"A plant from {sampling_of(fit)}{_numbered(fit)}", said)
         print()
         print_table(HEADINGS, interval_rows(fit))
         for path in written:
@@ -222,7 +221,7 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
         if name is not None:
             raise ArgumentError("law needs beside: the problem file whose law it is.")
         return None
-    from deadtime.problems.asked import step_of
+    from deadtime.problems.switching_assumptions import step_of
 
     problem = problem_of(beside)
     chosen = next(iter(problem.laws)) if name is None else name
@@ -231,15 +230,14 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
 
 def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
     """The law's delay margin beside the interval."""
-    from deadtime.margins import delay_margin
+    from deadtime.reports.identification_report import law_beside
 
     sizes = [(p.modes, p.states, p.inputs) for p in (fit.plant, law.plant)]
     if sizes[0] != sizes[1]:
         raise ArgumentError(
             f"beside must have the modes, states and inputs of the log, {sizes[0]}, got {sizes[1]}."
         )
-    margin = delay_margin(fit.plant, law, step)
-    return f"Law “{name}”, each mode held: {fit.verdict(margin, law, step)}"
+    return law_beside(fit, name, law, step)
 
 
 def _record(fit: Identification, said: list[str]) -> dict:
@@ -280,3 +278,108 @@ def _hidden(hidden: HiddenModes) -> dict:
         "starts": hidden.starts,
         "agreed": hidden.agreed,
     }
+
+
+@app.command(
+    group=BUILD,
+    help_epilogue=lines(
+        "deadtime fit log.csv",
+        "deadtime fit week-*.csv --first drop",
+        "deadtime fit log.csv --dwell-time 0.2 --maximum-dwell 3,inf",
+        "deadtime fit log.csv --labels.throttle 0 --labels.brake 1",
+        "deadtime fit log.csv --step 0.05",
+    ),
+)
+def fit(
+    *logs: Path,
+    family: str = "auto",
+    first: Literal["whole", "drop"] = "whole",
+    labels: dict[str, int] | None = None,
+    unit: Literal["s", "ms", "us", "ns"] | None = None,
+    dwell_time: str | None = None,
+    maximum_dwell: str | None = None,
+    step: float | None = None,
+    out: File = None,
+    json_output: AsJson = False,
+) -> None:
+    """Fit a model of the switching to logs, and print it as a section for a problem file.
+
+    Parameters
+    ----------
+    logs
+        CSV files with the columns t (or time) and mode, as for identify.
+    family
+        Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
+        lognormal, fixed; auto takes the best.
+    first
+        drop, if the logs begin in the middle of a sojourn.
+    labels
+        Mode of each text in the logs, such as --labels.idle 0 --labels.busy 1.
+    unit
+        Of the times; s by default.
+    dwell_time
+        The shortest sojourn, seconds, where it is known, or one per mode with commas between them:
+        families are fitted as truncated there.
+    maximum_dwell
+        The longest sojourn likewise, inf for none.
+    step
+        Fit a Markov chain of this period, seconds, in place of sojourns: it switches at samples
+        only. It has no family and no figure.
+    out
+        The figure, PNG, SVG, PDF or PGF; fit.png by default.
+    """
+    from deadtime.problems.switching_assumptions import one_or_all
+    from deadtime.reports.fit import HEADINGS, fit_record, fit_rows, fit_sentence, plot_fit
+    from deadtime.switching import SwitchingSignal
+    from deadtime.switching.models.markov_chain import MarkovChain
+    from deadtime.switching.models.semi_markov import SemiMarkov
+
+    if not logs:
+        raise ArgumentError("logs must be given: the CSV files to fit a model to.")
+    signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
+    if step is not None:
+        if family != "auto" or any(one is not None for one in (dwell_time, maximum_dwell, out)):
+            raise ArgumentError(
+                "step fits a chain, which has neither families nor limits of sojourns, and no "
+                "figure: leave out family, dwell-time, maximum-dwell and out, or the step."
+            )
+        chain = MarkovChain.fit(signals, step)
+        found = {"P": chain.P.tolist(), "step": chain.step} | _off_grid(signals, chain.step)
+        if json_output:
+            print_json(found, [])
+            return
+        between, switches = found["off_grid"], found["switches"]
+        if between:
+            print(
+                f"Between samples of {chain.step:g} s: {between:,} of {switches:,} switches; the "
+                "chain makes each at the next sample.\n"
+            )
+        print(chain.section())
+        return
+    out = output_file("out", out, "fit")
+    least, most = (
+        None if text is None else one_or_all(numbers_of(name, text))
+        for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
+    )
+    model = SemiMarkov.fit(
+        signals, family=family, first=first, dwell_time=least, maximum_dwell=most
+    )
+    texts = {mode: text for text, mode in (labels or {}).items()}
+    names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
+    save_figure(plot_fit(model, signals, names, first=first), out)
+    if json_output:
+        print_json(fit_record(model, names), [out])
+        return
+    print_table(HEADINGS, fit_rows(model, names))
+    print(f"\n{fit_sentence(model, names)}\n\n{model.section()}")
+    print(f"\nFigure: {out}")
+
+
+def _off_grid(signals: list[SwitchingSignal], step: float) -> dict[str, int]:
+    """How many switches the logs have, and how many of them lie between samples."""
+    import numpy as np
+
+    from deadtime.plant.steps import snap_all
+
+    periods = snap_all(np.concatenate([one.times[1:] for one in signals]) / step)
+    return {"switches": periods.size, "off_grid": int(np.sum(periods != np.round(periods)))}

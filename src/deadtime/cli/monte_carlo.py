@@ -29,14 +29,14 @@ from deadtime.cli.printing import (
     save_figure,
     save_text,
 )
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from deadtime.problems import Problem
-    from deadtime.problems.asked import SourcedTime
-    from deadtime.reports.tables.monte_carlo import Summary
+    from deadtime.problems.switching_assumptions import SourcedTime
+    from deadtime.reports.scenario_tables import Summary
     from deadtime.scenarios.dataset import Comparison
     from deadtime.switching import SwitchingModel, SwitchingSignal
 
@@ -92,7 +92,7 @@ def monte_carlo(
         A file for the table of the laws, with intervals, for LaTeX (.tex).
     """
     from deadtime.reports.figures.monte_carlo import plot_monte_carlo
-    from deadtime.reports.tables.monte_carlo import summary
+    from deadtime.reports.scenario_tables import summary
     from deadtime.scenarios.batch_run import compare
     from deadtime.scenarios.dataset import dataset_of
 
@@ -229,7 +229,7 @@ def _require_signals(problem: Problem) -> None:
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
     """Dwell time and mean sojourn of the signals."""
-    from deadtime.problems.asked import mean_sojourn_of
+    from deadtime.problems.switching_assumptions import mean_sojourn_of
 
     shortest = _dwell_time(problem, problem.given_signal, dwell)
     least = shortest.value
@@ -248,7 +248,7 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
 def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> SourcedTime:
     """The dwell time asked for, or the problem's."""
-    from deadtime.problems.asked import dwell_time_of
+    from deadtime.problems.switching_assumptions import dwell_time_of
 
     if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
         raise ArgumentError(
@@ -260,7 +260,7 @@ def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) 
 
 def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SwitchingModel:
     """Sojourns of dwell + Exp(mean − dwell), then any mode that may follow."""
-    from deadtime.problems.asked import AS_ASKED, random_model, signals_of
+    from deadtime.problems.switching_assumptions import AS_ASKED, random_model, signals_of
     from deadtime.switching.models.semi_markov import SemiMarkov
     from deadtime.switching.models.sojourns import ShiftedExponential
 
@@ -290,10 +290,8 @@ def _print(
 ) -> None:
     """Heading, remarks and tables on the terminal."""
     from deadtime.base.wording import with_names
-    from deadtime.plant.weight import text_of
-    from deadtime.problems.slips import slips_of
-    from deadtime.reports.tables import tracking
-    from deadtime.simulation.tracking import TRACKING_ERROR
+    from deadtime.problems.unit_checks import unit_checks_of
+    from deadtime.reports import metrics
 
     print_heading(problem.title)
     print(_drawn(problem, model, sojourn, data, outcome))
@@ -305,7 +303,7 @@ def _print(
             f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "
             f"Mean sojourn {sojourn.mean.value:g} s: {sojourn.mean.source}."
         )
-    for sentence in slips_of(problem, data.attributes["step"]):
+    for sentence in unit_checks_of(problem, data.attributes["step"]):
         print(f"• {sentence}")
     if data.attributes["imperfections"]:
         print(f"• Imperfect: {', '.join(data.attributes['imperfections'])}.")
@@ -313,23 +311,19 @@ def _print(
         print(f"• Run one by one, which takes longer: {', '.join(data.attributes['one_by_one'])}.")
     if data.attributes["message"]:
         print(f"• {data.attributes['message']}")
-    titles = {
-        "iae": f"{TRACKING_ERROR} over the whole run",
-        "cost": f"Cost, {text_of(problem.weight)}",
-        "ise": "∫|x|²",
-    }
-    print(f"\n{titles[outcome.measure]}")
+    print(f"\n{metrics.measure_title(outcome.measure, problem.weight)}")
     print_table(outcome.headings, outcome.rows())
-    print(f"/ {outcome.reference}: the median of the ratio on the same signal.\n")
+    ratio, intervals = outcome.notes
+    print(f"{ratio}\n")
     print_table(outcome.interval_headings, outcome.interval_rows())
-    print("Intervals hold the true median at 95 % or more: order statistics, of any distribution.")
+    print(intervals)
     other = "ise" if outcome.measure == "cost" else "cost"
-    print(f"\n{titles[other]}")
+    print(f"\n{metrics.measure_title(other, problem.weight)}")
     print_table(outcome.headings[:4], outcome.rows_of(other))
-    shown = [tracking.rows_of_many(data, i) for i in range(len(problem.tracked))]
+    shown = [metrics.rows_of_many(data, i) for i in range(len(problem.tracked))]
     for i, rows in enumerate(shown):
-        print(f"\n{tracking.heading_of(problem, i)}, medians")
-        print_table(tracking.HEADINGS, rows)
+        print(f"\n{metrics.heading_of(problem, i)}, medians")
+        print_table(metrics.HEADINGS, rows)
     print_never(shown)
 
 
@@ -364,7 +358,7 @@ def _record(
 ) -> dict[str, object]:
     """The results for JSON."""
     from deadtime.plant.weight import record_of
-    from deadtime.reports.tables import tracking
+    from deadtime.reports import metrics
 
     return {
         "problem": problem.name,
@@ -378,5 +372,5 @@ def _record(
         "reference": outcome.reference,
         **record_of(problem.weight),
         "laws": outcome.records(),
-        **tracking.record_of_many(problem, data),
+        **metrics.record_of_many(problem, data),
     }

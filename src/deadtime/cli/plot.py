@@ -206,9 +206,8 @@ def _write(plan: PlotPlan, out: Path, single: bool, quiet: bool) -> list[Path]:
 def _figures(plan: PlotPlan) -> Iterator[tuple[str, Figure]]:
     """Figures with the names of their files, from one pass over the store."""
     from deadtime.reports.figures.sweeps.bands import bands
-    from deadtime.reports.figures.sweeps.heat import heat, regret
+    from deadtime.reports.figures.sweeps.heat import heat, regret, wins
     from deadtime.reports.figures.sweeps.reduction import reduce
-    from deadtime.reports.figures.sweeps.wins import wins
 
     metric, names = plan.metric, _file_names(plan.laws)
     found = reduce(plan.data, metric, plan.rivals, plan.oracle)

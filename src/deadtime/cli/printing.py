@@ -51,7 +51,7 @@ def print_heading(title: str, sentences: Iterable[str] = ()) -> None:
 
 
 def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
-    from deadtime.reports.tables import tracking
+    from deadtime.reports import metrics
     from deadtime.reports.verdict import headings_of, table
 
     print_heading(problem.title, sentences)
@@ -60,15 +60,15 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
     print_table(headings_of(result), rows)
     shown: list[Sequence[Sequence[str]]] = [rows]
     for i in range(len(problem.tracked)):
-        print(f"\n{tracking.heading_of_runs(problem, result.runs, i)}")
-        shown.append(tracking.rows_of_runs(problem, result.runs, i))
-        print_table(tracking.HEADINGS, shown[-1])
+        print(f"\n{metrics.heading_of_runs(problem, result.runs, i)}")
+        shown.append(metrics.rows_of_runs(problem, result.runs, i))
+        print_table(metrics.HEADINGS, shown[-1])
     print_never(shown)
 
 
 def print_never(tables: Iterable[Sequence[Sequence[str]]]) -> None:
     """What a dash in the tables stands for, where there is one."""
-    from deadtime.reports.tables.tracking import LEGEND, NEVER
+    from deadtime.reports.metrics import LEGEND, NEVER
 
     if any(NEVER in row for rows in tables for row in rows):
         print(LEGEND)

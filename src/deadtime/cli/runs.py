@@ -1,13 +1,16 @@
-"""`deadtime reproduce` and `simulate`."""
+"""`deadtime reproduce`, `simulate` and `app`: a problem under its laws."""
 
 from __future__ import annotations
 
+import sys
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import (
     START,
     AllLaws,
@@ -17,7 +20,7 @@ from deadtime.cli.application import (
     Folder,
     ProblemFile,
     StepOrIdeal,
-    app,
+    app as commands,
     lines,
 )
 from deadtime.cli.printing import (
@@ -28,14 +31,15 @@ from deadtime.cli.printing import (
     progress_bar,
     require_width,
     save_figure,
+    stage_line,
 )
-from deadtime.cli.problems import problem_of, problem_with
+from deadtime.cli.problem_options import problem_of, problem_with
 
 if TYPE_CHECKING:
     from deadtime.problems.comparison import Comparison
 
 
-@app.command(
+@commands.command(
     group=START,
     help_epilogue=lines(
         "deadtime reproduce",
@@ -73,7 +77,7 @@ def reproduce(
     print(f"\nReport: {report.path}")
 
 
-@app.command(
+@commands.command(
     group=START,
     help_epilogue=lines(
         "deadtime simulate problem.toml",
@@ -110,8 +114,8 @@ def simulate(
         reference, outputs; of several laws, each into a file named after the law.
     """
     from deadtime.problems.comparison import compare
+    from deadtime.reports.certificate_tables import delay_sentence
     from deadtime.reports.metrics import metrics_of
-    from deadtime.reports.tables.certificates import delay_sentence
     from deadtime.reports.verdict import verdict
 
     require_width(width)
@@ -151,7 +155,7 @@ def _save_logs(result: Comparison, path: Path) -> list[Path]:
 
 def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
-    from deadtime.reports.figures.comparison import all_laws
+    from deadtime.reports.figures.runs import all_laws
     from deadtime.simulation.run_figure import plot_run
 
     problem = result.problem
@@ -165,3 +169,69 @@ def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Pa
     for target, figure in figures:
         save_figure(figure, target)
     return [target for target, _ in figures]
+
+
+@commands.command(
+    group=START,
+    help_epilogue=lines(
+        "deadtime app",
+        "deadtime app problem.toml",
+        "deadtime app follower --port 8000 --no-browser",
+        "deadtime app --address 0.0.0.0   # for the whole network: there is no password",
+    ),
+)
+def app(
+    problem: ProblemFile = Path("paper"),
+    *,
+    port: int | None = None,
+    address: str = "127.0.0.1",
+    origin: tuple[str, ...] = (),
+    browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
+    sessions: int = 40,
+    json_output: AsJson = False,
+) -> None:
+    """Explore a problem on a page: move it, draw its signal, watch every law.
+
+    Parameters
+    ----------
+    port
+        Where to serve; the first free one from 5006 on by default.
+    address
+        127.0.0.1 is this machine alone; 0.0.0.0 lets the whole network in.
+    origin
+        A name, host:port, by which browsers reach the page behind a proxy.
+    browser
+        Open a browser.
+    sessions
+        Pages that may be open at once; who comes then is asked to come later.
+    """
+    if not json_output:
+        print(f"Starting the explorer with {problem}: half a minute the first time.", flush=True)
+    with ExitStack() as starting:
+        say = starting.enter_context(stage_line(quiet=json_output))
+        say("loading libraries")
+        try:
+            from deadtime.app.server import is_loopback, serve
+        except ModuleNotFoundError as error:
+            raise ArgumentError(
+                f"the explorer needs {error.name}: pip install '.[app]' in a clone of deadtime."
+            ) from None
+
+        def on_started(url: str) -> None:
+            starting.close()
+            alone = is_loopback(address)
+            if json_output:
+                print_json({"url": url, "only_this_machine": alone})
+                sys.stdout.flush()
+                return
+            print(f"Explorer: {url}")
+            if alone:
+                print("Only this machine can reach it (--address 0.0.0.0 lets the network in).")
+            else:
+                print("Everyone who can reach this machine can use it; there is no password.")
+            print(f"It serves {sessions} pages at once (--sessions). Ctrl-C ends it.", flush=True)
+
+        serve(
+            str(problem), address, port, browser, origin,
+            sessions=sessions, started=on_started, progress=say,
+        )  # fmt: skip

@@ -1,4 +1,4 @@
-"""`deadtime sweep`."""
+"""`deadtime sweep` and `study`: a grid of plants and switching, and reports on it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import COMPARE, AsJson, CellSignals, Flag, StudyFile, app, lines
+from deadtime.cli.application import (
+    COMPARE,
+    AsJson,
+    CellSignals,
+    Flag,
+    Folder,
+    StudyFile,
+    app,
+    lines,
+)
 from deadtime.cli.printing import (
     TABLES,
     on_terminal,
+    output_folder,
+    print_answers,
     print_heading,
     print_json,
     print_table,
@@ -27,6 +38,7 @@ if TYPE_CHECKING:
 
     from deadtime.scenarios.sweeps import FileStudy, Progress
     from deadtime.scenarios.sweeps.plan import Plan
+
 
 _SHOWN = 24  # rows of a table at most
 _EVERY = 10.0  # seconds between lines about a cluster's progress
@@ -112,7 +124,7 @@ def sweep(
         return 130
     reasons = _reasons(data)
     if table is not None:
-        from deadtime.reports.tables.sweep import sweep_table
+        from deadtime.reports.scenario_tables import sweep_table
 
         save_text("table", table, sweep_table(data).to_latex())
     if json_output:
@@ -135,7 +147,7 @@ def sweep(
 
 def _print_medians(data: xr.Dataset) -> None:
     """Medians with their intervals, of a sweep that a terminal holds."""
-    from deadtime.reports.tables.sweep import sweep_table
+    from deadtime.reports.scenario_tables import sweep_table
 
     if data["reason"].size > _SHOWN or not bool((data["done"] == 1).any()):
         return
@@ -270,3 +282,52 @@ class Lines:
             f"threads, {when}",
             file=sys.stderr,
         )
+
+
+@app.command(
+    group=COMPARE,
+    help_epilogue=lines(
+        "deadtime study studies/paper.toml",
+        "deadtime study studies/paper.toml --scenarios 20 --out quick-look",
+    ),
+)
+def study(
+    file: StudyFile,
+    *,
+    out: Folder = Path("study-report"),
+    scenarios: CellSignals = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    json_output: AsJson = False,
+) -> None:
+    """Run laws over a grid of plants and switching, and write a report with maps and answers.
+
+    What the folder holds of the same study is not computed again: after an interruption the same
+    command goes on.
+
+    Parameters
+    ----------
+    out
+        Folder for the report.
+    workers
+        Processes; as many as there are processors by default. The result is the same.
+    scheduler
+        Address of a Dask scheduler, whose workers reach the folder, instead of this machine.
+    """
+    from deadtime.reports.study.report import write_study
+    from deadtime.scenarios.sweeps import load_study
+    from deadtime.scenarios.sweeps.plan import plan_of
+
+    chosen, command = load_study(file), f"deadtime study {file}"
+    out = output_folder("out", out)
+    if scenarios is not None:
+        chosen = with_scenarios(chosen, scenarios)
+        command += f" --scenarios {scenarios}"
+    plan = plan_of(chosen, out / "data" / "study.zarr")
+    with progress_of(plan, quiet=json_output, remote=scheduler is not None) as report:
+        result = write_study(chosen, out, workers, report, command, scheduler)
+    if json_output:
+        print_json(result.record, [result.path])
+        return
+    print_answers(chosen.title, result.answers)
+    print(f"Report: {result.path}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from deadtime.base.staging import replacing
+from deadtime.feedback import Law
 from deadtime.identification import Identification
 from deadtime.identification.identification_figure import figures_of
 from deadtime.reports.report_folder import render
@@ -73,6 +74,25 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
     return rows
 
 
+def sampling_of(fit: Identification) -> str:
+    """How much log there was."""
+    return f"{fit.samples:,} samples, every {fit.step:.4g} s"
+
+
+def law_beside(fit: Identification, name: str, law: Law, step: float | None = None) -> str:
+    """How much delay a law tolerates beside what the log leaves open; at the log's period if none.
+
+    Raises
+    ------
+    ArgumentError
+        If the law is of another plant, or has no delay margin.
+    """
+    from deadtime.margins import delay_margin
+
+    margin = delay_margin(fit.plant, law, fit.step if step is None else step)
+    return f"Law “{name}”, each mode held: {fit.verdict(margin, law, step)}"
+
+
 def write_identification(
     fit: Identification,
     path: str | PathLike[str],
@@ -116,6 +136,7 @@ def identification_page(
         "identified.html.j2",
         title=title,
         fit=fit,
+        sampling=sampling_of(fit),
         sentences=sentences or fit.sentences,
         first=pictures[0],
         figures=pictures[1:],

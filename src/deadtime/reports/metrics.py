@@ -1,14 +1,140 @@
-"""The figures of a comparison, as reports and commands write them; nothing is drawn here."""
+"""Metrics of runs for tables and JSON, and how well a reference is followed."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from deadtime.base.json_records import plain, record
 from deadtime.base.version import __version__
-from deadtime.plant.weight import record_of
+from deadtime.base.wording import compact
+from deadtime.plant.steps import TOLERANCE
+from deadtime.plant.weight import Weight, record_of, text_of
+from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
-from deadtime.reports.tables.tracking import record_of_run
+from deadtime.simulation import Trajectory
+from deadtime.simulation.outcome import events_of
+from deadtime.simulation.step_figures import TRACKING
+from deadtime.simulation.tracking import TRACKING_ERROR
+
+if TYPE_CHECKING:
+    from deadtime.scenarios.dataset import Comparison as ManyRuns
+
+
+HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
+NEVER = "–"
+LEGEND = f"{NEVER}: not settled within the horizon"
+_NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
+
+
+def measure_title(measure: str, weight: Weight | None) -> str:
+    """The heading of a table of what laws are ranked by, or of ∫|x|²."""
+    if measure == "iae":
+        return f"{TRACKING_ERROR} over the whole run"
+    return f"Cost, {text_of(weight)}" if measure == "cost" else "∫|x|²"
+
+
+def heading_of(problem: Problem, output: int) -> str:
+    """Which step the table of an output is about.
+
+    Examples
+    --------
+    >>> import dataclasses, deadtime as dt
+    >>> problem = dataclasses.replace(dt.problems.paper(), tracked=("angle (rad)",))
+    >>> heading_of(problem, 0)
+    'angle (rad) after the last step of its reference'
+    """
+    return f"{problem.tracked[output]} after the last step of its reference"
+
+
+def heading_of_runs(problem: Problem, runs: Mapping[str, Trajectory], output: int) -> str:
+    """The same of one run for each law, with when the first event after it ends what is shown."""
+    for run in runs.values():
+        if run.followed is not None:
+            since = run.followed.changes(run.end, output)[-1]
+            until = _next_event(problem, run, since)
+            to = (
+                "" if until is None else f", at {since:g} s, until the next event, at {until:.4g} s"
+            )
+            return heading_of(problem, output) + to
+    return heading_of(problem, output)
+
+
+def rows_of_runs(problem: Problem, runs: Mapping[str, Trajectory], output: int) -> list[list[str]]:
+    """A row for each run that follows a reference: from its last step to the next event."""
+    rows = []
+    for name, run in runs.items():
+        if run.followed is not None:
+            since = run.followed.changes(run.end, output)[-1]
+            info = run.step_info(output, until=_next_event(problem, run, since))
+            rows.append(_row(name, [info[key] for key in _NAMES]))
+    return rows
+
+
+def _next_event(problem: Problem, run: Trajectory, since: float) -> float | None:
+    """When something else happens than a step at a time; None where nothing does."""
+    later = (t for t in events_of(run, problem.imperfections) if t > since + TOLERANCE * run.end)
+    return next(later, None)
+
+
+def rows_of_many(data: ManyRuns, output: int) -> list[list[str]]:
+    """The medians over scenarios, law by law."""
+    tracking = {name: data.keep(data.results.tracking[name])[..., output] for name in _NAMES}
+    return [
+        _row(law, [_median(tracking[name][i]) for name in _NAMES])
+        for i, law in enumerate(data.names)
+    ]
+
+
+def record_of_many(problem: Problem, data: ManyRuns) -> dict[str, Any]:
+    """The same for JSON, by output and law; nothing where nothing is tracked."""
+    if not problem.tracked:
+        return {}
+    rows = {
+        name: {
+            law: {key: _median(data.keep(data.results.tracking[key])[j, :, i]) for key in TRACKING}
+            for j, law in enumerate(data.names)
+        }
+        for i, name in enumerate(problem.tracked)
+    }
+    return {"tracking": rows}
+
+
+def record_of_run(problem: Problem, run: Trajectory) -> dict[str, Any]:
+    """All steps of an output's own reference, by output; nothing where a run tracks nothing."""
+    followed = run.followed
+    if followed is None:
+        return {}
+    return {
+        "tracking": {
+            name: [
+                {"since": since, "until": until, **run.step_info(i, since, until)}
+                for since in followed.changes(run.end, i)
+                for until in [_next_event(problem, run, since)]
+            ]
+            for i, name in enumerate(problem.tracked)
+        }
+    }
+
+
+def _median(values: np.ndarray) -> float:
+    """NaN where no scenario has a figure; ∞ is one."""
+    some = values[~np.isnan(values)]
+    return float(np.sort(some)[(some.size - 1) // 2]) if some.size else math.nan
+
+
+def _row(law: str, figures: Sequence[float]) -> list[str]:
+    return [law, *map(_figure, figures)]
+
+
+def _figure(value: float) -> str:
+    """A figure with its sign; a time that never comes is a dash."""
+    if not math.isfinite(value):
+        return "no step" if math.isnan(value) else NEVER
+    return f"−{compact(-value)}" if value < 0.0 else compact(value)
 
 
 def metrics_of(result: Comparison) -> dict[str, Any]:

@@ -1,6 +1,8 @@
-"""The report of a comparison: figures, data, and one HTML page that opens with its verdict."""
+"""The report of a comparison: figures, data, certificates; a page that opens with its verdict."""
 
 from __future__ import annotations
+
+from deadtime.base.wording import with_names
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,11 +17,26 @@ from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.base.wording import file_name
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
-from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import Comparison, Progress, compare
+from deadtime.problems.switching_assumptions import dwell_time_of, signals_of, step_of
+from deadtime.reports import metrics
 from deadtime.reports.audit import STEPS, audit
-from deadtime.reports.certificates_section import certificates_section, steps_of_section
-from deadtime.reports.figures.comparison import (
+from deadtime.reports.certificate_tables import (
+    HEADINGS,
+    LEGEND,
+    Judged,
+    bound_headings,
+    bound_rows,
+    bound_sentence,
+    bounds_of,
+    certificate_rows,
+    certificate_sentences,
+    delay_sentence,
+    judge,
+    left_out,
+    theorem_refusal,
+)
+from deadtime.reports.figures.runs import (
     all_laws,
     plot_signal,
     plot_verdict,
@@ -27,17 +44,93 @@ from deadtime.reports.figures.comparison import (
 )
 from deadtime.reports.metrics import metrics_of
 from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, write_page, writing
-from deadtime.reports.tables import tracking
-from deadtime.reports.tables.certificates import delay_sentence
-from deadtime.reports.tables.constants import (
-    bound_headings,
-    bound_rows,
-    bound_sentence,
-    bounds_of,
-)
 from deadtime.reports.verdict import headings_of, table, verdict
 from deadtime.simulation.run_figure import plot_run
 from deadtime.switching import SwitchingSignal
+
+
+def steps_of_section(problem: Problem) -> int:
+    """How often `certificates_section` reports progress."""
+    return len(problem.laws) + 3
+
+
+def certificates_section(result: Comparison, progress: Progress | None = None) -> dict[str, Any]:
+    """Certify every law of a comparison for the dwell time of its signal; parts of the page.
+
+    A signal that never switches is held to the horizon. The loop is the sampled one, at the
+    problem's period, or at 0.01 s where the problem's loop is ideal. `figures` are (name, caption,
+    Figure); `statement` says what is proved, of the first certificate that is a proof.
+    """
+    progress, problem = reporter("progress", progress), result.problem
+    asked, step = signals_of(problem, result.signal), step_of(problem)
+    judged = judge(problem, asked.signals, step, progress=progress)
+    sentences = [
+        *left_out(problem),
+        *(with_names(one, problem.modes) for one in certificate_sentences(judged)),
+    ]
+    figures = []
+    reach = _tightness_figure(problem, asked.dwell.value, step, progress)
+    if reach is not None:
+        sentences.append(reach[0])
+        figures.append(reach[1])
+    progress("drawing: worst signals")
+    figures = [*_witness_figures(problem, judged), *figures]
+    proofs = [
+        (one.certificate.statement, one.law)
+        for one in judged
+        if one.certificate and one.certificate.proven
+    ]
+    statement, law = proofs[0] if proofs else ((), "")
+    return {
+        "about": asked.in_words(problem.modes, step),
+        "headings": HEADINGS,
+        "rows": certificate_rows(judged),
+        "legend": LEGEND,
+        "sentences": sentences,
+        "statement": statement,
+        "statement_of": law,
+        "figures": figures,
+    }
+
+
+def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:
+    """A run of the worst signal of each law that is refuted, but of a baseline."""
+    from deadtime.reports.figures.certificates import plot_witness
+
+    figures = []
+    for one in judged:
+        predicts = problem.laws[one.law].predicts
+        if one.stable is not False or one.worst is None or not predicts:
+            continue
+        figures.append((
+            f"witness-{file_name(one.law)}",
+            f"A signal with the dwell time that the law “{one.law}” does not stabilise.",
+            plot_witness(one.worst, f"Law: {one.law}", problem.modes),
+        ))  # fmt: skip
+    return figures
+
+
+def _tightness_figure(
+    problem: Problem, dwell: float, step: float, progress: Progress
+) -> tuple[str, tuple[str, str, Figure]] | None:
+    from deadtime.reports.tightness import plot_tightness, tightness
+
+    try:
+        found = tightness(
+            problem, dwell, step, progress=lambda what: progress(f"certificates: {what}")
+        )
+    except ArgumentError:  # modes that do not differ
+        progress("certificates: the theorem's reach")
+        progress("certificates: between proof and witness")
+        return None
+    caption = (
+        "How far apart modes and gains may be, as the modes are moved along their own difference, "
+        "for the averaged law: what each certificate allows, and where a signal grows, if one was "
+        "found. The theorem's ε* depends on the plant; it is that of modes as close as it allows."
+    )
+    figure = ("certificates-reach", caption, plot_tightness(found))
+    return (found.message, figure) if len(found.reaches) > 1 else None
+
 
 SCENARIOS = 1000
 
@@ -149,7 +242,13 @@ def _write(
     audited = _audit(problem, folder, progress)
     progress("computing: constants")
     constants = _constants(result)
-    certified = _section_on_certificates(result, folder, progress) if certificates else None
+    certified = None
+    if certificates:
+        certified = certificates_section(result, progress)
+        certified["figures"] = [
+            save_figure(figure, folder, name, caption)
+            for name, caption, figure in certified["figures"]
+        ]
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
@@ -163,13 +262,13 @@ def _write(
         rows=table(result),
         tracking=[
             (
-                tracking.heading_of_runs(problem, result.runs, i),
-                tracking.rows_of_runs(problem, result.runs, i),
+                metrics.heading_of_runs(problem, result.runs, i),
+                metrics.rows_of_runs(problem, result.runs, i),
             )
             for i in range(len(problem.tracked))
         ],
-        tracking_headings=tracking.HEADINGS,
-        never=tracking.LEGEND,
+        tracking_headings=metrics.HEADINGS,
+        never=metrics.LEGEND,
         figures=images,
         audited=audited,
         constants=constants,
@@ -213,11 +312,8 @@ def _constants(result: Comparison) -> dict[str, Any]:
     dwell_time, source = dwell_time_of(problem, result.signal)
     try:
         bounds = bounds_of(problem, dwell_time)
-    except (ArgumentError, InfeasibleError) as error:
-        return {"rows": [], "sentence": f"The theorem does not apply: {error}", "published": False}
-    except SolverError as error:
-        sentence = f"The theorem's constants were not computed: {error}"
-        return {"rows": [], "sentence": sentence, "published": False}
+    except (ArgumentError, InfeasibleError, SolverError) as error:
+        return {"rows": [], "sentence": theorem_refusal(error), "published": False}
     return {
         "headings": bound_headings(bounds, problem.constants),
         "rows": bound_rows(bounds, problem.constants),
@@ -226,17 +322,6 @@ def _constants(result: Comparison) -> dict[str, Any]:
         "dwell_time": dwell_time,
         "source": source,
     }
-
-
-def _section_on_certificates(
-    result: Comparison, folder: Path, progress: Progress
-) -> dict[str, Any]:
-    """The section on certificates, its figures saved."""
-    section = certificates_section(result, progress)
-    figures = [
-        save_figure(figure, folder, name, caption) for name, caption, figure in section.figures
-    ]
-    return {**vars(section), "figures": figures}
 
 
 def _write_data(result: Comparison, folder: Path) -> None:

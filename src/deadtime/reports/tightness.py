@@ -13,9 +13,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
+from deadtime.base.figure_files import new_figure
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
+from deadtime.base.wording import amount
 from deadtime.certificates import theorem_bound
 from deadtime.certificates.theorem.bound import stated_forms
 from deadtime.certificates.theorem.constants import distance
@@ -24,6 +30,7 @@ from deadtime.laws import AveragedPredictor
 from deadtime.margins import StabilityMargin, stability_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
+from deadtime.reports.certificate_tables import theorem_refusal
 
 TINY = 1e-6  # below this α everything is linear in α, and computed at this α
 LOW = 0.01  # the α at which the search for a margin starts
@@ -136,10 +143,8 @@ def tightness(
     for form in forms:
         try:
             reaches.append(reach_of(problem, dwell_time, form))
-        except (ArgumentError, InfeasibleError) as error:
-            missing = [f"The theorem does not apply: {error}"]
-        except SolverError as error:
-            missing = [f"The theorem's constants were not computed: {error}"]
+        except (ArgumentError, InfeasibleError, SolverError) as error:
+            missing = [theorem_refusal(error)]
     progress("between proof and witness")
     margin = None
     try:
@@ -209,3 +214,62 @@ def _improvements(reaches: list[Reach]) -> list[str]:
         return [text]
     left = 10.0 ** (reaches[-1].log10_distance - good[-1].log10_distance) - 1.0
     return [f"{text} From the last proof to a signal that grows it is {100.0 * left:.2g} %."]
+
+
+def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
+    """How far each certificate reaches, on one logarithmic axis of the distance ε.
+
+    Between two steps stands how many times farther the second one reaches.
+    """
+    rows = [*found.reaches]
+    count = len(rows)
+    with rc_context(STYLE):
+        figure = new_figure(WIDTH, 1.15 + 0.38 * count)
+        axes = figure.subplots()
+        own = np.log10(found.own)
+        logs = [own, *(reach.log10_distance for reach in rows)]
+        left, right = min(logs), max(logs)
+        room = max(right - left, 0.5)
+        left, right = left - 0.06 * room, right + 0.3 * room
+        axes.axvline(own, color="#888888", linewidth=0.9, linestyle="--")
+        for row, reach in enumerate(rows):
+            _reach_bar(axes, row, reach, left)
+        for row, (before, after) in enumerate(pairwise(rows)):
+            gain = after.log10_distance - before.log10_distance
+            if gain >= 0.05 and after.stable:
+                axes.text(
+                    0.5 * (before.log10_distance + after.log10_distance), row + 0.5,
+                    f"× {amount(10.0**gain)}" if gain < 300.0 else f"× 10^{gain:.0f}",
+                    ha="center", va="center", fontsize=8.0, color="#555555",
+                )  # fmt: skip
+        axes.set_yticks(range(count), [reach.name for reach in rows])
+        axes.set_ylim(count - 0.4, -0.9)
+        axes.set_xlim(left, right)
+        every = max(1, int(np.ceil((right - left) / 6.0)))
+        ticks = np.arange(np.ceil(left / every) * every, right, every) + 0.0  # no −0
+        axes.set_xticks(ticks, [f"$10^{{{tick:.0f}}}$" for tick in ticks])
+        axes.set_xlabel("distance ε between modes and gains")
+        axes.grid(False, axis="y")
+        axes.text(
+            own, -0.62, " this plant ", ha="left" if own < 0.5 * (left + right) else "right",
+            va="center", fontsize=8.0, color="#555555",
+        )  # fmt: skip
+        if title:
+            axes.set_title(plain(title))
+    return figure
+
+
+def _reach_bar(axes: Axes, row: int, reach: Reach, left: float) -> None:
+    colour = COLOURS[0] if reach.stable else COLOURS[1]
+    end = reach.log10_distance
+    if reach.stable:
+        axes.plot([left, end], [row, row], color=colour, linewidth=3.0, solid_capstyle="butt")
+    axes.plot([end], [row], "o" if reach.stable else "X", color=colour, markersize=6.0)
+    text = f"10^{end:.0f}"
+    if end > -300.0:
+        value = 10.0**end
+        text = f"{value:#.4g}".rstrip(".") if 1e-3 <= value < 1e5 else amount(value)
+    axes.annotate(
+        text, (end, row), (6.0, 0.0), textcoords="offset points", va="center", fontsize=8.5,
+        bbox={"facecolor": "white", "linewidth": 0.0, "pad": 1.0},
+    )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.law_registry import the_problem_law
-from deadtime.problems.slips import disagreement_of, slips_of
-from deadtime.reports.tables.tracking import NEVER
+from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
+from deadtime.reports.metrics import NEVER
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
@@ -42,11 +43,11 @@ def verdict(result: Comparison) -> list[str]:
     Ignoring the delay fails: |x| reaches 1.5 × 10¹³ by the end.
     """
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
-    sentences = [*result.problem.operating_sentences, *slips_of(result.problem)]
+    sentences = [*result.problem.operating_sentences, *unit_checks_of(result.problem)]
     sentences += [_headline(result), *([lead] if lead else [])]
     sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
-    sentences += _imperfections(result) + _observer_reads_mode(result) + _slow_observer(result)
-    sentences += _cost(result) + _best_follower(result)
+    sentences += _imperfections(result) + observer_reads_mode(result.problem, result.runs)
+    sentences += _slow_observer(result) + _cost(result) + _best_follower(result)
     early = [name for name, run in result.runs.items() if _ends_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
@@ -119,9 +120,9 @@ def _imperfections(result: Comparison) -> list[str]:
     return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
 
 
-def _observer_reads_mode(result: Comparison) -> list[str]:
-    """Which laws need the mode for their observer alone."""
-    names = [the_problem_law(name) for name in result.problem.observer_alone_reads_mode]
+def observer_reads_mode(problem: Problem, laws: Iterable[str]) -> list[str]:
+    """That some of the laws need the mode for their observer alone, if there are such."""
+    names = [the_problem_law(name) for name in laws if name in problem.observer_alone_reads_mode]
     if not names:
         return []
     last = f" and {names[-1]}" if len(names) > 1 else ""

@@ -1,30 +1,109 @@
-"""From a checked problem file to a problem: plant, gains, laws and signal are built here."""
+"""From a checked problem file to a problem: plant, gains, laws, imperfections and signal."""
 
 from __future__ import annotations
 
+from deadtime.problems.imperfection_registry import ImperfectionSection
+from deadtime.problems.imperfection_registry import build_imperfection
+
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
-from deadtime.base.checks import positive, real_array, require_shape
+from deadtime.base.checks import index, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import numbered
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
-from deadtime.imperfections import Imperfection, Sizes, StepDisturbance
+from deadtime.imperfections import Imperfection, SensorImperfection, Sizes, StepDisturbance, require
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
-from deadtime.problems.file.gains import as_numbers, build_gains, servo_gains
-from deadtime.problems.file.imperfections import build_imperfections, offsets_of
-from deadtime.problems.file.laws import Laws, change_plant
-from deadtime.problems.file.observer import add_observers, names_of
+from deadtime.problems.file.estimators import add_observers, names_of
+from deadtime.problems.file.gains_and_laws import (
+    Laws,
+    as_numbers,
+    build_gains,
+    change_plant,
+    servo_gains,
+)
 from deadtime.problems.file.servo import FileServo
 from deadtime.problems.file.switching import build_rule, build_signal, promise_of
-from deadtime.problems.file.units import labels, require_units
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
 from deadtime.switching import Rule, SignalClass, SwitchingModel, SwitchingSignal
+
+
+def require_units(units: Mapping[str, str], names: Sequence[str]) -> None:
+    """Refuse a unit of something that has no such name, that is empty, or that the name has.
+
+    Examples
+    --------
+    >>> require_units({"speed": "m/s"}, ["position (m)", "speed"])
+    >>> require_units({"sped": "m/s"}, ["position (m)", "speed"])
+    Traceback (most recent call last):
+    deadtime.ArgumentError: units must be of states, inputs or outputs, 'position (m)', 'speed', \
+got 'sped': give that a name first, or correct it.
+    """
+    for name, unit in units.items():
+        if name not in names:
+            known = ", ".join(map(repr, dict.fromkeys(names))) or "of which none has a name"
+            raise ArgumentError(
+                f"units must be of states, inputs or outputs, {known}, got {name!r}: give that a "
+                "name first, or correct it."
+            )
+        if not unit.strip():
+            raise ArgumentError(f"units of {name!r} must not be empty: leave it out, or say 1.")
+        if name.endswith(")"):
+            raise ArgumentError(
+                f"units of {name!r} must not be given twice, got {unit!r}, too: take what is in "
+                "brackets out of the name."
+            )
+
+
+def labels(names: Sequence[str], units: Mapping[str, str]) -> tuple[str, ...]:
+    """Names with their units in brackets, where they have some.
+
+    Examples
+    --------
+    >>> labels(["position", "gear"], {"position": "m"})
+    ('position (m)', 'gear')
+    """
+    return tuple(f"{name} ({units[name].strip()})" if name in units else name for name in names)
+
+
+def build_imperfections(
+    sections: Sequence[ImperfectionSection], sizes: Sizes, measured: int | None = None
+) -> tuple[Imperfection, ...]:
+    """The imperfections of a file, each checked against the sizes of its loop.
+
+    `measured` is how many outputs a sensor gives, where it does not give the state.
+    """
+    sensors = sizes if measured is None else sizes._replace(states=measured)
+    built = []
+    for i, one in enumerate(sections):
+        with _section("imperfection", i):
+            made = build_imperfection(one)
+            require(made, sensors if isinstance(made, SensorImperfection) else sizes)
+            built.append(made)
+    return tuple(built)
+
+
+def offsets_of(
+    sections: Sequence[schema.OffsetSection], plant: SwitchedSystem
+) -> Float[np.ndarray, "mode n"]:
+    """The constant force of every mode, 0 where there is no section."""
+    force, told = np.zeros((plant.modes, plant.states)), set()
+    for i, one in enumerate(sections):
+        with _section("offset", i):
+            mode = index("mode", one.mode, plant.modes)
+            if mode in told:
+                raise ArgumentError(f"mode {mode} has an offset already: give one for each mode.")
+            told.add(mode)
+            given = real_array("force", one.force, "(n,)", 1)
+            force[mode] = require_shape("force", given, (plant.states,), "(n,)")
+    return force
 
 
 def build_problem(file: schema.ProblemFile, source: Path) -> Problem:

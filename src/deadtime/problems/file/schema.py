@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, model_validator
 
-from deadtime.problems.file.imperfections import ImperfectionEntry, OffsetSection
-from deadtime.problems.file.mode_filter import ModeFilterSection
-from deadtime.problems.file.observer import ObserverSection
+from deadtime.problems.file.estimators import ModeFilterSection, ObserverSection
 from deadtime.problems.file.servo import ServoSection
+from deadtime.problems.imperfection_registry import ENTRIES as IMPERFECTIONS, ImperfectionSection
 from deadtime.problems.law_registry import ENTRIES, LawSection
 from deadtime.problems.law_registry.entry import (
     SQUARE,
@@ -177,6 +176,7 @@ class LogSignal(Section):
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
         None, description="Of the log's times; seconds by default."
     )
+    at: Instants = Field("anywhere", description=AT)
     end: float | None = Field(None, description="Up to when the log is known, on its own clock.")
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 
@@ -223,6 +223,15 @@ class QuadraticSignal(Section):
 RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the state decides
 
 
+class OffsetSection(Section):
+    """A constant force in one mode: dx/dt = A_σ x + B_σ u(t − D) + force, as of a load."""
+
+    mode: int
+    force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
+        description="Units of x per second."
+    )
+
+
 class RunSection(Section):
     """The simulation."""
 
@@ -243,9 +252,11 @@ class RunSection(Section):
 if TYPE_CHECKING:
     LawEntry = LawSection
     Switching = SwitchingSection
+    ImperfectionEntry = ImperfectionSection
 else:
     LawEntry = Annotated[Union[ENTRIES], Field(discriminator="kind")]  # noqa: UP007
     Switching = Annotated[Union[MODELS], Field(discriminator="kind")]  # noqa: UP007
+    ImperfectionEntry = Annotated[Union[IMPERFECTIONS], Field(discriminator="kind")]  # noqa: UP007
 Signal = Annotated[
     ConstantSignal
     | PeriodicSignal

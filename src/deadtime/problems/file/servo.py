@@ -21,8 +21,15 @@ from deadtime.estimation.servo import Reference
 from deadtime.imperfections import Imperfection, Limiting, Sizes
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.distributions import DistributionSection, frozen
-from deadtime.problems.toml.sections import Matrices, Matrix, Section, Texts, Vector
+from deadtime.problems.toml.sections import (
+    DistributionSection,
+    Matrices,
+    Matrix,
+    Section,
+    Texts,
+    Vector,
+    frozen,
+)
 
 MOST_BYTES = 10_000_000
 

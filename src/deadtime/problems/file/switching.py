@@ -71,7 +71,7 @@ def build_signal(
     if getattr(section, "at", "anywhere") == "samples":
         if step is None:
             raise ArgumentError('at = "samples" must come with a step, got run.step = "ideal".')
-        return _at_samples(section, plant, end, step)
+        return _at_samples(section, plant, end, folder, step)
     match section:
         case schema.ConstantSignal():
             return SwitchingSignal.constant(section.mode)
@@ -106,12 +106,12 @@ def _random(section: schema.RandomSignal, modes: int, end: float) -> SwitchingSi
 
 
 def _at_samples(
-    section: schema.Signal, plant: SwitchedSystem, end: float, step: float
+    section: schema.Signal, plant: SwitchedSystem, end: float, folder: Path, step: float
 ) -> SwitchingSignal:
     """A signal that switches at samples: drawn sojourns last whole periods, given ones have to."""
     if not isinstance(section, schema.RandomSignal):
         anywhere = section.model_copy(update={"at": "anywhere"})
-        signal = build_signal(anywhere, plant, end, Path(), None, step)
+        signal = build_signal(anywhere, plant, end, folder, None, step)
         off = np.flatnonzero(np.abs(signal.times / step - np.round(signal.times / step)) > 1e-9)
         if off.size:
             raise ArgumentError(

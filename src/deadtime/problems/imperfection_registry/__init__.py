@@ -4,28 +4,95 @@ An imperfection is known everywhere once it has an entry: a file in
 `deadtime.problems.imperfection_registry.entries`.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from functools import partial
+from inspect import isabstract
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from deadtime import imperfections
+from deadtime.base.errors import ArgumentError
+from deadtime.imperfections import Imperfection
+from deadtime.problems.imperfection_registry import entries
 from deadtime.problems.imperfection_registry.entry import (
     ImperfectionAxis,
     ImperfectionSection,
     Slider,
 )
-from deadtime.problems.imperfection_registry.registry import (
-    ENTRIES,
-    SWEPT,
-    Swept,
-    build_imperfection,
-    collect,
-    require_all,
-)
+from deadtime.problems.toml.sections import collect as entries_in, kinds_of, modules_of, refuse
 
-__all__ = [
-    "ENTRIES",
-    "SWEPT",
-    "ImperfectionAxis",
-    "ImperfectionSection",
-    "Slider",
-    "Swept",
-    "build_imperfection",
-    "collect",
-    "require_all",
-]
+Entry = type[ImperfectionSection]
+_refuse = partial(refuse, "imperfection")
+
+
+class Swept(NamedTuple):
+    """An imperfection that sweeps have an axis of, and the page perhaps a slider."""
+
+    kind: str
+    axis: ImperfectionAxis
+    slider: Slider | None
+
+    def section(self, value: float) -> dict[str, Any]:
+        """What a problem file says for a value."""
+        return {"kind": self.kind, **self.axis.keys(value)}
+
+
+def build_imperfection(section: ImperfectionSection) -> Imperfection:
+    """The imperfection that a section asks for."""
+    assert section.made is not None
+    return section.made(**section.model_dump(exclude={"kind"}))
+
+
+def collect(modules: Iterable[ModuleType]) -> tuple[Entry, ...]:
+    """The entries of some modules, in their order there; refused if one is not whole."""
+    return entries_in("imperfection", ImperfectionSection, modules, _require_whole, _names)
+
+
+def _names(entry: Entry) -> list[str]:
+    """What no two entries share: the name of what they make, which keys its stream, their axis."""
+    assert entry.made is not None
+    own = [entry.made.__name__]
+    return own if entry.axis is None else [*own, entry.axis.name]
+
+
+def _require_whole(entry: Entry) -> None:
+    """Refuse an entry that lacks something."""
+    made, axis, slider = entry.made, entry.axis, entry.slider
+    if made is None:
+        _refuse(entry, "lacks made: give made = the class of the imperfection.")
+    keys = [key for key in entry.model_fields if key != "kind"]
+    asked = [field.name for field in fields(made)]  # pyright: ignore[reportArgumentType]
+    if sorted(keys) != sorted(asked):
+        _refuse(entry, f"has the keys {keys}, {made.__name__} takes {asked}: make them the same.")
+    unknown = [] if axis is None else [key for key in axis.keys(1.0) if key not in keys]
+    if unknown:
+        _refuse(entry, f"sets {unknown[0]} by its axis, which is no key of the section.")
+    if slider is not None and (axis is None or slider.key not in axis.keys(1.0)):
+        _refuse(entry, f"has a slider of {slider.key!r}, which its axis does not set.")
+
+
+def require_all(known: Iterable[Entry], public: ModuleType = imperfections) -> None:
+    """Refuse a public imperfection that no entry makes."""
+    made = {entry.made for entry in known}
+    for name in public.__all__:
+        one = getattr(public, name)
+        is_kind = isinstance(one, type) and issubclass(one, Imperfection) and not isabstract(one)
+        # The base of all has nothing abstract of its own.
+        if is_kind and one is not Imperfection and one not in made:
+            raise ArgumentError(
+                f"imperfection {name} has no entry: add one to {entries.__name__}, so that "
+                "problem files know it."
+            )
+
+
+ENTRIES: tuple[Entry, ...] = collect(modules_of(entries))
+require_all(ENTRIES)
+# By the names of their axes.
+SWEPT: Mapping[str, Swept] = {
+    entry.axis.name: Swept(kinds_of(entry)[0], entry.axis, entry.slider)
+    for entry in ENTRIES
+    if entry.axis is not None
+}

@@ -5,7 +5,7 @@ A model is known to files once it has an entry in `deadtime.problems.switching_r
 
 from deadtime.problems.switching_registry import entries
 from deadtime.problems.switching_registry.entry import SwitchingSection
-from deadtime.problems.toml.entries import collect, modules_of
+from deadtime.problems.toml.sections import collect, modules_of
 
 __all__ = ["ENTRIES", "SwitchingSection"]
 

@@ -21,8 +21,7 @@ from typing import Annotated, Any, final
 
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.entries import kinds_of
-from deadtime.problems.toml.sections import Matrix, Section, Vector
+from deadtime.problems.toml.sections import Matrix, Section, Vector, kinds_of
 from deadtime.switching import SwitchingModel
 
 PerMode = Annotated[Matrix, Shape("(modes, modes)", [[0.0, 0.5], [0.5, 0.0]])]

@@ -1,4 +1,7 @@
-"""What pydantic found wrong with a file, in one line: file, lines, keys, what to do."""
+"""Everything wrong with a TOML file in one line: file, lines, keys, what to do.
+
+Where a key stands is found here, too, since the standard parser does not tell.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import difflib
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -14,9 +18,201 @@ from pydantic.fields import FieldInfo
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.toml.lines import Path as Keys, at_line, key_lines, line_of
-from deadtime.problems.toml.shape import Shape
-from deadtime.problems.toml.walk import Place, place_of
+from deadtime.problems.toml.sections import Shape
+
+# What follows a repetition may be missing, so that none is gone back on and no text costs more than
+# its length. (To forbid it, `*+`, is wrong for groups before Python 3.11.5.)
+_TOKEN = re.compile(
+    r"""
+    (?P<long>  "{3} (?:[^"\\] | \\. | "(?!""))* (?:"{3,5})?
+             | '{3} (?:[^'] | '(?!''))* (?:'{3,5})? )
+  | (?P<quiet> "(?:[^"\\\n] | \\[^\n])* "? | '[^'\n]*+ '? | \#[^\n]*+ )
+  | (?P<open> [\[{] ) | (?P<close> [\]}] ) | (?P<dot> \. ) | (?P<end> [\n=,] )
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+_HEADER = re.compile(r"[ \t]*+(\[\[?+)([^\[\]]++)\]\]?+\s*+(?:#.*)?\Z")
+_KEY = re.compile(r"[ \t]*+([A-Za-z0-9_.\-\"' \t]++)=")
+
+MOST_KEYS = 20_000
+DEEPEST = 20  # of brackets within brackets, and of keys with dots
+
+Keys = tuple[str | int, ...]
+
+
+def excess(text: str) -> str:
+    """What of a text is more than anything a file of ours says, if anything; before it is parsed.
+
+    Examples
+    --------
+    >>> excess("a.b = [[1.0, 2.0], [3.0, 4.0]]"), excess("a = " + 30 * "[")
+    ('', 'is nested too deeply: no key needs more than a few brackets or dots')
+    """
+    depth = dots = keys = 0
+    for token in _TOKEN.finditer(text):
+        kind = token.lastgroup
+        keys += token[0] == "=" or (kind == "open" and depth == 0)
+        depth += (kind == "open") - (kind == "close")
+        dots = dots + 1 if kind == "dot" else dots if kind == "quiet" else 0
+        if max(depth, dots) > DEEPEST:
+            return "is nested too deeply: no key needs more than a few brackets or dots"
+    return f"has more than {MOST_KEYS:,} keys and tables" if keys > MOST_KEYS else ""
+
+
+def key_lines(text: str) -> dict[Keys, int]:
+    """Line, counted from 1, of every table and key of a valid TOML text.
+
+    Keys inside inline tables and arrays are not listed; look up their parents.
+
+    Examples
+    --------
+    >>> key_lines("a = 1\\n[t]\\nb = [\\n 2,\\n]\\n[[p]]\\nc = 3")
+    {('a',): 1, ('t',): 2, ('t', 'b'): 3, ('p',): 6, ('p', 0): 6, ('p', 0, 'c'): 7}
+    """
+    lines: dict[Keys, int] = {}
+    table: Keys = ()
+    counts: dict[Keys, int] = {}
+    depth = 0
+    for number, line in enumerate(_TOKEN.sub(_without_long, text).split("\n"), 1):
+        if depth == 0 and (header := _HEADER.match(line)):
+            table = _split(header[2])
+            lines.setdefault(table, number)
+            if header[1] == "[[":
+                counts[table] = counts.get(table, -1) + 1
+                table = (*table, counts[table])
+                lines[table] = number
+            continue
+        if depth == 0 and (key := _KEY.match(line)):
+            lines.setdefault((*table, *_split(key[1])), number)
+        kinds = [token.lastgroup for token in _TOKEN.finditer(line)]
+        depth += kinds.count("open") - kinds.count("close")
+    return lines
+
+
+def _without_long(token: re.Match[str]) -> str:
+    """Of a string over several lines its lines alone."""
+    return '""' + "\n" * token[0].count("\n") if token["long"] else token[0]
+
+
+def _split(dotted: str) -> Keys:
+    return tuple(part.strip().strip("\"'") for part in dotted.split("."))
+
+
+def line_of(lines: Mapping[Keys, int], path: Keys) -> int | None:
+    """Line of the key, or of the nearest table around it."""
+    while path:
+        if path in lines:
+            return lines[path]
+        path = path[:-1]
+    return None
+
+
+def at_line(source: Path, line: int | None) -> str:
+    """A file and a line of it, for the beginning of a message."""
+    return str(source) if line is None else f"{source}, line {line}"
+
+
+_TYPES = {"float", "str", "int"}
+Models = list[type[BaseModel]]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A key of a file (immutable).
+
+    Attributes
+    ----------
+    path : tuple
+        Keys, and numbers of tables in lists of tables.
+    field : FieldInfo or None
+        What the model says of the key; None of one that it does not know.
+    siblings : tuple of str
+        The keys that are known beside it.
+    tables : bool
+        Whether the key holds tables.
+    listed : bool
+        Whether it holds a list of them, and the path does not say which.
+    item : tuple of int
+        The number of an item, in a list of anything but tables.
+    elsewhere : tuple of str
+        The other kinds of the same section that know the key.
+    """
+
+    path: Keys
+    field: FieldInfo | None
+    siblings: tuple[str, ...]
+    tables: bool
+    listed: bool
+    item: tuple[int, ...] = ()
+    elsewhere: tuple[str, ...] = ()
+
+
+def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: bool = True) -> Place:
+    """The key that a location of pydantic is about.
+
+    Its names of types and of members of unions go, and so do numbers of items in a list of
+    anything but tables: the key is what a reader looks for. Where the last part is a key that is
+    not `known`, it stays, whatever it looks like.
+    """
+    path: list[str | int] = []
+    models: Models = [model]
+    others: Models = []
+    around: Models = [model]
+    field: FieldInfo | None = None
+    item: list[int] = []
+    for number, part in enumerate(location):
+        if isinstance(part, int):
+            (path if models else item).append(part)
+            continue
+        if (known or number < len(location) - 1) and _is_no_key(part, models):
+            if chosen := _choose(part, models):
+                models, others = chosen, [one for one in models if one not in chosen]
+            continue
+        fields = [one.model_fields[part] for one in models if part in one.model_fields]
+        around, field = models or around, fields[0] if fields else None
+        models = [inner for one in fields for inner in _models_in(one.annotation)]
+        path.append(part)
+    siblings = tuple(dict.fromkeys(name for one in around for name in one.model_fields))
+    inside = bool(path) and isinstance(path[-1], int)
+    listed = bool(models) and not inside and _is_list(field)
+    elsewhere = [one for one in others if path and path[-1] in one.model_fields]
+    kinds = tuple(kind for one in elsewhere for kind in _kinds_of(one))
+    return Place(tuple(path), field, siblings, bool(models), listed, tuple(item), kinds)
+
+
+def _kinds_of(model: type[BaseModel]) -> tuple[str, ...]:
+    kind = model.model_fields.get("kind")
+    return () if kind is None else getattr(kind.annotation, "__args__", ())
+
+
+def _is_no_key(part: str, models: Models) -> bool:
+    """Whether a part names a type or a member of a union."""
+    return part in _TYPES or "[" in part or bool(_choose(part, models))
+
+
+def _choose(part: str, models: Models) -> Models:
+    """The models of a union that a part selects by their kind or their name, if it does."""
+    named = [model for model in models if model.__name__ == part]
+    if len(models) == 1:  # a kind was chosen before: the part is a key
+        return named
+    return named or [
+        model
+        for model in models
+        if (kind := model.model_fields.get("kind")) is not None
+        and part in getattr(kind.annotation, "__args__", ())
+    ]
+
+
+def _is_list(field: FieldInfo | None) -> bool:
+    return field is not None and getattr(field.annotation, "__origin__", None) is list
+
+
+def _models_in(annotation: Any) -> Models:
+    """The models that a field may hold."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for part in getattr(annotation, "__args__", ()) for m in _models_in(part)]
+
 
 MOST = 50  # faults that a line tells
 _TABLE = ("model_type", "model_attributes_type", "dict_type")

@@ -1,10 +1,19 @@
-"""What every section of a file shares."""
+"""Sections of a TOML file, the types of their keys, and registries of such sections."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import pkgutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from inspect import signature
+from types import ModuleType
+from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, FailFast, Field
+
+from deadtime.base.errors import ArgumentError
 
 
 class First(FailFast):
@@ -29,3 +38,159 @@ class Section(BaseModel):
     """A table that refuses keys it does not know."""
 
     model_config = ConfigDict(extra="forbid", strict=False, title=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A note on a field whose value is a list (immutable).
+
+    Attributes
+    ----------
+    form : str
+        The shape as messages write it, such as ``(modes, n, n)``; or what it is in words.
+    example : list
+        A value that fits.
+
+    Examples
+    --------
+    >>> Shape("(n,)", [1.0, 0.0]).axes, Shape("a number or (n,)", [1.0]).is_array
+    (1, False)
+    """
+
+    form: str
+    example: Any
+
+    @property
+    def is_array(self) -> bool:
+        """Whether nothing but an array of numbers will do."""
+        return self.form.startswith("(") and self.form.endswith(")") and " or " not in self.form
+
+    @property
+    def axes(self) -> int:
+        """How deep its lists go."""
+        return np.ndim(self.example)
+
+
+class DistributionSection(Section):
+    """A distribution of scipy.stats by its name there, with its parameters."""
+
+    model_config = ConfigDict(extra="allow", strict=False, title=None)
+
+    __pydantic_extra__: dict[str, float]  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    distribution: str = Field(description='Name in scipy.stats, such as "expon" or "gamma".')
+
+
+def frozen(name: str, given: DistributionSection) -> Any:
+    """The frozen scipy.stats distribution that a section names."""
+    from scipy import stats
+
+    kind = getattr(stats, given.distribution, None)
+    if not isinstance(kind, stats.rv_continuous | stats.rv_discrete):
+        raise ArgumentError(
+            f"{name}: distribution must be the name of one in scipy.stats, such as expon, "
+            f"gamma, weibull_min, uniform, got {given.distribution!r}."
+        )
+    try:
+        return kind(**(given.model_extra or {}))
+    except TypeError:
+        shapes = kind.shapes.split(", ") if kind.shapes else []
+        known = ", ".join([*shapes, "loc", "scale"])
+        raise ArgumentError(
+            f"{name}: {given.distribution} takes the parameters {known}, got "
+            f"{sorted(given.model_extra or {})}."
+        ) from None
+
+
+S = TypeVar("S", bound=Section)
+
+
+def modules_of(package: ModuleType) -> Iterator[ModuleType]:
+    """The files of a package, in the order of their names."""
+    for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
+        yield import_module(f"{package.__name__}.{name}")
+
+
+def kinds_of(entry: type[Section]) -> tuple[str, ...]:
+    """The texts that an entry's `kind` may be: one, if it is whole."""
+    kind = entry.model_fields.get("kind")
+    return () if kind is None else get_args(kind.annotation)
+
+
+def refuse(what: str, entry: type[Section], why: str) -> NoReturn:
+    """An error that names the entry."""
+    raise ArgumentError(f"{what} entry {entry.__name__} in {entry.__module__} {why}")
+
+
+def collect(
+    what: str,
+    base: type[S],
+    modules: Iterable[ModuleType],
+    require_whole: Callable[[type[S]], None] = lambda entry: None,
+    names_of: Callable[[type[S]], Iterable[str]] = lambda entry: (),
+) -> tuple[type[S], ...]:
+    """The subclasses of `base` that some modules define, in their order there.
+
+    Parameters
+    ----------
+    what : str
+        What they are entries of, for messages.
+    base : type
+        A section; `kind`, a docstring and what is abstract in it are asked of all its entries.
+    modules : iterable of modules
+    require_whole : callable, optional
+        Refuses an entry that lacks something else.
+    names_of : callable, optional
+        The names that no two entries may share.
+
+    Raises
+    ------
+    ArgumentError
+        If a module holds no entry, or an entry lacks something or takes what another one has.
+    """
+    found: list[type[S]] = []
+    for module in modules:
+        own = [one for one in vars(module).values() if _is_entry(one, base, module)]
+        if not own:
+            raise ArgumentError(
+                f"{module.__name__} holds no entry of {what}s: write a subclass of {base.__name__}."
+            )
+        for entry in own:
+            _require_kind(what, entry)
+            for lacking in sorted(entry.__abstractmethods__):
+                call = f"{lacking}({', '.join(signature(getattr(entry, lacking)).parameters)})"
+                refuse(what, entry, f"lacks {call}: define it, as {base.__name__} says.")
+            require_whole(entry)
+            for other in found:
+                _require_apart(what, entry, other, names_of)
+            found.append(entry)
+    return tuple(found)
+
+
+def _is_entry(one: object, base: type[Section], module: ModuleType) -> bool:
+    own = isinstance(one, type) and issubclass(one, base)
+    return own and one.__module__ == module.__name__
+
+
+def _require_kind(what: str, entry: type[Section]) -> None:
+    """Refuse an entry that problem files could not name, or editors not explain."""
+    kinds = kinds_of(entry)
+    if len(kinds) != 1 or not isinstance(kinds[0], str):
+        refuse(what, entry, 'lacks its kind: write kind: Literal["…"], what problem files call it.')
+    if not vars(entry).get("__doc__"):
+        refuse(what, entry, "lacks a docstring: write a line, which editors show beside the kind.")
+
+
+def _require_apart(
+    what: str, entry: type[S], other: type[S], names_of: Callable[[type[S]], Iterable[str]]
+) -> None:
+    """Refuse an entry that takes what another one has."""
+    kind, taken = kinds_of(entry)[0], set(names_of(other))
+    theirs = f"which {other.__name__} has: choose another."
+    if kind == kinds_of(other)[0]:
+        refuse(what, entry, f"takes the kind {kind!r}, {theirs}")
+    if entry.__name__ == other.__name__:
+        refuse(what, entry, f"takes the class name of that in {other.__module__}: choose another.")
+    for name in names_of(entry):
+        if name in taken:
+            refuse(what, entry, f"takes the name {name!r}, {theirs}")

@@ -1,20 +1,59 @@
-"""Read a TOML file into a pydantic model; every error names the file, the line and the key."""
+"""Read a TOML file into a pydantic model; every error names the file, the line and the key.
+
+Errors about the meaning of a file, found while something is built from it, say in which section.
+"""
 
 from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.text_files import read_text
-from deadtime.problems.toml.complaints import complaint, faults
-from deadtime.problems.toml.file_errors import SectionError
-from deadtime.problems.toml.lines import at_line, excess, key_lines, line_of
+from deadtime.problems.toml.complaints import at_line, complaint, excess, faults, key_lines, line_of
+
+
+class SectionError(ArgumentError):
+    """Something is wrong in one section of the file; `path` says where."""
+
+    def __init__(self, message: str, path: tuple) -> None:
+        super().__init__(message)
+        self.path = path
+
+
+@contextmanager
+def section(*path: str | int) -> Iterator[None]:
+    """Say of any `ArgumentError` inside that it arose in this table of the file.
+
+    Numbers that cannot be computed with, such as 1e308, are such an error, too.
+
+    Examples
+    --------
+    >>> with section("run"):
+    ...     raise ArgumentError("horizon must be positive.")
+    Traceback (most recent call last):
+    deadtime.problems.toml.toml_model.SectionError: horizon must be positive.
+    """
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            yield
+    except SectionError:
+        raise  # of a table within this one, or beside it
+    except ArgumentError as error:
+        raise SectionError(str(error), path) from None
+    except (ArithmeticError, np.linalg.LinAlgError):
+        raise SectionError(
+            "its numbers are too large, or too far apart, to compute with: use other units.", path
+        ) from None
+
 
 Model = TypeVar("Model", bound=BaseModel)
 MOST_BYTES = 1_000_000

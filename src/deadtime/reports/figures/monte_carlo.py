@@ -16,7 +16,7 @@ from deadtime.base.figure_files import Width, inches, legend_columns, new_figure
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
-from deadtime.reports.tables.monte_carlo import (
+from deadtime.reports.scenario_tables import (
     count_of,
     losses,
     measure_in,

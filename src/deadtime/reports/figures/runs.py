@@ -1,9 +1,12 @@
-"""Several laws in one figure: states, inputs, the switching signal and the mismatch over time."""
+"""Several laws in one figure: their curves, norms and outputs over time, and the switching signal.
+
+Drawn with matplotlib and returned as `Figure` objects: save or show them yourself.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,12 +14,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import Width, legend_columns, new_figure, style_of
-from deadtime.base.figure_style import LINES, WIDTH, plain
-from deadtime.base.wording import input_names, numbered, subscript
+from deadtime.base.figure_style import COLOURS, LINES, WIDTH, plain, visible
+from deadtime.base.wording import as_rate, input_names, numbered, subscript
+from deadtime.problems import Problem
+from deadtime.problems.comparison import Comparison
 from deadtime.reports.figures.colours import Look, looks_of
 from deadtime.simulation import Trajectory
 from deadtime.simulation.run_figure import REFERENCE, mode_strip, references, signal_steps
+from deadtime.switching import SwitchingSignal
 
 _FAR = 5.0  # a run that goes so many times as far as the others leaves the frame
 
@@ -184,3 +191,219 @@ def frame(
 def _size(row: np.ndarray) -> float:
     """The largest of the values, 0 of none."""
     return float(np.fmax.reduce(np.abs(row), initial=0.0))
+
+
+def plot_signal(
+    signal: SwitchingSignal, end: float, modes: Sequence[str], width: Width | None = None
+) -> Figure:
+    """The switching signal on [0, end]: the active mode in blue, switching instants in black."""
+    times, visited = signal_steps(signal, end)
+    with rc_context(style_of(width)):
+        figure = new_figure(WIDTH, 1.0 + 0.3 * len(modes), width)
+        axes = figure.subplots()
+        axes.hlines(visited[:-1], times[:-1], times[1:], color=COLOURS[0], linewidth=2.5)
+        axes.vlines(times[1:-1], -0.3, len(modes) - 0.7, color="black", linewidth=0.5)
+        axes.set_yticks(range(len(modes)), list(map(plain, modes)))
+        axes.set_ylim(-0.35, len(modes) - 0.65)
+        axes.set_xlim(0.0, end)
+        axes.set_xlabel("time (s)")
+        axes.grid(False)
+    return figure
+
+
+def plot_window(
+    signal: SwitchingSignal,
+    delay: float,
+    end: float,
+    modes: Sequence[str],
+    width: Width | None = None,
+) -> Figure:
+    """Switching instants and modes in [t, t + D], for the t in [0, end] that sees most switches."""
+    switches = signal.times[1:][signal.times[1:] <= end]
+    t = 0.0
+    if switches.size:
+        after = np.searchsorted(switches, switches + 0.9 * delay)
+        first = int(np.argmax(after - np.arange(switches.size)))
+        middle = (switches[first] + switches[after[first] - 1]) / 2.0
+        t = max(0.0, float(middle) - delay / 2.0)
+    cuts = np.array([t, *switches[(switches > t) & (switches < t + delay)], t + delay])
+    with rc_context(style_of(width)):
+        figure = new_figure(WIDTH, 1.3 + 0.3 * len(modes), width)
+        axes = figure.subplots()
+        times, visited = signal_steps(signal, t + 1.15 * delay)
+        axes.step(times, visited, where="post", color=COLOURS[0], linewidth=1.8)
+        axes.axvspan(t, t + delay, color=COLOURS[0], alpha=0.08, linewidth=0)
+        axes.vlines(cuts, -0.6, len(modes) - 0.5, color="black", linewidth=0.6, linestyle="--")
+        for i, cut in enumerate(cuts):
+            name = "$t$" if i == 0 else "$t+D$" if i == cuts.size - 1 else f"$t+s_{i}$"
+            side = {0: "right", cuts.size - 1: "left"}.get(i, "center")
+            axes.text(cut, len(modes) - 0.42, name, ha=side, va="bottom", fontsize=8)
+        for i, middle in enumerate((cuts[:-1] + cuts[1:]) / 2.0):
+            axes.text(middle, -0.58, f"$m_{i + 1}$", ha="center", va="bottom", fontsize=8)
+        axes.set_yticks(range(len(modes)), list(map(plain, modes)))
+        axes.set_ylim(-0.65, len(modes) - 0.1)
+        axes.set_xlim(max(0.0, t - 0.15 * delay), t + 1.2 * delay)
+        axes.set_xlabel("time (s)")
+        axes.grid(False)
+    return figure
+
+
+def plot_norms(
+    runs: Mapping[str, Trajectory], title: str | None = None, width: Width | None = None
+) -> Figure:
+    """|x| of several runs on logarithmic axes; a run far above the others leaves the frame.
+
+    More than five are shared out among panels with the same axes.
+    """
+    norms = {name: np.linalg.norm(run.states, axis=0) for name, run in runs.items()}
+    tops = sorted(float(norm.max()) for norm in norms.values())
+    bottom = min(float(norm[norm > 0.0].min(initial=1.0)) for norm in norms.values())
+    top = tops[-1] if len(tops) < 2 or tops[-1] < 1e3 * tops[-2] else 30.0 * tops[-2]
+    with rc_context(style_of(width)):
+        groups = _shared_out(list(runs))
+        height = 0.9 + (2.4 if len(groups) == 1 else 1.8) * len(groups)
+        figure = new_figure(WIDTH, height, width)
+        columns = legend_columns(figure, runs, 3, beside=0.65)
+        panels = figure.subplots(len(groups), sharex=True, sharey=True, squeeze=False)[:, 0]
+        looks = looks_of(list(runs))
+        for panel, group in zip(panels, groups, strict=True):
+            for line, name in zip(LINES, group, strict=False):
+                time, norm = runs[name].time, visible(norms[name])
+                panel.semilogy(
+                    time, norm, linestyle=line, color=looks[name].colour, label=plain(name)
+                )
+            panel.set_ylabel("|x|")
+            panel.legend(
+                loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6
+            )
+        panels[0].set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
+        panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+        panels[-1].set_xlabel("time (s)")
+        if title:
+            figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
+    return figure
+
+
+def plot_tracking(
+    runs: Mapping[str, Trajectory],
+    outputs: Sequence[str] = (),
+    title: str | None = None,
+    width: Width | None = None,
+) -> Figure:
+    """What follows a reference under several laws, beside the reference: a panel per output.
+
+    More than five laws are shared out among panels; a run far above the others leaves the frame.
+
+    Parameters
+    ----------
+    runs : mapping
+        Runs that follow references, by the names of their laws.
+    outputs : sequence of str, optional
+        Names of what follows, with units; numbered by default.
+    """
+    tracked = {name: run.tracked for name, run in runs.items()}
+    count = min(0 if y is None else len(y) for y in tracked.values())
+    if count == 0:
+        raise ArgumentError("runs must all follow a reference: draw others by their norms.")
+    named = list(map(plain, outputs or numbered("y", count)))
+    groups, looks = _shared_out(list(runs)), looks_of(list(runs))
+    rows = [(i, group) for i in range(count) for group in groups]
+    with rc_context(style_of(width)):
+        height = 0.9 + (2.4 if len(rows) == 1 else 1.8) * len(rows)
+        figure = new_figure(WIDTH, height, width)
+        columns = legend_columns(figure, runs, 3, beside=0.65)
+        panels = figure.subplots(len(rows), sharex=True, squeeze=False)[:, 0]
+        for panel, (i, group) in zip(panels, rows, strict=True):
+            first = runs[group[0]]
+            assert first.reference is not None
+            look: Any = {"color": COLOURS[6], "drawstyle": "steps-post", "linewidth": 1.0}
+            panel.plot(first.time, first.reference[i], linestyle=":", label="reference", **look)
+            for line, name in zip(LINES, group, strict=False):
+                y = tracked[name]
+                assert y is not None
+                panel.plot(
+                    runs[name].time,
+                    y[i],
+                    linestyle=line,
+                    color=looks[name].colour,
+                    label=plain(name),
+                )
+            panel.set_ylim(*_tracking_frame(runs, i))
+            panel.set_ylabel(named[i])
+            panel.legend(
+                loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6
+            )
+        panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+        panels[-1].set_xlabel("time (s)")
+        if title:
+            figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
+    return figure
+
+
+def _tracking_frame(runs: Mapping[str, Trajectory], output: int) -> tuple[float, float]:
+    """Ends of the axis of an output: all of it, but for what is far from its reference."""
+    low, high = np.inf, -np.inf
+    for run in runs.values():
+        assert run.tracked is not None
+        assert run.reference is not None
+        y, r = run.tracked[output], run.reference[output]
+        far = 3.0 * max(float(np.ptp(r)), float(np.abs(r).max()), float(abs(r[0] - y[0]))) or np.inf
+        low = min(low, float(r.min()), max(float(y.min()), float(r.min()) - far))
+        high = max(high, float(r.max()), min(float(y.max()), float(r.max()) + far))
+    air = 0.06 * (high - low) or 1.0
+    return low - air, high + air
+
+
+def _shared_out(names: Sequence[str]) -> list[Sequence[str]]:
+    """Groups of at most five, as even as can be.
+
+    Examples
+    --------
+    >>> _shared_out("abcdef")
+    ['abc', 'def']
+    """
+    count = -(-len(names) // len(LINES))
+    size = -(-len(names) // count)
+    return [names[i : i + size] for i in range(0, len(names), size)]
+
+
+def all_laws(result: Comparison, width: Width | None = None) -> tuple[str, Figure]:
+    """Every law in one figure, and its caption: |x|, or what follows beside its reference."""
+    if result.measure == "iae":
+        caption = "What follows the reference, under every law; a law far off leaves the frame."
+        return caption, plot_tracking(result.runs, result.problem.tracked, width=width)
+    caption = "Every law on one axis; a law far above the others leaves the frame."
+    about = None if result.problem.operating_point is None else "x: deviation from rest"
+    return caption, plot_norms(result.runs, about, width)
+
+
+def plot_verdict(result: Comparison, width: Width | None = None) -> Figure:
+    """The picture of the verdict: one law, with and without switching."""
+    problem: Problem = result.problem
+    run = result.runs[result.lead]
+    end = problem.horizon * (2.0 if max(result.growth) > 0.0 else 1.0)
+    with rc_context(style_of(width)):
+        figure = new_figure(WIDTH, 3.0, width)
+        axes = figure.subplots()
+        for i, (held, rate) in enumerate(zip(result.held, result.growth, strict=True)):
+            shown = held.time <= end
+            norm = np.linalg.norm(held.states[:, shown], axis=0)
+            label = f"stays in {plain(problem.modes[i])}: {as_rate(rate)} /s"
+            line = LINES[(1 + i) % len(LINES)]
+            look: Any = {"color": COLOURS[1 + i % 5], "linestyle": line, "label": label}
+            axes.semilogy(held.time[shown], visible(norm), **look)
+        norm = np.linalg.norm(run.states, axis=0)
+        switching = run.signal.times[1:].size and run.signal.times[1] < run.end
+        label = "switches" if switching else "as given"
+        norm = visible(norm)
+        axes.semilogy(run.time, norm, color=COLOURS[0], linewidth=2.0, label=label)
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("|x|")
+        axes.set_xlim(0.0, end)
+        top = max(float(line.get_ydata().max()) for line in axes.lines)  # pyright: ignore
+        axes.set_ylim(max(float(norm.min()) / 3.0, 1e-9 * top), 3.0 * top)
+        axes.set_title(plain(f"Law: {result.lead}"))
+        labels = [str(line.get_label()) for line in axes.lines]
+        columns = legend_columns(figure, labels, 2)
+        figure.legend(loc="outside lower center", ncols=columns, handlelength=2.6)
+    return figure

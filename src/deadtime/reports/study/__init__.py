@@ -4,7 +4,7 @@ The sweep is `scenarios.sweeps`; here is what reads its dataset. What draws and 
 `deadtime.reports.study.report`.
 """
 
-from deadtime.reports.study.study_runs import run_study
+from deadtime.reports.study.study_data import run_study
 from deadtime.scenarios.sweeps import Cell, load_study
 
 __all__ = ["Cell", "load_study", "run_study"]

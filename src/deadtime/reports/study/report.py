@@ -13,8 +13,7 @@ from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, wri
 from deadtime.reports.study import maps
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.phrases import Answer
-from deadtime.reports.study.study_files import record_of, write_cells
-from deadtime.reports.study.study_runs import failures, run_study
+from deadtime.reports.study.study_data import failures, record_of, run_study, write_cells
 from deadtime.scenarios.sweeps.axes import AXES
 from deadtime.scenarios.sweeps.file_study import FileStudy
 from deadtime.scenarios.sweeps.run_sweep import Report

@@ -15,14 +15,14 @@ from deadtime.feedback import Law
 from deadtime.gains import place
 from deadtime.plant import Weight
 from deadtime.problems import Problem
-from deadtime.problems.asked import random_model
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import build_problem
-from deadtime.problems.file.gains import as_numbers
-from deadtime.problems.file.lenient import build_what_can
-from deadtime.problems.file.mode_filter import build_mode_filter
+from deadtime.problems.file.estimators import build_mode_filter
+from deadtime.problems.file.gains_and_laws import as_numbers
+from deadtime.problems.file.load import build_what_can
 from deadtime.problems.file.switching import promise_of
 from deadtime.problems.law_registry import LawSetting
+from deadtime.problems.switching_assumptions import random_model
 from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study

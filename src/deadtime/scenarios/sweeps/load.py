@@ -18,8 +18,8 @@ from deadtime.base.errors import ArgumentError, ProblemFileError, StudyFileError
 from deadtime.problems import NAMED, Problem
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import build_problem
-from deadtime.problems.file.gains import as_numbers
-from deadtime.problems.file.named_problems import template
+from deadtime.problems.file.gains_and_laws import as_numbers
+from deadtime.problems.literature import template
 from deadtime.problems.toml import SectionError, read_toml, require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, OVERWRITES, Draft, axis_of, path_of
 from deadtime.scenarios.sweeps.file_study import FileStudy, without_signal

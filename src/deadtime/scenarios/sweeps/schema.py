@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_model
 
-from deadtime.problems.file.imperfections import ImperfectionEntry
-from deadtime.problems.file.schema import CostSection
+from deadtime.problems.file.schema import CostSection, ImperfectionEntry
 from deadtime.problems.imperfection_registry import SWEPT, ImperfectionAxis
 from deadtime.problems.toml.sections import Count, First, NotNegative, Poles, Section
 from deadtime.scenarios.dataset import METRICS

@@ -1,1 +1,1 @@
-"""One file for each place of a loop; every file is found and taken in the order of its name."""
+"""Imperfections that problem files know: every file is found, in the order of its name."""

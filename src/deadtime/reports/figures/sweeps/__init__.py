@@ -6,7 +6,6 @@ diverged being worse than any other.
 """
 
 from deadtime.reports.figures.sweeps.bands import plot_bands
-from deadtime.reports.figures.sweeps.heat import plot_heat, plot_regret
-from deadtime.reports.figures.sweeps.wins import plot_wins
+from deadtime.reports.figures.sweeps.heat import plot_heat, plot_regret, plot_wins
 
 __all__ = ["plot_bands", "plot_heat", "plot_regret", "plot_wins"]

@@ -1,43 +1,213 @@
-"""Quantile bands of the laws along one axis of a sweep."""
+"""Quantile bands of the laws along one axis of a sweep; bars where it has no order."""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
 
-from deadtime.base.figure_files import Width, style_of
-from deadtime.base.figure_style import LINES, plain
+from deadtime.base.figure_files import Width, inches, new_figure, style_of
+from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.reports.figures.colours import colours_of
-from deadtime.reports.figures.sweeps.axis_words import label_of
-from deadtime.reports.figures.sweeps.band_panels import (
-    add_legend,
-    draw,
-    figure_of_panels,
-    is_ordered,
-    is_wide,
-    set_scale,
-    title_of,
+from deadtime.reports.figures.sweeps.maps import linear_ticks, log_ticks
+from deadtime.reports.figures.sweeps.panels import (
+    add_title,
+    measure_of,
+    places_of,
+    too_many,
+    words_of,
 )
-from deadtime.reports.figures.sweeps.panels import places_of, too_many, words_of
 from deadtime.reports.figures.sweeps.reduction import reduce
 from deadtime.reports.figures.sweeps.selection import (
     Where,
+    label_of,
     laws_of,
     long_axes,
     named_laws,
     oracle_of,
     select,
     sides,
+    text_of,
+    unbroken,
 )
-from deadtime.reports.figures.sweeps.titles import add_title, measure_of
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+_WIDE = 20.0  # largest over least figure from which the axis is logarithmic
+_DOTS = 15  # values across up to which each has a dot
+_SPREAD = 8.0  # largest over least value from which the axis across is
+_NARROW = 1.5  # a logarithmic axis spans this factor at least
+_FAR = 1e3  # times the median of medians, where it ends
+_DEEP = 1e9  # a logarithmic axis spans this factor at most
+_LETTER = 0.042  # width of a letter of a tick, of that of a narrow panel
+
+
+Quantiles = Float[np.ndarray, "x level"]
+Mark = tuple[str, Any]  # the colour and the line of a law
+
+
+def figure_of_panels(count: int, width: Width | None = None) -> tuple[Figure, list[Axes], int]:
+    """Panels in reading order, and how many are side by side."""
+    narrow = width is not None and inches(width) < WIDTH
+    columns = 1 if count == 1 or narrow else 2 if count in (2, 4) else 3
+    rows = math.ceil(count / columns)
+    size = (WIDTH, 3.4) if count == 1 else (1.55 * WIDTH, 1.0 + 1.9 * rows)
+    figure = new_figure(*size, width)
+    grid = figure.add_gridspec(rows, columns)
+    panels = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(count)]
+    for i, panel in enumerate(panels):
+        panel.tick_params(labelbottom=i >= count - columns, labelsize=8.0)
+    return figure, panels, columns
+
+
+def title_of(words: Sequence[str], columns: int) -> str:
+    """A panel's place, on several lines where panels are narrow."""
+    return textwrap.fill(", ".join(map(unbroken, words)), {1: 70, 2: 50, 3: 34}[columns])
+
+
+def is_ordered(data: xr.Dataset, across: str | None) -> bool:
+    """Whether the axis across is of numbers that a line can join."""
+    return across is not None and data.sizes[across] > 1 and data[across].dtype.kind in "iuf"
+
+
+def draw(
+    panel: Axes,
+    data: xr.Dataset,
+    across: str | None,
+    cells: Float[np.ndarray, "law x level"],
+    marks: Sequence[Mark],
+) -> None:
+    """Bands along numbers, bars for text and single values."""
+    values = np.zeros(1) if across is None else data[across].values
+    if is_ordered(data, across):
+        order = np.argsort(values)
+        places = values[order].astype(float)
+        for law, mark in zip(cells, marks, strict=True):
+            _band(panel, places, law[order], mark, 1.0 / len(marks))
+        _ticks(panel, places)
+        return
+    for number, (law, (colour, _)) in enumerate(zip(cells, marks, strict=True)):
+        offset = (number - (len(marks) - 1) / 2.0) * min(0.12, 0.8 / len(marks))
+        _bars(panel, np.arange(values.size) + offset, law, colour)
+    texts = [] if across is None else [plain(text_of(value)) for value in values.tolist()]
+    panel.set_xticks(range(len(texts)), texts)
+    if sum(map(len, texts)) > 24:
+        panel.tick_params("x", rotation=30)
+    panel.set_xlim(-0.5, values.size - 0.5)
+    panel.grid(False, axis="x")
+
+
+def _band(panel: Axes, x: np.ndarray, cells: Quantiles, mark: Mark, share: float) -> None:
+    """A law along an axis of numbers; a cell without figures is a gap."""
+    low, lower, middle, upper, high = _clip(cells).T
+    colour, line = mark
+    for bottom, top, alpha in ((low, high, 0.25), (lower, upper, 0.5)):
+        # The more laws, the paler: where bands lie on each other their edges tell them apart.
+        panel.fill_between(x, bottom, top, color=colour, alpha=alpha * share, linewidth=0.0)
+        for edge in (bottom, top):
+            panel.plot(x, edge, color=colour, alpha=1.2 * alpha, linewidth=0.6)
+    marker = "o" if x.size <= _DOTS else ""
+    panel.plot(x, middle, linestyle=line, color=colour, marker=marker, markersize=2.8)
+
+
+def _bars(panel: Axes, x: np.ndarray, cells: Quantiles, colour: str) -> None:
+    """A law at values that have no order: bars from 5 to 95 and from 25 to 75 %."""
+    low, lower, middle, upper, high = _clip(cells).T
+    panel.vlines(x, low, high, color=colour, linewidth=1.0)
+    panel.vlines(x, lower, upper, color=colour, linewidth=4.0, alpha=0.5)
+    panel.plot(x, middle, "o", color=colour, markersize=3.5)
+
+
+def _clip(cells: Quantiles) -> Quantiles:
+    """Infinite figures as ones far beyond every axis, which lines can lead to."""
+    return np.clip(cells, -1e250, 1e250)
+
+
+def _ticks(panel: Axes, values: np.ndarray) -> None:
+    """Ticks at the values, as far as there is room for them."""
+    logarithmic = values[0] > 0.0 and values[-1] > _SPREAD * values[0]
+    panel.set_xscale("log" if logarithmic else "linear")
+    places = np.log(values) if logarithmic else values
+    air = 0.04 * (places[-1] - places[0])
+    ends = places[0] - air, places[-1] + air
+    panel.set_xlim(*(np.exp(ends) if logarithmic else ends))
+    places = (places - places[0]) / (places[-1] - places[0])
+    gap = max(0.1, _LETTER * max(len(text_of(value)) for value in values))
+    shown, last = [], -1.0
+    for value, place in zip(values, places, strict=True):
+        if place - last >= gap:
+            shown.append(value)
+            last = place
+    panel.set_xticks(shown, [text_of(value) for value in shown])
+    panel.xaxis.set_minor_locator(NullLocator())
+
+
+def is_wide(values: np.ndarray) -> bool:
+    """Whether the figures of all panels are positive and differ so much as to ask for powers."""
+    finite = values[np.isfinite(values)]
+    return finite.size > 0 and bool(0.0 < _WIDE * finite.min() < finite.max())
+
+
+def set_scale(panel: Axes, cells: np.ndarray, logarithmic: bool) -> float:
+    """Set the axis up for what is in a panel; its upper end."""
+    finite = cells[np.isfinite(cells)]
+    if not finite.size:
+        panel.set_yticks([])
+        panel.set_ylim(0.0, 1.0)
+        panel.text(0.5, 0.5, "no figures", ha="center", transform=panel.transAxes)
+        return -np.inf
+    low, high = float(finite.min()), float(finite.max())
+    if not logarithmic:
+        air = 0.05 * (high - low) or 0.1 * abs(high) or 1.0
+        panel.set_ylim(low - air, high + air)
+        return high + air
+    medians = cells[..., 2][np.isfinite(cells[..., 2])]
+    middle = float(np.exp(np.median(np.log(medians)))) if medians.size else high
+    least = float(medians.min()) if medians.size else low
+    # Where some cells grow beyond all measure it is the others that are to be seen.
+    high = max(min(high, _FAR * middle, _DEEP * least), _NARROW * low)
+    low = max(low, high / _DEEP)
+    air = (high / low) ** 0.05
+    low, high = low / air, high * air
+    panel.set_yscale("log")
+    if high < 1e3 * low:
+        ticks = log_ticks(low, high) if high > 8.0 * low else linear_ticks(low, high)
+        panel.set_yticks(list(ticks), list(ticks.values()))
+        panel.yaxis.set_minor_locator(NullLocator())
+    panel.set_ylim(low, high)
+    return high
+
+
+def add_legend(figure: Figure, laws: Sequence[tuple[str, Mark]], joined: bool) -> None:
+    """Laws and levels below the panels."""
+    keys: list[Line2D | Patch] = []
+    for label, (colour, line) in laws:
+        key = Line2D([], [], color=colour, marker="o", markersize=3.0, label=label)
+        key.set_linestyle(line if joined else "")  # pyright: ignore[reportArgumentType]
+        keys.append(key)
+    for label, alpha, width in (("25–75 %", 0.5, 4.0), ("5–95 %", 0.25, 1.0)):
+        if joined:
+            face, edge = (0.2, 0.2, 0.2, 0.6 * alpha), (0.2, 0.2, 0.2, 1.2 * alpha)
+            keys.append(Patch(facecolor=face, edgecolor=edge, linewidth=0.6, label=label))
+        else:
+            shade = {"color": "#555555", "alpha": 0.5 if width > 1.0 else 1.0}
+            keys.append(Line2D([], [], linewidth=width, label=label, **shade))
+    longest = max(len(str(key.get_label())) for key in keys)
+    columns = max(1, min(len(keys), int(15.0 * figure.get_figwidth()) // (longest + 6)))
+    figure.legend(handles=keys, loc="outside lower center", ncols=columns)
+
 
 MOST = 12  # panels
 

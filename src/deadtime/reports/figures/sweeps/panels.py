@@ -1,4 +1,4 @@
-"""The panels that maps are drawn on: rows and columns of small grids, with a figure per cell."""
+"""The panels that maps are drawn on: small grids with a figure per cell, titles above them."""
 
 from __future__ import annotations
 
@@ -19,10 +19,20 @@ from matplotlib.patches import Rectangle
 from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import WIDTH, plain
-from deadtime.reports.figures.sweeps.axis_words import label_of, name_of, say, text_of
+from deadtime.plant.weight import PLAIN
+from deadtime.reports.figures.sweeps.selection import (
+    axes_of,
+    label_of,
+    name_of,
+    say,
+    text_of,
+    unbroken,
+)
+from deadtime.scenarios.dataset import formula_of
 
 if TYPE_CHECKING:
     import xarray as xr
+
 
 Colour = tuple[float, float, float]
 HATCH = "#a0a0a0"
@@ -210,3 +220,47 @@ def draw_cell(panel: Axes, at: tuple[int, ...], colour: Colour, text: str, tied:
         color="white" if dark else "black",
         bbox=box if tied else None,
     )
+
+
+SYMBOLS = {
+    "ise": "∫|x|²",
+    "energy": "∫|u|²",
+    "cost": PLAIN,
+    "peak": "peak of |x|",
+    "final_norm": "|x| at the end",
+}
+
+
+def symbol_of(metric: str, found: xr.Dataset | None = None) -> str:
+    """What readers call a metric; the cost by the weight that the dataset was made with.
+
+    Examples
+    --------
+    >>> symbol_of("ise"), symbol_of("settling_time")
+    ('∫|x|²', 'settling time')
+    """
+    if metric == "cost" and found is not None:
+        return formula_of(found["quantile"])
+    return SYMBOLS.get(metric, metric.replace("_", " "))
+
+
+def measure_of(found: xr.Dataset, metric: str) -> str:
+    """A metric with its unit."""
+    attributes = found["quantile"].attrs
+    name = symbol_of(metric, found)
+    unit = str(attributes.get("units", "")).replace("^2", "²")
+    return f"{name} ({unit})" if unit else name
+
+
+def add_title(figure: Figure, found: xr.Dataset, grid: PanelGrid | None, lead: str = "") -> Figure:
+    """A title: what is shown, and the axes that have one value."""
+    shown = () if grid is None else (grid.x, grid.y)
+    held = [axis for axis in axes_of(found) if found.sizes[axis] == 1 and axis not in shown]
+    words = ", ".join(unbroken(say(found[axis], found[axis].values[0])) for axis in held)
+    title = ": ".join(part for part in (lead, words) if part)
+    if title:
+        width, height = figure.get_size_inches()
+        lines = textwrap.wrap(plain(title), int(width / 0.068))
+        figure.set_size_inches(width, height + 0.18 * len(lines))
+        figure.suptitle("\n".join(lines), fontsize=9.0, x=0.02, ha="left")
+    return figure

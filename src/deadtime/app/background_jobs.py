@@ -1,0 +1,127 @@
+"""Jobs of a page in other processes, and the bar that says how far one is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
+from html import escape
+from typing import Any
+
+import panel as pn
+import panel_material_ui as pmui
+
+from deadtime.app.workers import Job, Told, Workers
+
+
+class BackgroundJobs:
+    """Jobs that are out, of one part of a page.
+
+    Parameters
+    ----------
+    workers : Workers
+        Who does them.
+    """
+
+    def __init__(self, workers: Workers) -> None:
+        self._workers = workers
+        self._out: dict[object, Future[Any] | None] = {}
+
+    def begin(
+        self,
+        limit: float,
+        done: Callable[[Any], None],
+        failed: Callable[[BaseException], None],
+        job: Job,
+        *given: Any,
+        told: Told | None = None,
+    ) -> None:
+        """Run a job in another process, then go on here with its result or its error.
+
+        Nothing comes of one that was stopped. `told` is called with what the job tells on its way.
+        """
+        browser, ticket = pn.state.curdoc, object()
+
+        def here(act: Callable[[], None]) -> None:
+            """Do something in the page's turn, if the job is still wanted then."""
+
+            def unless_stopped() -> None:
+                if ticket in self._out:
+                    act()
+
+            if browser is None:
+                unless_stopped()
+            elif ticket in self._out and browser.session_context is not None:
+                browser.add_next_tick_callback(unless_stopped)  # the session is not over
+
+        def finish(future: Future[Any]) -> None:
+            del self._out[ticket]
+            error = future.exception()
+            failed(error) if error is not None else done(future.result())
+
+        def on_finished(future: Future[Any]) -> None:
+            if not future.cancelled():
+                here(partial(finish, future))
+
+        def on_told(said: Any) -> None:
+            if told is not None:
+                here(partial(told, said))
+
+        self._out[ticket] = None  # it may be heard of before it is known by its future
+        more = {"told": on_told} if told else {}
+        future = self._workers.submit(limit, job, *given, **more)
+        if ticket in self._out:
+            self._out[ticket] = future
+        future.add_done_callback(on_finished)
+
+    def stop(self) -> None:
+        """End all that is out."""
+        out, self._out = self._out, {}
+        for future in out.values():
+            if future is not None:
+                self._workers.stop(future)
+
+
+_TICK = 1000  # milliseconds between looks at the clock
+
+
+class ProgressBar:
+    """A bar, and a line on what is being done.
+
+    Parameters
+    ----------
+    limit : float
+        Seconds after which it is given up.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit, self._stage, self._began = limit, "", 0.0
+        self._clock: Any = None
+        self._bar = pmui.LinearProgress(sizing_mode="stretch_width", margin=(4, 10), visible=False)
+        self.text = pn.pane.HTML("", sizing_mode="stretch_width", margin=(0, 10), visible=False)
+        self.view = [self._bar, self.text]
+
+    def show(self, stage: str) -> None:
+        """Say what is being done; the clock begins with the first."""
+        self._stage, begins = stage, not self.text.visible
+        if begins:
+            self._began = time.monotonic()
+            self._bar.visible = self.text.visible = True
+            if pn.state.curdoc is not None:
+                browser = pn.state.curdoc
+                self._clock = browser, browser.add_periodic_callback(self._tick, _TICK)
+        self._tick()
+
+    def hide(self) -> None:
+        """There is nothing more to wait for."""
+        self._bar.visible = self.text.visible = False
+        if self._clock is not None:
+            browser, tick = self._clock
+            browser.remove_periodic_callback(tick)
+            self._clock = None
+
+    def _tick(self) -> None:
+        seconds = time.monotonic() - self._began
+        said = f"{escape(self._stage)} … {seconds:.0f} s of at most {self._limit:.0f} s"
+        self.text.object = f"<div class='progress'>{said}</div>"

@@ -1,0 +1,146 @@
+"""`deadtime init`, `schema` and `completion`: files that the command line writes by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from deadtime.base.errors import ArgumentError
+from deadtime.cli.application import FILES, START, AsJson, Flag, app, lines
+from deadtime.cli.printing import print_json, require_writable
+
+Name = Literal["paper", "three-mode", "follower", "motor", "quadrotor"]
+
+
+@app.command(
+    group=START,
+    help_epilogue=lines(
+        "deadtime init",
+        "deadtime init car.toml --example follower",
+        "deadtime init servo.toml --example quadrotor",
+    ),
+)
+def init(
+    path: Path = Path("problem.toml"),
+    *,
+    example: Annotated[Name, Parameter(name=["--example", "-e"])] = "paper",
+    force: Flag = False,
+    json_output: AsJson = False,
+) -> None:
+    """Write a commented problem file to start from.
+
+    Parameters
+    ----------
+    path
+        The file to write.
+    example
+        Whose numbers to start with.
+    force
+        Replace a file that exists.
+    """
+    from deadtime.base.staging import replacing
+    from deadtime.problems.literature import template
+
+    if path.exists() and not force:
+        raise ArgumentError(f"{path} exists: choose another name, or replace it with --force.")
+    require_writable("path", path)
+    text = template(example)
+    with replacing(path) as place:
+        place.write_text(text.replace("problem.toml", path.name), encoding="utf-8")
+    if json_output:
+        print_json({"example": example}, [path])
+        return
+    print(f"Wrote {path}. Next: deadtime simulate {path}")
+
+
+@app.command(
+    group=FILES,
+    help_epilogue=lines(
+        "deadtime schema > problem.schema.json",
+    ),
+)
+def schema(*, json_output: AsJson = False) -> None:
+    """Print the JSON Schema of problem files, for editors that complete and check TOML.
+
+    With and without `--json`.
+    """
+    from deadtime.problems.file import json_schema
+
+    print_json(json_schema())
+
+
+Shell = Literal["bash", "zsh", "fish"]
+
+
+@app.command(
+    group=FILES,
+    help_epilogue=lines(
+        "deadtime completion --install", "deadtime completion zsh > ~/.zfunc/_deadtime"
+    ),
+)
+def completion(
+    shell: Shell | None = None,
+    *,
+    install: Flag = False,
+    json_output: AsJson = False,
+) -> None:
+    """Print a script that lets a shell complete commands, options and files, or install it.
+
+    `deadtime --install-completion` is the same as `deadtime completion --install`.
+
+    Parameters
+    ----------
+    shell
+        bash, zsh or fish; the one that you are in by default.
+    install
+        Write the script where the shell looks for it, and let its start-up file load it.
+    """
+    chosen = shell or _shell()
+    script = _script(chosen)
+    written = [_install(chosen, script)] if install else []
+    if json_output:
+        print_json({"shell": chosen, "script": script}, written)
+    elif written:
+        print(f"Wrote {written[0]}. Next: open a new {chosen}.")
+    else:
+        print(script, end="")
+
+
+def _shell() -> Shell:
+    """The shell that the command was given in."""
+    from cyclopts.completion.detect import ShellDetectionError, detect_shell
+
+    try:
+        found = detect_shell()
+    except ShellDetectionError:
+        found = None
+    if found in ("bash", "zsh", "fish"):
+        return found
+    raise ArgumentError(
+        "shell must be one of bash, zsh, fish where it cannot be told, got none: "
+        "deadtime completion bash."
+    )
+
+
+def _script(shell: Shell) -> str:
+    script = app.generate_completion(shell=shell)
+    if shell == "bash":  # so that folders end in a slash and go on
+        script = script.replace("complete -F", "complete -o filenames -F")
+    return script
+
+
+def _install(shell: Shell, script: str) -> Path:
+    from deadtime.base.staging import replacing
+
+    try:
+        path = app.install_completion(shell=shell)
+        with replacing(path) as place:
+            place.write_text(script, encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError(
+            f"the script cannot be written ({error.strerror}): print it with deadtime completion "
+            f"{shell}, and put it where your shell looks."
+        ) from None
+    return path

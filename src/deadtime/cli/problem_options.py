@@ -1,0 +1,132 @@
+"""Options of the command line as what they stand for: problems, numbers, switching signals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deadtime.base.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from deadtime.problems import Problem
+    from deadtime.problems.switching_assumptions import AssumedSignals
+    from deadtime.switching import SignalClass
+    from deadtime.switching.signal_class import Instants
+
+
+def problem_of(place: Path) -> Problem:
+    """A named problem, or one from a file."""
+    from deadtime.problems import NAMED
+    from deadtime.problems.file import load_problem
+    from deadtime.problems.literature import is_named
+
+    return NAMED[str(place)]() if is_named(place) else load_problem(place)
+
+
+def problem_with(
+    place: Path, step: float | str | None, horizon: float | None, x0: str | None
+) -> Problem:
+    """A problem with another sampling period, horizon or state at the start, where they are given.
+
+    It is built anew: signals reach as far as the run, observers have its period.
+    """
+    from deadtime.problems.file.load import problem_with_run
+
+    run: dict[str, Any] = {"step": step, "horizon": horizon}
+    run["x0"] = None if x0 is None else numbers_of("x0", x0)
+    changes = {key: value for key, value in run.items() if value is not None}
+    return problem_with_run(place, changes) if changes else problem_of(place)
+
+
+def one_or_several(name: str, text: str) -> float | list[float]:
+    """One number for all, or several with commas between them."""
+    numbers = numbers_of(name, text)
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def numbers_of(name: str, text: str) -> list[float]:
+    """Numbers with commas between them."""
+    try:
+        return [float(number) for number in text.split(",")]
+    except ValueError:
+        raise ArgumentError(
+            f"{name} must be numbers with commas between them, such as --{name} 1,-0.5, "
+            f"got {text!r}."
+        ) from None
+
+
+def with_step(problem: Problem, step: float | None) -> Problem:
+    """A problem at another period; modes that change at its samples may change between those."""
+    from deadtime.base.checks import positive
+    from deadtime.plant.steps import snap
+
+    if step is None:
+        return problem
+    kept = snap((problem.step or 0.0) / positive("step", step)).is_integer()
+    at = problem.signals.at if kept else "anywhere"
+    return replace(problem, step=step, signals=replace(problem.signals, at=at))
+
+
+def delays_from(text: str) -> float | list[float] | list[list[float]]:
+    """Delays as a problem file writes them: a number, or lists in brackets."""
+    import json
+
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = None
+    if isinstance(value, bool) or not isinstance(value, (int, float, list)):
+        raise ArgumentError(
+            f"--delays must be two numbers, or two lists such as [0.3,0.1], got {text!r}: leave "
+            "out spaces, or quote each list."
+        )
+    return value
+
+
+def times_from(name: str, text: str | None) -> list[float] | None:
+    """Seconds with commas between them."""
+    return None if text is None else numbers_of(name, text)
+
+
+def signals_and_step(
+    problem: Problem,
+    dwell_time: str | None,
+    maximum_dwell: str | None,
+    chatter: int | None,
+    **others: Any,
+) -> tuple[AssumedSignals, float]:
+    """The signals and the period, in seconds, that a problem asks about.
+
+    `others`: what problems do not know of signals, as `signals_of` takes it.
+    """
+    from deadtime.problems.switching_assumptions import signals_of, step_of
+
+    promised = problem.signals.dwell_time is not None
+    if dwell_time is None and not promised and problem.switching is not None:
+        raise ArgumentError(
+            f"the problem {problem.name!r} has a model of its switching, which promises no dwell "
+            "time, and no [signal] that does: the shortest sojourn of one drawn signal says "
+            "nothing of others. Give --dwell-time."
+        )
+    times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
+    return signals_of(problem, problem.signal, *times, chatter, **others), step_of(problem)
+
+
+def kept_by_search(
+    problem: Problem,
+    dwell_time: str | None,
+    maximum_dwell: str | None,
+    mode: int | None,
+    chatter: int | None,
+    at: Instants | None,
+) -> SignalClass:
+    """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
+    from deadtime.margins.dwell_time import SHORT
+    from deadtime.problems.switching_assumptions import signals_of, step_of
+
+    times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
+    least = times[0]
+    if least is None and mode is None and len(set(problem.limits.dwell_time)) == 1:
+        least = [SHORT * step_of(problem)]  # one for all modes says nothing of their proportions
+    return signals_of(problem, problem.signal, least, times[1], chatter, at).signals

@@ -1,0 +1,299 @@
+"""The [observer] and the [mode_filter] of a problem file: what stands for states and modes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import numbered
+from deadtime.estimation import (
+    ModeFilter,
+    Observer,
+    OutputFeedback,
+    OutputModeFilter,
+    Servo,
+    kalman,
+    luenberger,
+)
+from deadtime.feedback import Law
+from deadtime.plant import SwitchedSystem
+from deadtime.problems.file.servo import FileServo, watching
+from deadtime.problems.toml import Shape
+from deadtime.problems.toml.sections import (
+    Matrices,
+    Matrix,
+    Poles,
+    PolesPerMode,
+    Section,
+    Texts,
+    Vector,
+)
+from deadtime.switching import SwitchingModel
+
+
+class _Measured(Section):
+    """What is measured, y = C_σ x, and an observer to estimate the state; at the run's period."""
+
+    C: Annotated[Matrix | Matrices, Shape("(p, n), or one for each mode", [[1.0, 0.0]])] = Field(
+        description="p × n, or one such matrix per mode."
+    )
+    outputs: Annotated[Texts, Shape("a list of texts", ["position"])] = Field(
+        [], description="Names of the outputs, for figures; that of the state where one is output."
+    )
+    estimate: Annotated[Vector | None, Shape("(n,)", [1.0, 0.0])] = Field(
+        None, description="First estimate of the state; 0 by default."
+    )
+    covariance: Annotated[Matrix | None, Shape("(n, n)", [[0.1, 0.0], [0.0, 0.1]])] = Field(
+        None, description="Covariance of the first estimate: every run draws its own."
+    )
+    model: Literal["modes", "mean"] | int = Field(
+        "modes",
+        description='What it predicts with: "modes" the measured mode; "mean" the mean of all, or '
+        "a number that mode for ever, and then it reads no mode.",
+    )
+
+
+class LuenbergerObserver(_Measured):
+    """An observer by pole placement."""
+
+    kind: Literal["luenberger"]
+    poles: Annotated[
+        Poles | PolesPerMode, Shape("a list of poles, or one for each mode", [-4.0, -5.0])
+    ] = Field(description="Poles of the error for all modes, or a list per mode, 1/s.")
+
+
+class KalmanObserver(_Measured):
+    """The steady-state Kalman filter of every mode."""
+
+    kind: Literal["kalman"]
+    process: Annotated[Matrix, Shape("(n, n)", [[1.0, 0.0], [0.0, 1.0]])] = Field(
+        description="Intensity of the white process noise, n × n."
+    )
+    measurement: Annotated[Matrix, Shape("(p, p)", [[0.01]])] = Field(
+        description="Covariance of the noise of a sample, p × p."
+    )
+
+
+ObserverSection = Annotated[LuenbergerObserver | KalmanObserver, Field(discriminator="kind")]
+
+
+def add_observers(
+    laws: dict[str, Law],
+    section: LuenbergerObserver | KalmanObserver | None,
+    step: float | None,
+    numbers: Callable[[list], list],
+    servos: Mapping[str, Servo],
+    following: FileServo | None,
+) -> dict[str, Law]:
+    """The laws on the estimates of observers, each designed for its law's own model.
+
+    A law that measures outputs by itself, on a belief, stays as it is. A law of a servo without an
+    observer is told the whole state.
+    """
+    if section is None and not servos:
+        return laws
+    if step is None:
+        raise ArgumentError(
+            'an observer runs at samples: give [run] a step in seconds, not "ideal".'
+        )
+    found = {}
+    for name, law in laws.items():
+        if law.outputs is not None:
+            found[name] = law
+            continue
+        servo, options = servos.get(name), {}
+        if servo is not None and following is not None:
+            options = {"servo": servo, "reference": following.reference}
+        if section is None:
+            assert servo is not None
+            found[name] = OutputFeedback(law, watching(servo, step), **options)
+            continue
+        if servo is None:
+            observer = observer_of(law.plant, section, step, numbers)
+        else:
+            observer = observer_of(servo.model, section, step, numbers, servo.C)
+        first = {"estimate": section.estimate, "covariance": section.covariance}
+        found[name] = OutputFeedback(law, observer, **first, **options)
+    return found
+
+
+def names_of(C: Float[np.ndarray, "mode p n"], states: Sequence[str]) -> tuple[str, ...]:
+    """Names of outputs: that of a state where they are it in every mode, else numbered."""
+    names = list(numbered("y", C.shape[1]))
+    for i in range(len(names)):
+        rows = np.unique(C[:, i], axis=0)
+        if len(rows) == 1 and np.count_nonzero(rows) == 1 and rows.max() == 1.0:
+            names[i] = states[int(np.argmax(rows[0]))]
+    return tuple(names)
+
+
+def observer_of(
+    plant: SwitchedSystem,
+    section: LuenbergerObserver | KalmanObserver,
+    step: float,
+    numbers: Callable[[list], list],
+    C: ArrayLike | None = None,
+) -> Observer:
+    """The observer of a section, designed for a plant; with a C of its own where that is given."""
+    C, model = section.C if C is None else C, section.model
+    if isinstance(section, KalmanObserver):
+        return kalman(plant, C, section.process, section.measurement, step, model=model)
+    return luenberger(plant, C, numbers(section.poles), step, model=model)
+
+
+Observed = tuple[Callable[[SwitchedSystem], Observer], ObserverSection]
+
+
+class ModeFilterSection(Section):
+    """A belief over the modes from measured states, or outputs, for laws of kind "belief".
+
+    With an [observer] it takes the outputs y = C x and the first estimate of that.
+    """
+
+    disturbance: Annotated[
+        float | Vector | Matrix | Matrices | None,
+        Shape("a number, (n,), (n, n), or (n, n) for each mode", [1e-4, 1e-4]),
+    ] = Field(
+        None,
+        description="Intensity of white process noise, x² per second; as of white-disturbance. 0 "
+        "by default, or the process of a Kalman [observer].",
+    )
+    noise: Annotated[float | Vector | None, Shape("a number, (n,) or (p,)", [0.01, 0.01])] = Field(
+        None,
+        description="Standard deviation of the noise of a sample, as of noise. 0 by default, or "
+        "that of the measurement of a Kalman [observer].",
+    )
+    covariance: Annotated[
+        float | Vector | Matrix | None, Shape("a number, (n,) or (n, n)", [1.0, 1.0])
+    ] = Field(
+        None, description="Of the first state about the estimate of [observer], which needs it; x²."
+    )
+    gains: Literal["kalman", "observer"] = Field(
+        "kalman",
+        description="What corrects estimates: Kalman's gains, sample by sample, or those of "
+        "[observer].",
+    )
+    switches: Literal["anywhere", "samples"] | None = Field(
+        None,
+        description="Whether the mode may change within periods, or at samples only; as the model "
+        "of [switching] does by default.",
+    )
+    forgetting: float = Field(
+        1e-9, description="Part of the belief, in (0, 1), that all modes share after every sample."
+    )
+    initial: Annotated[Vector | None, Shape("(modes,)", [0.5, 0.5])] = Field(
+        None, description="Probability of each mode at time 0; that of [switching] by default."
+    )
+    ages: int | None = Field(
+        None, description="Most ages (samples) that are told apart where age matters."
+    )
+    allow_alike: bool = Field(False, description="Accept modes that nothing tells apart.")
+
+
+def build_mode_filter(
+    section: ModeFilterSection | None,
+    plant: SwitchedSystem,
+    model: SwitchingModel | None,
+    step: float | None,
+    observed: Observed | None,
+) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
+    """What makes the filter of a law that believes in a plant; tried on the file's own first.
+
+    `observed` is the [observer] of the file and what makes it for a plant, where it has one.
+    """
+    if section is None:
+        return None
+    if model is None:
+        raise ArgumentError("a mode filter needs a [switching] section: how the mode switches.")
+    if step is None:
+        raise ArgumentError(
+            'a mode filter runs at samples: give [run] a step in seconds, not "ideal".'
+        )
+    if observed is None:
+        for name, left in (("covariance", None), ("gains", "kalman")):
+            if getattr(section, name) != left:
+                raise ArgumentError(
+                    f"{name} is for outputs: give an [observer], or leave out {name}."
+                )
+        filter_of = partial(_mode_filter, section, model, step)
+    else:
+        filter_of = partial(_output_filter, section, observed, model, step)
+    filter_of(plant)
+    return filter_of
+
+
+def _mode_filter(
+    section: ModeFilterSection, model: SwitchingModel, step: float, plant: SwitchedSystem
+) -> ModeFilter:
+    disturbance, noise = section.disturbance, section.noise
+    return ModeFilter(
+        plant,
+        model,
+        step,
+        disturbance=0.0 if disturbance is None else disturbance,
+        noise=0.0 if noise is None else noise,
+        **_options(section, plant),
+    )
+
+
+def _output_filter(
+    section: ModeFilterSection,
+    observed: Observed,
+    model: SwitchingModel,
+    step: float,
+    plant: SwitchedSystem,
+) -> OutputModeFilter:
+    if section.covariance is None:
+        raise ArgumentError(
+            "covariance must be given beside an [observer]: how well its estimate of the first "
+            "state is known, x²."
+        )
+    observer, given = observed
+    disturbance, noise = _noise_of(given)
+    return OutputModeFilter(
+        plant,
+        model,
+        step,
+        observer(plant) if section.gains == "observer" else given.C,
+        covariance=section.covariance,
+        disturbance=disturbance if section.disturbance is None else section.disturbance,
+        noise=_deviations(noise) if section.noise is None else section.noise,
+        estimate=given.estimate,
+        **_options(section, plant),
+    )
+
+
+def _noise_of(given: ObserverSection) -> tuple[Any, Any]:
+    """Intensity of the process noise and covariance of the outputs' that an observer is for."""
+    if isinstance(given, KalmanObserver):
+        return given.process, np.array(given.measurement)
+    return 0.0, np.zeros((1, 1))
+
+
+def _deviations(R: Float[np.ndarray, "p p"]) -> Any:
+    """Standard deviations of outputs whose noise is independent."""
+    variance = np.diagonal(R)
+    if (np.diag(variance) != R).any() or (variance < 0.0).any():
+        raise ArgumentError(
+            "noise must be given: the measurement of [observer] is not diagonal, and a mode "
+            "filter takes the noise of outputs to be independent."
+        )
+    return np.sqrt(variance) if R.shape != (1, 1) else float(np.sqrt(variance[0]))
+
+
+def _options(section: ModeFilterSection, plant: SwitchedSystem) -> dict[str, Any]:
+    """What both kinds of filter take alike."""
+    initial = section.initial
+    if initial is not None and len(initial) != plant.modes:
+        raise ArgumentError(
+            f"initial must have {plant.modes} entries, one for each mode, got {len(initial)}."
+        )
+    names = ("switches", "forgetting", "initial", "ages", "allow_alike")
+    return {name: getattr(section, name) for name in names}

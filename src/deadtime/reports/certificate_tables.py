@@ -1,0 +1,443 @@
+"""Certificates of a problem's laws, and the theorem's constants, as rows, sentences and JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from functools import partial
+from operator import call
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import positive, reporter
+from deadtime.base.errors import ArgumentError, SolverError
+from deadtime.base.json_records import record
+from deadtime.base.threads import in_order
+from deadtime.base.wording import as_rate, compact, sentence_of, with_names
+from deadtime.certificates import TheoremBound, theorem_bound
+from deadtime.certificates.theorem.bound import stated_forms
+from deadtime.plant.switched_system import check_delays
+from deadtime.problems import Problem
+from deadtime.switching import SignalClass
+
+if TYPE_CHECKING:
+    from deadtime.certificates import Certificate, WorstCase
+    from deadtime.margins.delay import DelayMargin
+    from deadtime.plant import UncertainPlant
+
+
+HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
+LEGEND = (
+    "Stable: for every such signal; no: one makes |x| grow; no answer: neither was found. Decay: "
+    "the rate at which every run falls at least. Proved: verified in ball arithmetic, also where a "
+    "witness refutes. Growth: of the worst signal found. "
+    "Delay margin: true delays, of several what all may be off by, between which the law as it is "
+    "keeps every constant mode stable."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is known about one law.
+
+    Attributes
+    ----------
+    law : str
+    certificate : Certificate or None
+        None where the question could not be put; `reason` says why.
+    worst : WorstCase or None
+        The worst signal found; None where none could be searched for.
+    margin : DelayMargin or None
+        The true delays with which every constant mode is stable.
+    reason : str
+        Why something is missing; empty otherwise.
+    """
+
+    law: str
+    certificate: Certificate | None
+    worst: WorstCase | None
+    margin: DelayMargin | None
+    reason: str = ""
+
+    @property
+    def stable(self) -> bool | None:
+        """The certificate's answer; None where there is none."""
+        return None if self.certificate is None else self.certificate.stable
+
+
+def judge(
+    problem: Problem,
+    signals: SignalClass,
+    step: float,
+    laws: Sequence[str] | None = None,
+    decay_rate: float | None = None,
+    progress: Callable[[str], None] | None = None,
+    delays: tuple[ArrayLike, ArrayLike] | None = None,
+    trying: Callable[[str], None] | None = None,
+    uncertain: bool = False,
+) -> list[Judged]:
+    """Certificate, worst signal and delay margin of each law of a problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its signal is not read.
+    signals : SignalClass
+        Worst signals keep an average dwell time in every sojourn.
+    step : float
+        Sampling period, seconds.
+    laws : sequence of str, optional
+        Names of laws; all by default.
+    decay_rate : float, optional
+        The rate to certify, 1/s; as `certify` chooses by default.
+    progress : callable, optional
+        Called with a few words after each law's certificate.
+    delays : (low, high), optional
+        Ranges of the true delays, as `certify` takes them.
+    trying : callable, optional
+        Called with a few words whenever something else is tried for one of the laws, from the
+        thread that tries it.
+    uncertain : bool
+        Whether to certify all plants that the problem's [uncertainty] leaves open.
+
+    Raises
+    ------
+    ArgumentError
+        If a law is not there, a time is not positive or delays do not fit the plant. A law that
+        cannot be certified is a result with a reason.
+    """
+    from deadtime.certificates import certify
+
+    plant = problem.plant if not uncertain else uncertain_plant(problem)
+    step = positive("step", step)
+    for end in delays or ():
+        check_delays(end, problem.plant.delays.shape, "delays")
+    progress, trying = reporter("progress", progress), reporter("trying", trying)
+    names = list(problem.laws) if laws is None else list(laws)
+    for name in names:
+        problem.law(name)
+    certified: dict[str, Future[Certificate]] = {name: Future() for name in names}
+
+    def prove(name: str) -> None:
+        law = problem.laws[name]
+        try:
+            found = certify(
+                plant,
+                law,
+                signals,
+                step,
+                decay_rate=decay_rate,
+                delays=delays,
+                progress=lambda what: trying(f"{name}: {what}"),
+            )
+            certified[name].set_result(found)
+        except BaseException as error:
+            certified[name].set_exception(error)
+
+    def search(name: str) -> Judged:
+        return _judge(problem, name, certified[name], signals, step)
+
+    # A solver leaves Python to the other threads, a search for signals does not: the solver of the
+    # law that takes longest works beside the searches of the others.
+    proofs, searches = ([partial(work, name) for name in names] for work in (prove, search))
+    answers = in_order(call, [*proofs, *searches])
+    for name in names:
+        next(answers)
+        progress(f"certified: {name}")
+    return list(answers)
+
+
+def uncertain_plant(problem: Problem) -> UncertainPlant:
+    """What the problem's [uncertainty] leaves open."""
+    if problem.uncertain is None:
+        raise ArgumentError(
+            f"the problem {problem.name!r} has no [uncertainty], as `deadtime identify` writes it: "
+            "without it only its one plant can be certified."
+        )
+    return problem.uncertain
+
+
+def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) -> list[str]:
+    """Which plants an answer is about, where the file leaves some open."""
+    if problem.uncertain is None:
+        return []
+    if uncertain:
+        where = "intervals of 95 %" if delays is None else "ranges of --delays"
+        return [
+            "Every plant of [uncertainty]: A and B in their ellipsoid of 95 %, delays in their "
+            f"{where}."
+        ]
+    return [
+        "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."
+    ]
+
+
+def _judge(
+    problem: Problem,
+    name: str,
+    certified: Future[Certificate],
+    signals: SignalClass,
+    step: float,
+) -> Judged:
+    """The worst signal and the delay margin beside a certificate, which is waited for."""
+    from deadtime.certificates import falsify
+    from deadtime.margins.delay import constant_delay_margin
+    from deadtime.spectrum.affordable import why_left_out
+
+    plant, law = problem.plant, problem.laws[name]
+    try:
+        certificate = certified.result()
+    except ArgumentError as error:
+        return Judged(name, None, None, None, str(error))
+    worst, margin, reason = certificate.witness, None, ""
+    try:
+        if worst is None and certificate.stable:
+            worst = falsify(plant, law, signals, step)
+        too_long = why_left_out("delay margin", plant, law, step)
+        if too_long:
+            return Judged(name, certificate, worst, None, sentence_of(too_long))
+        margin = constant_delay_margin(plant, law, step)
+    except ArgumentError as error:
+        reason = "" if certificate.stable is None else str(error)
+    return Judged(name, certificate, worst, margin, reason)
+
+
+def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
+    """Rows of the table of certificates, columns as in `HEADINGS`."""
+    return [
+        (
+            one.law,
+            {True: "yes", False: "no", None: "no answer"}[one.stable],
+            _decay(one.certificate),
+            _proof_in_words(one.certificate),
+            _growth(one.worst),
+            margin_text(one.margin),
+        )
+        for one in judged
+    ]
+
+
+def left_out(problem: Problem) -> list[str]:
+    """That certificates know nothing of a problem's imperfections, if it has any.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from dataclasses import replace
+    >>> from deadtime.imperfections import Dropout
+    >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
+    ['Not covered: Dropout(probability=0.1). Certificates are about the loop without it.']
+    """
+    named = ", ".join(problem.imperfections_in_words)
+    them = "it" if len(problem.imperfections) == 1 else "them"
+    said = f"Not covered: {named}. Certificates are about the loop without {them}."
+    return [said] * bool(named)
+
+
+def certificate_sentences(judged: Sequence[Judged]) -> list[str]:
+    """A sentence or two per law: the certificate's own words, or why there is none."""
+    texts = []
+    for one in judged:
+        said = one.reason if one.certificate is None else one.certificate.message
+        if one.certificate is not None and one.reason:
+            said += " " + one.reason
+        texts.append(f"{one.law}: {said}")
+    return texts
+
+
+def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
+    """The same for JSON."""
+    from deadtime.certificates import Certificate
+
+    answer = ("stable", "decay_rate", "proven", "message", "statement")
+    worst = ("growth_rate", "proven", "modes", "sojourns", "phase", "message")
+    return {
+        one.law: {
+            **record(one.certificate or Certificate(None, one.reason), *answer),
+            "worst_signal": one.worst and record(one.worst, *worst),
+            "delay_margin": one.margin and record(one.margin, "lower", "upper", "message"),
+        }
+        for one in judged
+    }
+
+
+def margin_text(margin: DelayMargin | None) -> str:
+    """The true delays that are allowed, for a table; of several, their common error.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349, differ=False))
+    '0.9866 to 1.013'
+    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf"), differ=False))
+    'any'
+    >>> margin_text(SimpleNamespace(lower=0.25, upper=0.75, nominal=0.5, differ=True))
+    '−0.25 to +0.25'
+    >>> margin_text(SimpleNamespace(lower=0.1, upper=float("inf"), nominal=0.5, differ=True))
+    'from −0.4'
+    """
+    if margin is None:
+        return "–"
+    if margin.lower is None or margin.upper is None:
+        return "none"
+    if margin.differ:
+        ends = margin.nominal - margin.lower, margin.upper - margin.nominal
+        low, high = (sign + _shorten(x, ROUND_FLOOR) for sign, x in zip("−+", ends, strict=True))
+    else:
+        low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
+    if margin.lower == 0.0:
+        return f"up to {high}" if math.isfinite(margin.upper) else "any"
+    return f"{low} to {high}" if math.isfinite(margin.upper) else f"from {low}"
+
+
+def _shorten(value: float, rounding: str) -> str:
+    """To four digits, rounded up or down."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    exact = Decimal(str(float(value)))
+    return f"{float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - 3), rounding)):.4g}"
+
+
+def delay_sentence(problem: Problem) -> list[str]:
+    """What a wrong delay does to the problem's first law; nothing where that cannot be asked.
+
+    Where it would take long, that it was left out.
+    """
+    from deadtime.margins.delay import constant_delay_margin
+    from deadtime.spectrum.affordable import why_left_out
+
+    name, law = next(iter(problem.laws.items()))
+    too_long = why_left_out("delay margin", problem.plant, law, problem.step)
+    if too_long:
+        return [sentence_of(too_long)]
+    try:
+        margin = constant_delay_margin(problem.plant, law, problem.step)
+    except ArgumentError:
+        return []
+    but = ", but for the imperfections," if problem.imperfections else ""
+    return [with_names(f"Under the law “{name}”{but} {margin.message}.", problem.modes)]
+
+
+def _decay(certificate: Certificate | None) -> str:
+    rate = None if certificate is None else certificate.decay_rate
+    return "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
+
+
+def _proof_in_words(certificate: Certificate | None) -> str:
+    if certificate is None or certificate.stable is None:
+        return "–"
+    if certificate.stable:
+        return "yes" if certificate.proven else "numerical"
+    return "witness"
+
+
+def _growth(worst: WorstCase | None) -> str:
+    rate = None if worst is None else worst.growth_rate
+    return "–" if rate is None or not math.isfinite(rate) else as_rate(rate)
+
+
+_FORMS = {"printed": "as printed", "corrected": "corrected", "sharp": "sharp"}
+
+
+def bound_headings(
+    bounds: Mapping[str, TheoremBound], published: Mapping[str, float] | None = None
+) -> tuple[str, ...]:
+    """Of the columns of `bound_rows`."""
+    headings = ("constant", *(_FORMS[form] for form in bounds))
+    return (*headings, "figure in the text") if published else headings
+
+
+def bounds_of(problem: Problem, dwell_time: float) -> dict[str, TheoremBound]:
+    """The bound in those of its forms that the delays allow: printed, corrected, sharp."""
+    forms = stated_forms(problem.plant) or ("sharp",)
+    return {
+        form: theorem_bound(problem.plant, problem.gains, dwell_time, form=form) for form in forms
+    }
+
+
+def theorem_refusal(error: Exception) -> str:
+    """Why there are no constants of the theorem: it does not apply, or a solver failed."""
+    if isinstance(error, SolverError):
+        return f"The theorem's constants were not computed: {error}"
+    return f"The theorem does not apply: {error}"
+
+
+def bound_rows(
+    bounds: Mapping[str, TheoremBound], published: Mapping[str, float] | None = None
+) -> list[tuple[str, ...]]:
+    """Rows (quantity, a value per form), and a column of published figures if any.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> rows = bound_rows(bounds_of(dt.problems.paper(), 0.2), dt.problems.paper().constants)
+    >>> rows[0]
+    ('distance ε', '0.7895', '0.7895', '0.7895', '0.7895')
+    """
+
+    def large(name: str, log_name: str):
+        def write(bound: TheoremBound) -> str:
+            value, logarithm = getattr(bound, name), getattr(bound, log_name)
+            if value is None:
+                return "–"
+            return compact(value) if 0.0 < value < float("inf") else f"10^{logarithm:.1f}"
+
+        return write
+
+    quantities = {
+        "distance ε": lambda bound: f"{bound.epsilon:.4g}",
+        "allowed distance ε*": large("epsilon_star", "log10_epsilon_star"),
+        "ν₁": large("nu1", "log10_nu1"),
+        "ν₂": large("nu2", "log10_nu2"),
+        "κ": large("kappa", "log10_kappa"),
+        "b": lambda bound: _optional(bound.b),
+        "δ₁(ε)": lambda bound: compact(bound.delta1(bound.epsilon)),
+        "δ₂(ε)": lambda bound: compact(bound.delta2(bound.epsilon)),
+        "μ, 1/s": lambda bound: _optional(bound.mu),
+        "ρ": large("rho", "log10_rho"),
+        "ξ, 1/s": lambda bound: _optional(bound.xi),
+        "ε < ε*": lambda bound: "yes" if bound.holds else "no",
+    }
+    rows = []
+    for name, write in quantities.items():
+        row = (name, *(write(bound) for bound in bounds.values()))
+        if published:
+            row += (f"{published[name]:.4g}" if name in published else "",)
+        rows.append(row)
+    return rows
+
+
+def bound_sentence(bounds: Mapping[str, TheoremBound]) -> str:
+    """What the constants say about the plant at hand."""
+    sharp, printed, ratio = bounds["sharp"], bounds.get("printed"), ""
+    if printed is not None:
+        gained = sharp.log10_epsilon_star - printed.log10_epsilon_star
+        ratio = (
+            f" The sharp form allows 10^{gained:.1f} times the distance that the printed one does."
+        )
+    if sharp.holds:
+        return (
+            f"The theorem proves this loop stable, updated continuously: |x| decays at least as "
+            f"e^(−{sharp.xi:.2g} t), for every signal with the dwell time.{ratio}"
+        )
+    return (
+        f"The theorem says nothing about this loop: its modes and gains differ by ε = "
+        f"{compact(sharp.epsilon)}, and even the sharp form allows {compact(sharp.epsilon_star)}."
+        f"{ratio}"
+    )
+
+
+def bounds_record(bounds: Mapping[str, TheoremBound]) -> dict[str, dict[str, Any]]:
+    """The constants for JSON, which knows no infinity: their logarithms are always there."""
+    names = ("epsilon", "epsilon_star", "nu1", "nu2", "kappa", "b", "mu", "rho", "xi")
+    logs = [f"log10_{name}" for name in ("epsilon_star", "nu1", "nu2", "kappa", "rho")]
+    told = (*names, *logs, "holds", "message")
+    return {form: record(bound, *told) for form, bound in bounds.items()}
+
+
+def _optional(value: float | None) -> str:
+    return "–" if value is None else compact(value)

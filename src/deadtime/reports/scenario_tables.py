@@ -1,0 +1,481 @@
+"""Many scenarios in numbers: quantiles, wins and ratios of the laws, of one problem or of a sweep.
+
+A scenario on which a law diverges counts as infinitely dear for it: the figures of such a run
+are only those up to its end, and would flatter the law.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.json_records import plain
+from deadtime.base.latex import booktabs
+from deadtime.base.wording import compact
+from deadtime.reports.figures.sweeps.panels import symbol_of
+from deadtime.reports.figures.sweeps.reduction import score_of
+from deadtime.reports.figures.sweeps.selection import (
+    RATES,
+    RUNS,
+    laws_of,
+    long_axes,
+    metrics_of,
+    one_of,
+    oracle_of,
+    select,
+    text_of,
+)
+from deadtime.scenarios.dataset import Comparison, formula_of
+from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired.statistics import mean_interval, median_interval, quotient
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+ORACLE = "oracle"
+LEVELS = (0.05, 0.5, 0.95)
+GROWN = 1e6  # times a peak of x under the same push: no push does that to a loop that decays
+_INTERVAL = "95 % interval"
+
+
+class ThreeQuantiles(NamedTuple):
+    """The 5 % quantile, the median and the 95 % quantile; ∞ where diverged runs reach into them."""
+
+    low: float
+    median: float
+    high: float
+
+
+class Interval(NamedTuple):
+    """Ends of a 95 % confidence interval; infinite where a median is of fewer than 6 scenarios."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class LawSummary:
+    """One law over all scenarios.
+
+    Attributes
+    ----------
+    law : str
+    cost, ise : Quantiles
+        Of the cost and of ∫|x|².
+    best : float
+        Share of scenarios on which no law does better, 0 to 1; ties count for each.
+    relative : float
+        Median of what ranks the laws, over that of the reference law.
+    diverged : int
+        Number of scenarios on which the law diverged.
+    interval, relative_interval : Interval
+        Of the median of what ranks the laws, and of `relative`: order statistics, which hold the
+        true median with a probability of at least 95 % whatever the distribution.
+    best_interval : Interval
+        Of `best`, Wilson's.
+    grew : int
+        Number of scenarios on which it diverged, or |x| grew; see `summary`.
+    iae : Quantiles or None
+        Of ∫|r − y|, where all laws follow a reference.
+    """
+
+    law: str
+    cost: ThreeQuantiles
+    ise: ThreeQuantiles
+    best: float
+    relative: float
+    diverged: int
+    grew: int
+    interval: Interval
+    relative_interval: Interval
+    best_interval: Interval
+    iae: ThreeQuantiles | None = None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All laws over the same scenarios.
+
+    Attributes
+    ----------
+    scenarios : int
+    reference : str
+        Law that costs are relative to: the one named "oracle", or else the first.
+    laws : tuple of LawSummary
+    measure : str
+        The metric that ranks the laws: "iae" where all follow a reference, else "cost".
+    """
+
+    scenarios: int
+    reference: str
+    laws: tuple[LawSummary, ...]
+    measure: str = "cost"
+
+    @property
+    def headings(self) -> list[str]:
+        """Of the columns of `rows`."""
+        return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "|x| grows"]
+
+    def rows(self) -> list[list[str]]:
+        """What ranks the laws, for a terminal, a row for each law."""
+        return [
+            [
+                one.law,
+                *map(compact, getattr(one, self.measure)),
+                _share(one.best),
+                compact(one.relative),
+                f"{one.grew:,}",
+            ]
+            for one in self.laws
+        ]
+
+    def rows_of(self, metric: str) -> list[list[str]]:
+        """Another metric for a terminal: law and quantiles, under the first of the headings."""
+        return [[one.law, *map(compact, getattr(one, metric))] for one in self.laws]
+
+    @property
+    def interval_headings(self) -> list[str]:
+        """Of the columns of `interval_rows`."""
+        return ["law", "median", _INTERVAL, f"/ {self.reference}", _INTERVAL]
+
+    def interval_rows(self) -> list[list[str]]:
+        """Medians of what ranks the laws, and of its ratio, with their intervals."""
+        return [
+            [
+                one.law,
+                compact(getattr(one, self.measure).median),
+                interval_text(*one.interval),
+                compact(one.relative),
+                interval_text(*one.relative_interval),
+            ]
+            for one in self.laws
+        ]
+
+    @property
+    def notes(self) -> tuple[str, str]:
+        """What the ratio is, and what intervals are."""
+        return (
+            f"/ {self.reference}: the median of the ratio on the same signal.",
+            "Intervals hold the true median at 95 % or more: order statistics, whatever the "
+            "distribution.",
+        )
+
+    def to_latex(self) -> str:
+        """The laws as a LaTeX table of the package booktabs: what ranks them, with intervals."""
+        both = zip(self.rows(), self.interval_rows(), strict=True)
+        rows = [
+            [*row[:3], more[2], *row[3:5], _shares(one.best_interval), row[5], more[4], row[6]]
+            for (row, more), one in zip(both, self.laws, strict=True)
+        ]
+        low, median, high = self.headings[1:4]
+        headings = ["law", low, median, _INTERVAL, high, "best on", _INTERVAL]
+        measure = "∫|r - y|" if self.measure == "iae" else "the cost"
+        said = [
+            f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
+            *self.notes,
+            "Those of shares are Wilson's.",
+        ]
+        return booktabs([*headings, *self.interval_headings[3:], "diverged"], rows, said)
+
+    def records(self) -> list[dict[str, Any]]:
+        """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
+        rows = plain(self.laws)
+        return [{k: v for k, v in row.items() if k != "iae" or v is not None} for row in rows]
+
+
+def summary(data: xr.Dataset | Comparison) -> Summary:
+    """Quantiles, wins and relative costs of the laws of a `monte_carlo` dataset.
+
+    With J_ℓi the cost of law ℓ on scenario i, ∞ where it diverged, law ℓ is best on the
+    scenarios with J_ℓi = min_k J_ki < ∞, and its relative cost is the median of J_ℓi / J_ri
+    over i, r being the reference law. Where all laws follow a reference J is ∫|r − y| instead.
+
+    A run has grown that diverged, or whose |x| does not decay over its second half and ends above
+    where it started; where a reference, a disturbance or noise pushes x, above `GROWN` times the
+    least peak that a law has on the same scenario.
+
+    Parameters
+    ----------
+    data : xarray.Dataset or Comparison
+        With `cost`, `ise` and `diverged` over (law, scenario).
+
+    Raises
+    ------
+    ArgumentError
+        If there is no scenario in it.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> cost = [[2.0, 4.0, 8.0], [1.0, 4.0, 9.0]]
+    >>> lost = [[False, False, True], [False, False, False]]
+    >>> dims = ("law", "scenario")
+    >>> names = {"law": ["averaged", "oracle"]}
+    >>> metrics = {"cost": (dims, cost), "ise": (dims, cost), "diverged": (dims, lost)}
+    >>> first, second = summary(xr.Dataset(metrics, names)).laws
+    >>> first.relative, first.diverged, first.cost[2], round(second.best, 2)
+    (2.0, 1, inf, 1.0)
+    """
+    count, measure = count_of(data), measure_in(data)
+    cost, ise, ranked = (losses(data, name) for name in ("cost", "ise", measure))
+    least = ranked.min(axis=0)
+    best = [Proportion.of(row) for row in (ranked == least) & np.isfinite(least)]
+    ratios, diverged = relative_costs(data), _lost(data).sum(axis=1)
+    grew = _grown(data).sum(axis=1)
+    laws = tuple(
+        LawSummary(
+            name,
+            _quantiles(cost[i]),
+            _quantiles(ise[i]),
+            best[i].fraction,
+            _quantiles(ratios[i]).median,
+            int(diverged[i]),
+            int(grew[i]),
+            _interval(ranked[i]),
+            _interval(ratios[i]),
+            Interval(*best[i].interval),
+            _quantiles(ranked[i]) if measure == "iae" else None,
+        )
+        for i, name in enumerate(names_of(data))
+    )
+    return Summary(count, reference_of(data), laws, measure)
+
+
+def measure_in(data: xr.Dataset | Comparison) -> str:
+    """The metric that ranks the laws: iae where all of them follow a reference, else the cost."""
+    held = data.results.metrics if isinstance(data, Comparison) else data
+    if "iae" not in held:
+        return "cost"
+    return "cost" if np.isnan(losses(data, "iae")).any() else "iae"
+
+
+def names_of(data: xr.Dataset | Comparison) -> list[str]:
+    """The laws, in order."""
+    if isinstance(data, Comparison):
+        return list(data.names)
+    return [str(name) for name in data["law"].values]
+
+
+def count_of(data: xr.Dataset | Comparison) -> int:
+    """How many scenarios there are; refused if there is none."""
+    count = data.scenarios if isinstance(data, Comparison) else data.sizes["scenario"]
+    if count == 0:
+        raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
+    return count
+
+
+def reference_of(data: xr.Dataset | Comparison) -> str:
+    """The law that others are held against: the oracle, or the first where there is none."""
+    names = names_of(data)
+    return ORACLE if ORACLE in names else names[0]
+
+
+def losses(data: xr.Dataset | Comparison, metric: str) -> Float[np.ndarray, "law scenario"]:
+    """A metric, infinite on diverged scenarios."""
+    return np.where(_lost(data), np.inf, _values(data, metric))
+
+
+def _values(data: xr.Dataset | Comparison, metric: str) -> Float[np.ndarray, "law scenario"]:
+    """A metric of the runs up to their ends."""
+    if isinstance(data, Comparison):
+        return data.keep(data.results.metrics[metric])
+    return data[metric].transpose("law", "scenario").values.astype(float)
+
+
+def _grown(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
+    """Where a law diverged, or |x| grew."""
+    told = data.attributes if isinstance(data, Comparison) else data.attrs
+    if "grows_above" not in told:
+        return _lost(data)
+    start = float(told["grows_above"])
+    above = start if math.isfinite(start) else GROWN * losses(data, "peak").min(axis=0)
+    rises = (_values(data, "decay_rate") < 0.0) & (_values(data, "final_norm") > above)
+    return _lost(data) | rises
+
+
+def _lost(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
+    """Where a law diverged."""
+    if isinstance(data, Comparison):
+        return data.keep(data.results.diverged)
+    return data["diverged"].transpose("law", "scenario").values.astype(bool)
+
+
+def relative_costs(data: xr.Dataset | Comparison) -> Float[np.ndarray, "law scenario"]:
+    """What ranks the laws, over that of the reference law.
+
+    1 where both are 0, infinite where a law diverged.
+    """
+    cost = losses(data, measure_in(data))
+    base = cost[names_of(data).index(reference_of(data))]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(cost == base, 1.0, cost / base)
+    return np.where(np.isinf(cost), np.inf, ratios)
+
+
+def quantile(values: Float[np.ndarray, " scenario"], level: float) -> float:
+    """The linear quantile that numpy has, also where some values are infinite.
+
+    Examples
+    --------
+    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.25)
+    2.5
+    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.5)
+    inf
+    """
+    # Between a finite value and ∞, interpolation has ∞ − ∞ in it.
+    if np.isinf(np.quantile(values, level, method="higher")):
+        return math.inf
+    highest = values[np.isfinite(values)].max()
+    return float(np.quantile(np.minimum(values, highest), level))
+
+
+def _quantiles(values: np.ndarray) -> ThreeQuantiles:
+    return ThreeQuantiles(*(quantile(values, level) for level in LEVELS))
+
+
+def interval_text(low: float, high: float) -> str:
+    """An interval for tables; a dash where there is none.
+
+    Examples
+    --------
+    >>> interval_text(1.5, 98765.0), interval_text(-np.inf, np.inf), interval_text(2.0, np.inf)
+    ('1.50 to 98,765', '–', '2.00 to ∞')
+    """
+    return "–" if low == -math.inf else f"{compact(low)} to {compact(high)}"
+
+
+def _interval(values: np.ndarray) -> Interval:
+    _, low, high = median_interval(values)
+    return Interval(float(low), float(high))
+
+
+def _shares(interval: Interval) -> str:
+    return f"{100.0 * interval.low:.1f} to {100.0 * interval.high:.1f} %"
+
+
+def _share(share: float) -> str:
+    return f"{100.0 * share:.1f} %"
+
+
+Runs = Float[np.ndarray, "*cell law scenario"]
+_PARTS = 7  # of `_figures`
+
+
+@dataclass(frozen=True)
+class SweepTable:
+    """A row for each cell and law of a sweep.
+
+    Attributes
+    ----------
+    headings : list of str
+    rows : list of list of str
+        The law, values of the axes with more than one, the median of the metric with its 95 %
+        interval, the geometric mean of its ratio to the oracle's on the same signal with its 95 %
+        interval (where the sweep has an oracle, and ratios say something), and on how many signals
+        the law diverged.
+    said : list of str
+        What the numbers are.
+    """
+
+    headings: list[str]
+    rows: list[list[str]]
+    said: list[str]
+
+    def to_latex(self) -> str:
+        """The table for LaTeX, of the package booktabs."""
+        return booktabs(self.headings, self.rows, self.said)
+
+
+def sweep_table(data: xr.Dataset, metric: str | None = None) -> SweepTable:
+    """Medians and ratios to the oracle of every cell and law of a sweep, with 95 % intervals.
+
+    A run that diverged counts as ∞. Intervals of medians are order statistics, which hold the true
+    median with a probability of at least 95 % whatever the distribution; those of geometric means
+    are Student's for the mean of the logarithms. Cells that are not run yet, and laws that could
+    not be built, have a dash.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From `deadtime.open_sweep` or `deadtime.sweep`; reduced chunk by chunk where it is lazy.
+    metric : str, optional
+        A metric of the sweep; ise by default, or its first where it has none.
+
+    Raises
+    ------
+    ArgumentError
+        If the sweep has no such metric, or no cell is done.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> dims, values = ("delay", "law", "scenario"), [[[2.0] * 8, [1.0] * 8]]
+    >>> variables = {"ise": (dims, values), "diverged": (dims, np.zeros((1, 2, 8), dtype=bool))}
+    >>> names = {"delay": [0.5], "law": ["mean", "oracle"]}
+    >>> sweep_table(xr.Dataset(variables, names, {"oracle": "oracle"})).rows[0]
+    ['mean', '2.00', '2.00 to 2.00', '2.00', '2.00 to 2.00', '0']
+    """
+    import xarray as xr
+
+    known = metrics_of(data)
+    default = "ise" if "ise" in known else known[0]
+    metric = default if metric is None else one_of("metric", metric, known)
+    kept = select(data, metric)
+    laws, oracle = laws_of(kept), oracle_of(kept) if metric not in RATES else ""
+    found = xr.apply_ufunc(
+        _figures,
+        score_of(kept, metric),
+        kwargs={"oracle": laws.index(oracle) if oracle else -1},
+        input_core_dims=[RUNS],
+        output_core_dims=[("law", "part")],
+        dask="parallelized",
+        output_dtypes=[float],
+        dask_gufunc_kwargs={"output_sizes": {"part": _PARTS}},
+    ).compute()
+    axes = long_axes(kept)
+    rows = []
+    for place in np.ndindex(found.shape[:-1]):
+        at = dict(zip(found.dims, place, strict=False))
+        cell = [text_of(kept[name].values[at[name]]) for name in axes]
+        rows.append([laws[at["law"]], *cell, *_row(found.values[place], metric, bool(oracle))])
+    ratio = [f"/ {oracle}", "95 % interval"] if oracle else []
+    symbol = formula_of(kept[metric]) if metric == "cost" else symbol_of(metric)
+    headings = ["law", *axes, f"median {symbol}", "95 % interval", *ratio, "diverged"]
+    said = [
+        f"deadtime: medians of {symbol} over {kept.sizes['scenario']:,} signals a cell, and their",
+        "distribution-free intervals (order statistics)"
+        + (f"; / {oracle}: the geometric mean of the ratio" if oracle else ""),
+        *(["on the same signal, and Student's interval of the logarithms' mean"] if oracle else []),
+    ]
+    return SweepTable(headings, rows, said)
+
+
+def _figures(runs: Runs, oracle: int) -> np.ndarray:
+    """Median and its ends, ratio to the oracle and its ends, and how many runs diverged."""
+    runs = np.asarray(runs, dtype=float)
+    parts = [*median_interval(runs)]
+    if oracle >= 0:
+        parts += mean_interval(quotient(runs, runs[..., [oracle], :]))
+    else:
+        parts += [np.full(runs.shape[:-1], np.nan)] * 3
+    lost = np.where(np.isnan(runs).any(axis=-1), np.nan, np.isinf(runs).sum(axis=-1))
+    return np.stack([*parts, lost], axis=-1)
+
+
+def _row(parts: np.ndarray, metric: str, ratio: bool) -> list[str]:
+    """The figures of one cell and law in words."""
+    if math.isnan(parts[0]):
+        return ["–"] * (5 if ratio else 3)
+    if metric in RATES:  # of either sign; −∞ where runs diverged
+        low, high = (f"{end:+.3g}" for end in parts[1:3])
+        middle = [f"{parts[0]:+.3g}", f"{low} to {high}"]
+    else:
+        middle = [compact(parts[0]), interval_text(*parts[1:3])]
+    middle += [compact(parts[3]), interval_text(*parts[4:6])] if ratio else []
+    return [*middle, f"{parts[6]:.0f}"]

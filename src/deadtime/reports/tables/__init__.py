@@ -1,1 +1,0 @@
-"""Tables, as the command line and reports print them."""
