@@ -15,7 +15,7 @@ from deadtime.numerics.stacked import balanced, discretise_all
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 from deadtime.spectrum.input_units import in_units, units_of
-from deadtime.spectrum.lifted import aged_row
+from deadtime.spectrum.lifted import aged_row, transform
 from deadtime.spectrum.response import LoopResponse, offsets_of
 
 _CUTS = 5  # delays within a period at which the delay line is tried
@@ -59,8 +59,6 @@ class DigitalResponse(LoopResponse):
         return z - self.Phi, 1j * self.step * z
 
     def law(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from deadtime.spectrum.lifted_kernels import transform
-
         g, slope = transform(self.G, np.exp(-1j * omega * self.step))
         return np.eye(g.shape[1]) - g, 1j * self.step * slope
 

@@ -24,8 +24,7 @@ from deadtime.numerics.exponential import balance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
 from deadtime.spectrum.ideal import IdealLoop
-from deadtime.spectrum.lifted import aged_row
-from deadtime.spectrum.lifted_kernels import transform
+from deadtime.spectrum.lifted import aged_row, transform
 from deadtime.spectrum.observed import LawSide, periods_of
 from deadtime.switching import SwitchingSignal
 

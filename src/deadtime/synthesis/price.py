@@ -14,7 +14,6 @@ Lyapunov equation of order n + W m. No quadrature, so it is exact to round-off.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,10 +22,12 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.spectrum import aged_row
+from deadtime.spectrum.sampled_runs import LoopPeriods, cost_of_run
 
 _DONE = 1e-15  # of the cost: what the last block may add
 BLOCKS = 4000  # of one delay each
 _SHORTEST = 16  # periods
+LARGEST = 1e60  # cost: beyond, the loop grows
 
 
 def cost_and_growth(
@@ -48,51 +49,51 @@ def cost_and_growth(
     >>> round(cost_and_growth(plant, idle, 0)[0], 12)                     # ∫ e^{−2t} dt
     0.5
     """
-    from deadtime.numerics.exponential import energy_gramian
-    from deadtime.synthesis.march import cost_of_run
-
     one, step = periods_of(plant, feedback, mode), feedback.step
-    A, B = read_only(plant.A[mode]), read_only(plant.B[mode])
-    Phi, Gamma, lags, F, G, block = one.Phi, one.Gamma, one.lags, one.F, one.G, one.block
-    Q, R = (None, None) if weight is None else (weight.Q, weight.R)
-    forms = np.stack([energy_gramian(A, B, length, Q) for length in one.lengths])
-    total, growth = 0.0, -math.inf
-    for x0 in np.eye(plant.states):
-        cost, ratio = cost_of_run(Phi, Gamma, forms, lags, F, G, step, x0, block, blocks, _DONE, R)
+    block, n, m = block_of(one), plant.states, plant.inputs
+    lags, form = _form(plant, step, mode, weight)
+    line, states = np.empty((one.past + block) * m), np.empty((block, n))
+    run, total, growth = (line, states, np.empty(len(form)), blocks, _DONE, LARGEST), 0.0, -math.inf
+    for x0 in np.eye(n):
+        cost, ratio = cost_of_run(one, form, lags, x0, *run)
         if math.isinf(cost):
             return cost, math.log(max(ratio, 1.0 + 1e-9)) / (2.0 * block * step)
         total += cost
         if ratio > 0.0:
             growth = max(growth, math.log(ratio) / (2.0 * block * step))
-    return total / plant.states, growth
+    return total / n, growth
 
 
-class HeldLoop(NamedTuple):
-    """A loop with one mode held, as its compiled runs take it.
+def _form(
+    plant: SwitchedSystem, step: float, mode: int, weight: Weight | None
+) -> tuple[Int[np.ndarray, " lag"], Float[np.ndarray, "z z"]]:
+    """The lags of a period, and S with ∫xᵀQx + uᵀRu over it = zᵀ S z, z = (x_k, u_{k−lags[0]}, …).
 
-    Phi, Gamma, lags, lengths : of the pieces of a period
-    F, G : the law's row; G (m, taps·m) has the oldest tap first
-    block : periods that are run at a time, at least as many as inputs are remembered
+    The part of u is that of the input sent in the period: what follows is all of them.
     """
+    from deadtime.numerics.exponential import energy_gramian
 
-    Phi: Float[np.ndarray, "piece n n"]
-    Gamma: Float[np.ndarray, "piece n m"]
-    lags: Int[np.ndarray, "piece m"]
-    lengths: list[float]
-    F: Float[np.ndarray, "m n"]
-    G: Float[np.ndarray, "m taps_m"]
-    block: int
+    pieces, (n, m) = SampledPlant(plant, step).pieces(mode), plant.B.shape[1:]
+    A, B = read_only(plant.A[mode]), read_only(plant.B[mode])
+    Q, R = (None, np.eye(m)) if weight is None else (weight.Q, weight.R)
+    lags = np.unique(np.append(np.concatenate([one.stretch.lag for one in pieces]), 0))
+    X, form = np.eye(n, n + lags.size * m), np.zeros((n + lags.size * m,) * 2)
+    form[n : n + m, n : n + m] = step * R  # lag 0 comes first
+    for Phi, Gamma, (start, stop, lag) in pieces:
+        U = np.zeros((m, len(form)))
+        U[np.arange(m), n + np.searchsorted(lags, lag) * m + np.arange(m)] = 1.0
+        z = np.vstack((X, U))
+        form += z.T @ energy_gramian(A, B, stop - start, Q) @ z
+        X = Phi @ X + Gamma @ U
+    return lags, form
 
 
-def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> HeldLoop:
+def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> LoopPeriods:
     """One mode of a plant under the row of a mode that has been held throughout."""
     pieces = SampledPlant(plant, feedback.step).pieces(mode)
-    Phi, Gamma = np.stack([one.Phi for one in pieces]), np.stack([one.Gamma for one in pieces])
-    lags = np.stack([piece.stretch.lag for piece in pieces])
-    lengths = [piece.stretch.stop - piece.stretch.start for piece in pieces]
-    row = aged_row(feedback, mode)
-    F, G = np.ascontiguousarray(feedback.state_gain[row]), feedback.input_gain[row]
-    taps, m, _ = G.shape
-    G = np.array(G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
-    block = max(taps, int(lags.max()), _SHORTEST)
-    return HeldLoop(Phi, Gamma, lags, lengths, F, G, block)
+    return LoopPeriods.held(pieces, feedback, aged_row(feedback, mode))
+
+
+def block_of(one: LoopPeriods) -> int:
+    """Periods that are run at a time, at least as many as inputs are remembered."""
+    return max(one.past, _SHORTEST)

@@ -21,9 +21,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.certificates.worst_case.admissible import Admissible
-from deadtime.certificates.worst_case.cycle_growth import CycleTable, SampledLoop
+from deadtime.certificates.worst_case.cycle_growth import SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
+from deadtime.spectrum.sampled_runs import LoopPeriods
 
 RANK = 16
 RUNS = 32
@@ -105,7 +106,7 @@ def ranges(lengths: np.ndarray, signals: Admissible) -> tuple[np.ndarray, np.nda
 
 def _entry_table(
     loop: SampledLoop, mode: int, before: int, wait: int, shortest: int, periods: int
-) -> CycleTable:
+) -> LoopPeriods:
     """The periods of a mode that has just been entered; see `Kinds` for `before` and `wait`."""
     rows = loop.feedback.rows(np.full(periods, mode))
     if before >= 0:
@@ -116,7 +117,7 @@ def _entry_table(
 
 def _projection(
     loop: SampledLoop,
-    tables: list[CycleTable],
+    tables: list[LoopPeriods],
     lengths: np.ndarray,
     kinds: Kinds,
     low: np.ndarray,
@@ -137,7 +138,7 @@ def _projection(
 
 def _snapshots(
     loop: SampledLoop,
-    tables: list[CycleTable],
+    tables: list[LoopPeriods],
     lengths: np.ndarray,
     kinds: Kinds,
     ends: tuple[np.ndarray, np.ndarray],
