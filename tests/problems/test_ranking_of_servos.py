@@ -11,7 +11,7 @@ import deadtime as dt
 from deadtime.app.costs import table_of
 from deadtime.app.page_run import ProblemOutcome
 from deadtime.app.samples_table import csv_of
-from deadtime.imperfections.words import in_words
+from deadtime.imperfections.disturbances import in_words
 from deadtime.problems.comparison import compare
 from deadtime.reports.figures.comparison import all_laws, plot_tracking
 from deadtime.reports.tables.monte_carlo import summary

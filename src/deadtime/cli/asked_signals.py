@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def with_step(problem: Problem, step: float | None) -> Problem:
     """A problem at another period; modes that change at its samples may change between those."""
     from deadtime.base.checks import positive
-    from deadtime.plant.steps import snap
+    from deadtime.plant.sampling import snap
 
     if step is None:
         return problem

@@ -70,7 +70,7 @@ def _script(shell: Shell) -> str:
 
 
 def _install(shell: Shell, script: str) -> Path:
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
 
     try:
         path = app.install_completion(shell=shell)

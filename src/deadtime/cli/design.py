@@ -92,7 +92,7 @@ def design(
         Where to write, without suffix.
     """
     from deadtime.base.checks import index, positive
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
     from deadtime.problems.asked import step_of
     from deadtime.reports.figures.design import plot_designs
     from deadtime.reports.tables.design import design_record, problem_sections

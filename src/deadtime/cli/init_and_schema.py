@@ -40,7 +40,7 @@ def init(
     force
         Replace a file that exists.
     """
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
     from deadtime.problems.file.named_problems import template
 
     if path.exists() and not force:

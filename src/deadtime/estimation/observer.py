@@ -45,7 +45,7 @@ from deadtime.base.checks import (
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import finite_discretisation
+from deadtime.plant.sampling import finite_discretisation
 
 Model = str | int  # "modes", "mean", or the number of a mode
 

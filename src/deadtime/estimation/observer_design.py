@@ -20,7 +20,7 @@ from deadtime.estimation.observer import (
 from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, unseen_pole
 from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import finite_discretisation, quotient, quotient_poles
+from deadtime.plant.sampling import finite_discretisation, quotient, quotient_poles
 from deadtime.plant.weight import weight_matrix
 
 _NEWTON = 3  # steps: from four digits to all

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import as_floats, real_array, require_shape, require_unmasked
 from deadtime.base.errors import ArgumentError
-from deadtime.plant.steps import TOLERANCE
+from deadtime.plant.sampling import TOLERANCE
 
 
 @runtime_checkable

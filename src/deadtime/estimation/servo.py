@@ -44,7 +44,7 @@ from deadtime.estimation.observer import output_matrices, per_mode
 from deadtime.estimation.reference import check_reference
 from deadtime.gains import state_feedback as design
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import finite_discretisation
+from deadtime.plant.sampling import finite_discretisation
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

@@ -28,13 +28,10 @@ from deadtime.margins.crossing import first_crossing, unit_bands
 from deadtime.margins.loop_gain import Band, bands
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate
-from deadtime.spectrum.affordable import require_affordable
+from deadtime.spectrum.digital_response import digital_response
 from deadtime.spectrum.growth import not_decaying
-from deadtime.spectrum.held_mode_arguments import require_constant
-from deadtime.spectrum.ideal_response import IdealResponse
-from deadtime.spectrum.observed_response import digital_response
-from deadtime.spectrum.one_input import OneInput
-from deadtime.spectrum.response import LoopResponse, Response
+from deadtime.spectrum.held_mode_checks import require_affordable, require_constant
+from deadtime.spectrum.response import IdealResponse, LoopResponse, OneInput, Response
 
 FARTHEST = 10.0  # times the nominal delay: as far as longer delays are tried
 

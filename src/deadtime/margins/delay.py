@@ -30,7 +30,7 @@ from deadtime.margins.constant_modes import (
     of_input,
 )
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.steps import snap
+from deadtime.plant.sampling import snap
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import SignalOptions

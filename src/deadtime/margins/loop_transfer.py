@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive, real_array
+from deadtime.base.checks import positive, python_control, real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.base.libraries import python_control
 from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.held_mode_arguments import check_mode
+from deadtime.spectrum.held_mode_checks import check_mode
 from deadtime.spectrum.open_loop import OpenLoop, StateSpace, ideal_responses
 
 

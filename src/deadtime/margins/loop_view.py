@@ -29,7 +29,7 @@ from deadtime.margins.gain import GainMargin, gain_margin
 from deadtime.margins.loop_transfer import check_frequencies, loop_response
 from deadtime.numerics.small_matrices import matched
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.held_mode_arguments import require_constant
+from deadtime.spectrum.held_mode_checks import require_constant
 
 _POINTS, _MOST = 600, 20_000
 _PER_TURN = 24  # frequencies while e^{−iωD} turns once

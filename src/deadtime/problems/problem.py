@@ -15,7 +15,7 @@ from deadtime.base.wording import input_names, numbered
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
-from deadtime.imperfections.words import in_words
+from deadtime.imperfections.disturbances import in_words
 from deadtime.laws import (
     ExactPredictor,
     StateDependentPredictor,

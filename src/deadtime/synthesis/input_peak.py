@@ -3,7 +3,7 @@
 With one mode held and no inputs in the past every input is linear in the state at the start,
 u_k = M_k x(0), and held over its period, so the largest over samples is the largest over time. M_k
 comes from n runs. Over a set of initial states the largest |u_k| is a closed form of each row
-(`deadtime.synthesis.initial_states`), and no bound.
+(`deadtime.synthesis.input_sources`), and no bound.
 
 Of x(0) ~ N(0, X) the spread of every u_k is exact, σ_k² = M_k X M_kᵀ. The probability that |u_k|
 stays below a level c at all k is not a closed form, and lies between
@@ -14,7 +14,7 @@ with F_n the distribution of χ² with as many degrees as X has directions: with
 that size no u_k exceeds c; the product is Šidák's inequality (Journal of the American Statistical
 Association 62, 626–633, 1967). With one state the bounds meet.
 
-Stationary noise spreads the inputs, too: `deadtime.synthesis.stationary_noise`.
+Stationary noise spreads the inputs, too: `deadtime.synthesis.input_sources`.
 """
 
 from __future__ import annotations
@@ -35,9 +35,8 @@ from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.sampled_runs import LoopPeriods, forward
-from deadtime.synthesis.initial_states import InitialStates
-from deadtime.synthesis.price import block_of, periods_of
-from deadtime.synthesis.stationary_noise import StationaryNoise, level_of
+from deadtime.synthesis.design_measures import block_of, periods_of
+from deadtime.synthesis.input_sources import InitialStates, StationaryNoise, level_of
 
 Source = InitialStates | StationaryNoise  # what moves the inputs
 _DONE = 1e-6  # of the largest input: a block that stays below is the last

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, real_array, require_shape
-from deadtime.base.staging import Staging
+from deadtime.base.files import Staging
 from deadtime.controller.export.belief_code import outputs_of
 from deadtime.controller.export.c_code import c_sources, given_of
 from deadtime.controller.export.fmi_description import Version

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.staging import Staging, unwritable
+from deadtime.base.files import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export.c_code import environment
 from deadtime.controller.export.compiler import compile_and_link

@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
+from deadtime.base.files import replacing
 from deadtime.base.frozen import Frozen
-from deadtime.base.staging import replacing
 from deadtime.identification.excitation.input_information import Prospect
 from deadtime.identification.parameters import Layout
 from deadtime.plant import OperatingPoint, SwitchedSystem

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from deadtime.feedback.known_state import Known
 from deadtime.numerics.covariance import noise_covariances, transitions
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.steps import snap
+from deadtime.plant.sampling import snap
 
 
 def held_spread(

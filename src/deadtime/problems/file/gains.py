@@ -11,7 +11,7 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation import Servo
 from deadtime.gains import lqr, place
-from deadtime.gains.checked_gains import check_gains
+from deadtime.gains.state_feedback import check_gains
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.text_files import read_text
+from deadtime.base.files import read_text
 from deadtime.problems.toml.complaints import complaint, faults
 from deadtime.problems.toml.file_errors import SectionError
 from deadtime.problems.toml.lines import at_line, excess, key_lines, line_of

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.plant.weight import PLAIN, text_of
-from deadtime.synthesis.floors import DECAY, LIMIT
+from deadtime.synthesis.design_result import DECAY, LIMIT
 
 if TYPE_CHECKING:
     from deadtime.synthesis import Design, TradeOff

@@ -18,7 +18,7 @@ from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.margins import Robustness, Tolerance
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate
-from deadtime.spectrum.affordable import MOST, seconds_of
+from deadtime.spectrum.held_mode_checks import MOST, seconds_of
 
 GOOD, BAD = "#e3f0f8", COLOURS[1]
 HEADINGS = ("wrong delay", "wrong gain", "noise", "lost samples", "late samples", "late modes")

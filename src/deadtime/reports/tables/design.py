@@ -13,8 +13,7 @@ from deadtime.base.wording import as_rate, compact
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import record_of
 from deadtime.synthesis import Design, TradeOff
-from deadtime.synthesis.floors import LIMIT
-from deadtime.synthesis.message import percent
+from deadtime.synthesis.design_result import LIMIT, percent
 
 STEP = "step, s"
 HEADINGS = (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deadtime.base.wording import compact
-from deadtime.plant.steps import TOLERANCE
+from deadtime.plant.sampling import TOLERANCE
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import events_of

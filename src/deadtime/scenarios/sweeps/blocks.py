@@ -18,7 +18,7 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.memory import WithMemory
 from deadtime.imperfections import Disturbance, Relaying, TimingImperfection
-from deadtime.imperfections.array_kinds import is_batched
+from deadtime.imperfections.received import is_batched
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
 from deadtime.scenarios.sweeps.study import Loop, Study
