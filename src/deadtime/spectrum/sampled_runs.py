@@ -62,8 +62,8 @@ class LoopPeriods(NamedTuple):
         """Periods of pieces, the first five fields; all arrays of one type for the compiler."""
         lag = pieces[4]
         power, others = weight ** lag[:, 0], weight ** (lag - lag[:, :1])
-        parts = map(read_only, (*pieces[:5], rows, F, G))
-        return cls(*parts, weight, read_only(power), read_only(others))
+        parts = *pieces[:5], rows, F, G, weight, power, others
+        return cls._make(read_only(one) if isinstance(one, np.ndarray) else one for one in parts)
 
     @classmethod
     def held(cls, pieces: tuple[Piece, ...], feedback: Feedback, row: int) -> LoopPeriods:

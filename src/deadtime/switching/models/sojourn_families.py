@@ -214,9 +214,7 @@ FAMILIES: dict[str, tuple[str, Fit]] = {
 
 FAMILIES_BETWEEN = ("exponential", "gamma", "weibull", "lognormal")
 FARTHEST = 8.0  # of the logarithm of a parameter: beyond, the likelihood has no maximum
-_LEAST_LOG = (
-    -600.0
-)  # log P(S > low) of a gamma: SciPy takes it from P(S > low), which ends at e^−708
+_LEAST_LOG = -600.0  # P(S > low) of a gamma: SciPy's own ends at e^−708
 _MISSED = 1e-9  # of a limit, by which a logged sojourn may miss it
 
 
@@ -297,12 +295,10 @@ def estimate_between(
     parameters = dict(zip(names, [*shape, scale * unit], strict=True))
     likelihood = -best.fun - t.size * np.log(unit)
     aic = 2.0 * len(parameters) - 2.0 * float(likelihood)
-    if (
-        family == "gamma"
-        and float(log_between(dist(**parameters), np.array(low), high)) < _LEAST_LOG
-    ):
+    fitted = dist(**parameters)
+    if family == "gamma" and float(log_between(fitted, np.array(low), high)) < _LEAST_LOG:
         return None
-    return Truncated(found, low, high), parameters, aic
+    return Truncated(fitted, low, high), parameters, aic
 
 
 def require_between(mode: int, observed: Observed, low: float, high: float) -> None:
