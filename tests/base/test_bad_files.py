@@ -7,7 +7,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.base.errors import CertificateFileError
-from deadtime.base.text_files import read_text
+from deadtime.base.files import read_text
 from deadtime.cli.application import main
 from deadtime.problems.file import load_problem
 from deadtime.scenarios.sweeps import load_study

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deadtime.base.staging import Staging
+from deadtime.base.files import Staging
 
 NAMES = ("a.txt", "b.txt", "c.txt")
 

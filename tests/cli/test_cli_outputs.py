@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import deadtime as dt
-from deadtime.base.staging import replacing
+from deadtime.base.files import replacing
 from deadtime.cli.application import main
 
 SMALL = """

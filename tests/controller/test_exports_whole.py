@@ -12,7 +12,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.base.staging import Staging
+from deadtime.base.files import Staging
 from deadtime.cli.application import main
 from deadtime.controller.export import compiler, export_c, export_fmu
 from deadtime.problems.file import load_problem

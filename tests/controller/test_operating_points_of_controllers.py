@@ -14,7 +14,7 @@ import deadtime as dt
 import observed_laws
 import plants
 from c_code import Library, needs_compiler, needs_frama_c
-from deadtime.base import staging
+from deadtime.base import files
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.application import main
 from deadtime.controller import Status, export_plant_fmu
@@ -344,7 +344,7 @@ def test_the_root_of_the_file_system_is_no_folder_to_write_into(arguments, monke
     def never(*_):
         raise AssertionError("about to write into the root")
 
-    monkeypatch.setattr(staging.Staging, "_place", never)
+    monkeypatch.setattr(files.Staging, "_place", never)
     monkeypatch.setattr("deadtime.scenarios.sweeps.load_study", lambda file: None)
     with pytest.raises(SystemExit) as stopped:
         main(arguments)

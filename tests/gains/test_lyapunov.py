@@ -11,8 +11,8 @@ import deadtime as dt
 import plants
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.gains import CommonLyapunov, common_lyapunov, stabilize
-from deadtime.gains.checked_gains import check_gains
 from deadtime.gains.lyapunov import check_lyapunov, decaying_lyapunov, growth_in_norm
+from deadtime.gains.state_feedback import check_gains
 from deadtime.numerics import lmi
 
 PROBLEM = dt.problems.paper()

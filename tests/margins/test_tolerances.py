@@ -1,7 +1,5 @@
 """Tolerances of loops that are pushed, limited, or start from rest: does the loop do its work?"""
 
-from deadtime.reports.robustness import plot_robustness
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ import deadtime as dt
 import plants
 from deadtime.imperfections import LateSamples, Noise, Saturation, StepDisturbance
 from deadtime.margins.tolerance import BOUNDED, KEPT, LOST, RobustnessRuns
+from deadtime.reports.robustness import plot_robustness
 from deadtime.simulation.outcome import outcome_of
 
 STEP = 0.005

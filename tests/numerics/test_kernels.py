@@ -19,8 +19,7 @@ from deadtime.numerics.compiling import where_compiling_starts
 from deadtime.numerics.exponential import discretise, gramian
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
-from deadtime.plant.cut_pieces import gramian_up_to, gramians, transitions
-from deadtime.plant.laid_cuts import lay_cuts
+from deadtime.plant.cut_pieces import gramian_up_to, gramians, lay_cuts, transitions
 from deadtime.switching.grid import cuts_of
 
 
@@ -303,7 +302,7 @@ def test_the_cache_follows_intrinsics_and_what_makes_them():
     from deadtime.scenarios.laid import fill_switched
 
     files = {part[0] for part in _stamp(fill_switched)}
-    assert {"laid.py", "moves.py", "sums.py", "code.py"} <= files
+    assert {"laid.py", "intrinsics.py", "code.py"} <= files
 
 
 def test_the_cache_follows_operators_which_no_kernel_calls_by_name():
@@ -311,7 +310,7 @@ def test_the_cache_follows_operators_which_no_kernel_calls_by_name():
     from deadtime.numerics.compiling import _stamp
 
     files = {part[0] for part in _stamp(predict_observer)}
-    assert {"observer_steps.py", "operators.py", "functions.py", "choices.py"} <= files
+    assert {"observer_steps.py", "operators.py", "intrinsics.py"} <= files
 
 
 @pytest.mark.long

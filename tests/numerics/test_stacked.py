@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from deadtime.numerics.exponential import discretise, gramian
-from deadtime.numerics.stacked import (
+from deadtime.numerics.exponential import (
     congruence_all,
+    discretise,
     discretise_all,
+    gramian,
     gramian_all,
     product_all,
 )

@@ -12,7 +12,7 @@ from deadtime.reports.design import plot_designs
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
 from deadtime.reports.verdict import verdict
 from deadtime.scenarios.sweeps import load_study
-from deadtime.synthesis.price import cost_and_growth
+from deadtime.synthesis.design_measures import cost_and_growth
 from weighted import GAINS, LAWS, MODEL, SIGNAL, TRUTH, WEIGHT, X0, Q, R
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.page_outcome import ProblemOutcome, csv_of, table_of
-from deadtime.imperfections.words import in_words
+from deadtime.imperfections.disturbances import in_words
 from deadtime.problems.comparison import compare
 from deadtime.reports.figures.runs import all_laws, plot_tracking
 from deadtime.reports.scenario_tables import summary

@@ -12,7 +12,7 @@ from deadtime.problems.comparison import compare
 from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
 from deadtime.reports.certificate_tables import delay_sentence, judge
 from deadtime.reports.verdict import verdict
-from deadtime.spectrum.affordable import MOST, seconds_of, why_left_out
+from deadtime.spectrum.held_mode_checks import MOST, seconds_of, why_left_out
 
 PAPER = dt.problems.paper()
 

@@ -9,8 +9,7 @@ from scipy.special import lambertw
 
 import deadtime as dt
 import plants
-from deadtime.spectrum.characteristic import rightmost
-from deadtime.spectrum.count import count_right_of
+from deadtime.spectrum.characteristic import count_right_of, rightmost
 from deadtime.spectrum.ideal import IdealLoop
 from shares import mostly_long
 

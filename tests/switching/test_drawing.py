@@ -14,9 +14,9 @@ from scipy.linalg import expm
 from batches import equal
 from deadtime import ArgumentError, Markov, SemiMarkov, SignalBatch, SwitchingSignal
 from deadtime.numerics import streams
-from deadtime.numerics.philox import block_words, uniform, uniforms
+from deadtime.numerics.generators import block_words, uniform, uniforms
 from deadtime.switching.models import jump_process
-from deadtime.switching.models.quantiles import Quantiles
+from deadtime.switching.models.jump_process import Quantiles
 from shares import mostly_long
 
 RATES = np.array([[0.0, 2.0, 1.0], [0.5, 0.0, 1.5], [4.0, 1.0, 0.0]])

@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.numerics.bernstein import first_positive
+from deadtime.numerics.polynomials import first_positive
 from deadtime.switching import FunctionRule, HalfSpace, Polyhedra, QuadraticRegions
 from deadtime.switching.rules.rule import as_rule
 

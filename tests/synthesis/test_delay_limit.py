@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import deadtime as dt
 import plants
-from deadtime.synthesis.weights import delay_weight, half_angle_weight
+from deadtime.synthesis.limits import delay_weight, half_angle_weight
 
 
 def one_mode(A, B, delay):

@@ -11,13 +11,10 @@ import deadtime as dt
 import plants
 from deadtime.spectrum import lifted_loop
 from deadtime.synthesis import DelayLimit, TradeOff
-from deadtime.synthesis.design_search import DesignSearch
-from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.design_measures import cost_and_growth, estimated_margin
+from deadtime.synthesis.design_result import Floors, percent, sentences
+from deadtime.synthesis.design_search import DesignSearch, pairs_of
 from deadtime.synthesis.gain_families import Poles, Weights
-from deadtime.synthesis.margin_estimate import estimated_margin
-from deadtime.synthesis.message import percent, sentences
-from deadtime.synthesis.price import cost_and_growth
-from deadtime.synthesis.strategy import pairs_of
 
 
 def loop_cost(plant, feedback, mode, weight=None):

@@ -8,8 +8,8 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.cli.application import main
+from deadtime.synthesis.design_result import Floors
 from deadtime.synthesis.design_search import DesignSearch
-from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.gain_families import Poles
 
 # Stable without an input: the cheapest loop with the widest margin hardly moves.

@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.reports.design import HEADINGS, design_record, design_rows, plot_designs
-from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.design_result import Floors
 
 # A quadrotor's roll axis with and without payload: poles that turn, in two modes under one law.
 PLANT = dt.SwitchedSystem(

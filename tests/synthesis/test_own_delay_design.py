@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.synthesis.margin_estimate import estimated_margin
+from deadtime.synthesis.design_measures import estimated_margin
 from shares import mostly_long
 
 A, B = np.array([[[1.0, 1.0], [0.0, 0.5]]]), np.array([[[1.0, 0.0], [0.2, 1.0]]])

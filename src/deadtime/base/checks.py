@@ -14,6 +14,7 @@ from deadtime.base.errors import ArgumentError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+
 _FILL = "fill them (.filled) or leave them out (.compressed)"
 _WHAT = {
     "c": " Pass its .real if the imaginary part is round-off.",
@@ -247,3 +248,15 @@ def require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], form: st
             hint = ": pass the transpose"
         raise ArgumentError(f"{name} must have shape {form} = {shape}, got {array.shape}{hint}.")
     return array
+
+
+def python_control(what: str) -> Any:
+    """python-control; `what` needs it, in the plural."""
+    try:
+        import control
+    except ModuleNotFoundError:
+        raise ArgumentError(
+            f"{what} need python-control, and it is not installed: "
+            'pip install ".[control]" in a clone of deadtime.'
+        ) from None
+    return control

@@ -8,8 +8,6 @@ signal has the last word.
 
 from __future__ import annotations
 
-from deadtime.certificates.reach import why_unmoved
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -35,6 +33,7 @@ from deadtime.certificates.reach import (
     told_late,
     too_large,
     too_many_told,
+    why_unmoved,
 )
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match

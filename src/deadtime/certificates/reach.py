@@ -7,8 +7,6 @@ Whatever the law does they stay where they are, so that "stable" can only be ask
 
 from __future__ import annotations
 
-from deadtime.feedback import Feedback
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,7 +20,7 @@ from deadtime.certificates.proof.box import DelayInterval
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import least_periods
 from deadtime.certificates.proof.validate import MOST_TOLD
-from deadtime.feedback import Law
+from deadtime.feedback import Feedback, Law
 from deadtime.feedback.recurrence import same_outputs
 from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.plant.switched_system import check_delays

@@ -92,7 +92,7 @@ def design(
         Where to write, without suffix.
     """
     from deadtime.base.checks import index, positive
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
     from deadtime.problems.switching_assumptions import step_of
     from deadtime.reports.design import design_record, plot_designs, problem_sections
     from deadtime.synthesis import design as designed

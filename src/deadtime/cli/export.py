@@ -78,7 +78,7 @@ def export(
         raise ArgumentError("--prediction is for the C: give --c FOLDER, too.")
     if c is None and fmu is None and plant_fmu is None:
         raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
-    from deadtime.base.staging import Staging
+    from deadtime.base.files import Staging
     from deadtime.controller.export import Names, export_c, export_fmu, export_plant_fmu
     from deadtime.reports.verdict import observer_reads_mode
 

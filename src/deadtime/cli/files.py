@@ -40,7 +40,7 @@ def init(
     force
         Replace a file that exists.
     """
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
     from deadtime.problems.literature import template
 
     if path.exists() and not force:
@@ -132,7 +132,7 @@ def _script(shell: Shell) -> str:
 
 
 def _install(shell: Shell, script: str) -> Path:
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
 
     try:
         path = app.install_completion(shell=shell)

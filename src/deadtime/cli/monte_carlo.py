@@ -151,7 +151,7 @@ def save_data(data: xr.Dataset, path: Path) -> None:
 
     Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text.
     """
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
 
     with replacing(path, "data") as place:
         if path.suffix.lower() == ".csv":

@@ -169,7 +169,7 @@ def output_file(
 
 def output_folder(name: str, path: Path) -> Path:
     """A folder to write into, made if it is not there; refused before there is work."""
-    from deadtime.base.staging import require_no_root
+    from deadtime.base.files import require_no_root
 
     require_no_root(name, path)
     around = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
@@ -210,7 +210,7 @@ def require_width(width: FigureWidth) -> None:
 
 def save_text(name: str, path: Path, text: str) -> None:
     """Write a file that an option names."""
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
 
     with replacing(path, name) as place:
         place.write_text(text, encoding="utf-8")
@@ -226,7 +226,7 @@ def save_figure(figure: Figure, target: Path) -> None:
     """Write a figure, of the kind that its ending says."""
     from io import BytesIO
 
-    from deadtime.base.staging import replacing
+    from deadtime.base.files import replacing
 
     if target.suffix == ".pgf":  # its pictures lie beside it, named after it
         try:

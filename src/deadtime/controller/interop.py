@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, positive
+from deadtime.base.checks import count, instance, positive, python_control
 from deadtime.base.errors import ArgumentError
-from deadtime.base.libraries import python_control
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match

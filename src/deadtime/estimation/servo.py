@@ -53,8 +53,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.estimation.observer import output_matrices, per_mode
 from deadtime.gains import state_feedback as design
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import finite_discretisation
-from deadtime.plant.steps import TOLERANCE
+from deadtime.plant.sampling import TOLERANCE, finite_discretisation
 
 
 @runtime_checkable

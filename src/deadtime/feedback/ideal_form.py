@@ -96,7 +96,7 @@ class Functional(Frozen):
     @cached_property
     def leaving(self) -> Float[np.ndarray, "window q m"]:
         """e^{S (β − α)} R."""
-        from deadtime.numerics.stacked import discretise_all
+        from deadtime.numerics.exponential import discretise_all
 
         which = np.arange(self.near.size)
         return discretise_all(self.S, self.R, which, self.far - self.near)[0] @ self.R

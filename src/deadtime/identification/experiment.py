@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, bound, brief, count, instance, positive, read_only
 from deadtime.base.errors import ArgumentError
+from deadtime.base.files import replacing
 from deadtime.base.frozen import Frozen
-from deadtime.base.staging import replacing
 from deadtime.identification.experiment_information import (
     ExactStates,
     NoiseTables,

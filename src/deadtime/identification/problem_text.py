@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.base.staging import replacing
+from deadtime.base.files import replacing
 from deadtime.base.wording import amount, one_line
 from deadtime.estimation import kalman
 from deadtime.gains import lqr

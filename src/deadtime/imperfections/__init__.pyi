@@ -21,9 +21,10 @@ from .disturbances import (
 from .received import Additive as Additive, Heard as Heard, Relaying as Relaying
 from .sensors import (
     Dropout as Dropout,
+    Jitter as Jitter,
     LateSamples as LateSamples,
+    MeasurementDelay as MeasurementDelay,
     ModeDelay as ModeDelay,
     Noise as Noise,
     WrongMode as WrongMode,
 )
-from .timing import Jitter as Jitter, MeasurementDelay as MeasurementDelay

@@ -8,8 +8,11 @@ force that adds as much is held, so that a run can be evaluated anywhere.
 from __future__ import annotations
 
 import math
+import re
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -17,12 +20,65 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, number, real_array, require_covariance, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Sizes, once, per_signal
-from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
-from deadtime.numerics.accumulated import accumulate, rates
-from deadtime.numerics.covariance import lower_root
+from deadtime.imperfections.base import Disturbance, Imperfection, Sizes, Stacked, once, per_signal
+from deadtime.numerics.covariance import accumulate, lower_root, rates
 from deadtime.numerics.kernels import kernel
-from deadtime.plant.steps import snap
+from deadtime.plant.sampling import snap
+
+
+class DrawnDisturbance(Stacked, Disturbance):
+    """A disturbance that draws as many normal numbers for each stretch.
+
+    The first stretch of all periods has the run's stream, the second one the first that this
+    spawns, and so on: a seed draws the same numbers for a stretch however many there are of them,
+    and a longer run begins as a shorter one.
+    """
+
+    @abstractmethod
+    def counts(self, sizes: Sizes) -> tuple[int, int]:
+        """How many normal numbers a stretch takes before the first period, and in every one."""
+
+    @abstractmethod
+    def draws_from(
+        self,
+        numbers: Float[np.ndarray, "stretch runs count"],
+        sizes: Sizes,
+        lengths: tuple[float, ...],
+        steps: int,
+        room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
+    ) -> Float[np.ndarray, "stretch some steps r"]:
+        """What decides w in runs that drew these numbers, stretch by stretch.
+
+        No length is 0. An axis of length 1 stands for all runs. `room_for` gives memory for it.
+        """
+
+    @abstractmethod
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> Float[np.ndarray, "count n r"]:
+        """`Disturbance.spread` of many stretches, (count, n, r).
+
+        Each has tau (count, pieces) seconds in a mode (count, pieces) of A (modes, n, n).
+        """
+
+    @final
+    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        mode = np.arange(tau.size).reshape(tau.shape)
+        return self.spreads_in(sizes, A.reshape(-1, *A.shape[2:]), mode, tau)
+
+    @final
+    def draws(
+        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        before, each = self.counts(sizes)
+        (there,) = np.nonzero(np.array(lengths))
+        # All spawn, so that who is missing changes nobody's numbers.
+        streams = [rng, *rng.spawn(len(lengths) - 1)]
+        numbers = [streams[i].standard_normal((1, before + each * steps)) for i in there]
+        found = self.draws_from(np.stack(numbers), sizes, tuple(lengths[i] for i in there), steps)
+        draws = np.zeros((steps, len(lengths), found.shape[3]))
+        draws[:, there] = found[:, 0].transpose(1, 0, 2)
+        return draws
 
 
 @dataclass(frozen=True)
@@ -267,3 +323,36 @@ def _follow_one(
         draws[:, 0, :, j] = whole[:-1].reshape(steps, stretches).T
         draws[:, 0, :, q + j] = whole[1:].reshape(steps, stretches).T
     draws[:, 0, :, 2 * q :] = own[:, :, q:]
+
+
+_LONG = re.compile(r"\b\d+\.\d{6,}(e[+-]?\d+)?\b")
+
+
+def in_words(each: Imperfection) -> str:
+    """What an imperfection is: an offset by its modes, everything else by its class and numbers.
+
+    A constant force that acts all through a run and changes with the mode is an offset, c_σ.
+
+    Examples
+    --------
+    >>> from deadtime.imperfections import Dropout
+    >>> in_words(StepDisturbance([[0.0, 0.0], [0.3, 0.0]])), in_words(Dropout(0.1))
+    ('offset [0.3, 0] in mode 1', 'Dropout(probability=0.1)')
+    >>> in_words(Dropout(1 / 30))
+    'Dropout(probability=0.03333)'
+    """
+    if not isinstance(each, StepDisturbance) or np.ndim(each.force) != 2:
+        return _briefly(each)
+    if each.start > 0.0 or math.isfinite(each.end):
+        return _briefly(each)
+    rows = [
+        f"[{', '.join(f'{value:g}' for value in row)}] in mode {mode}"
+        for mode, row in enumerate(np.asarray(each.force, dtype=float))
+        if row.any()
+    ]
+    return f"offset {' and '.join(rows) or 0}"
+
+
+def _briefly(each: Imperfection) -> str:
+    """Its class and numbers; of numbers with many digits, such as estimates, the first four."""
+    return _LONG.sub(lambda number: f"{float(number[0]):.4g}", repr(each))

@@ -1,8 +1,9 @@
-"""What a law hears at all samples of a run, drawn before it.
+"""The measurements and modes that reach a law at all samples of a run, drawn before it.
 
 Which sample's measurement reaches the law, what was added to it and which mode is named in place of
 another depend neither on the state nor on the mode. So a whole run of it is drawn at once, for
 compiled loops and for many runs, and its sensors are functions of arrays, one after the other.
+Imperfections that arrays do not say all of are functions, to be called once a sample.
 """
 
 from __future__ import annotations
@@ -17,7 +18,18 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Drawing, Seen, Sense, Sizes
+from deadtime.imperfections.base import (
+    ActuatorImperfection,
+    Disturbance,
+    Drawing,
+    Imperfection,
+    Limiting,
+    Seen,
+    Sense,
+    SensorImperfection,
+    Sizes,
+    TimingImperfection,
+)
 
 _BLOCK = 64  # samples
 
@@ -234,3 +246,35 @@ class Additive(Relaying):
     def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
         with np.errstate(over="ignore", invalid="ignore"):
             return heard._replace(noise=heard.noise + self.sampler(sizes, rng)(heard.samples))
+
+
+def is_known(each: Imperfection) -> bool:
+    """Whether a compiled loop can take all that it does: each part that it plays counts.
+
+    A sensor or an actuator that is written anew in a subclass is a function again.
+
+    Examples
+    --------
+    >>> from deadtime.imperfections import Noise
+    >>> class Squared(Noise):
+    ...     def sensor(self, sizes, rng):
+    ...         return lambda seen: seen._replace(x=seen.x**2)
+    >>> is_known(Noise(0.1)), is_known(Squared(0.1))
+    (True, False)
+    """
+    if isinstance(each, SensorImperfection) and not (
+        isinstance(each, Relaying) and type(each).sensor is Relaying.sensor
+    ):
+        return False
+    return not isinstance(each, ActuatorImperfection) or (
+        isinstance(each, Limiting) and type(each).actuator is Limiting.actuator
+    )
+
+
+def is_batched(each: Imperfection) -> bool:
+    """Whether the engine of many scenarios can take all that it does."""
+    if isinstance(each, Disturbance) and each.goes_by_mode:
+        return False  # within a period that is cut it is no one force
+    drawing = (Relaying, TimingImperfection, Disturbance)
+    # One that draws as two of these shares a stream between them: no array is each part's alone.
+    return is_known(each) and sum(isinstance(each, part) for part in drawing) <= 1

@@ -1,4 +1,4 @@
-"""Sensors: noise, lost and late samples, late and wrong modes."""
+"""Sensors: noise, lost and late samples, late and wrong modes, and when the state is measured."""
 
 from __future__ import annotations
 
@@ -8,9 +8,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count as whole
+from deadtime.base.checks import count as whole, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import SensorImperfection, Sizes, once, per_signal, probability_of
+from deadtime.imperfections.base import (
+    DrawnTiming,
+    SensorImperfection,
+    Sizes,
+    once,
+    per_signal,
+    probability_of,
+)
 from deadtime.imperfections.received import Additive, Draw, DrawnRelaying, Heard
 
 _MOST = 10**9  # periods
@@ -157,3 +164,54 @@ class WrongMode(DrawnRelaying, SensorImperfection):
             taken = heard.named[..., mode]
             named[..., mode] = np.where(wrong, other + (other >= taken), taken)
         return heard._replace(named=named)
+
+
+@dataclass(frozen=True)
+class MeasurementDelay(DrawnTiming):
+    """The law is told x(t_k − d) at t_k, nothing before t = d; the mode comes in time.
+
+    A law whose model has the delay D + d makes up for it: its prediction starts d earlier.
+
+    Parameters
+    ----------
+    delay : float
+        d > 0, seconds, any fraction of the step.
+    """
+
+    waits: ClassVar[bool] = True
+    delay: float
+
+    def count(self, sizes: Sizes, samples: int) -> int:
+        return 0
+
+    def lags_from(self, numbers: np.ndarray, sizes: Sizes, samples: int) -> np.ndarray:
+        delay = positive("MeasurementDelay.delay", self.delay)
+        return np.full((*numbers.shape[:-1], 1), delay)
+
+
+@dataclass(frozen=True)
+class Jitter(DrawnTiming):
+    """Samples are taken up to `most` seconds early, uniformly, and used as if they were not.
+
+    The first is taken at time 0.
+
+    Parameters
+    ----------
+    most : float
+        0 < most ≤ step, seconds; beyond a period, samples are late: `LateSamples`.
+    """
+
+    waits: ClassVar[bool] = False
+    most: float
+
+    def count(self, sizes: Sizes, samples: int) -> int:
+        return samples
+
+    def lags_from(self, numbers: np.ndarray, sizes: Sizes, samples: int) -> np.ndarray:
+        most = positive("Jitter.most", self.most)
+        if most > sizes.step * (1.0 + 1e-9):
+            raise ArgumentError(
+                f"Jitter.most must be at most one period, {sizes.step:g} s, got {most:g}: samples "
+                "that come later are LateSamples."
+            )
+        return most * numbers

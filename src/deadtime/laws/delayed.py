@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.law import TableLaw
-from deadtime.gains.checked_gains import check_gains
+from deadtime.gains.state_feedback import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

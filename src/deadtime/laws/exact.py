@@ -16,7 +16,7 @@ from deadtime.feedback import Feedback, Forecast, Foresight
 from deadtime.feedback.law import Law, TableLaw
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import require_finite_gains
-from deadtime.gains.checked_gains import check_gains
+from deadtime.gains.state_feedback import check_gains
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

@@ -14,7 +14,7 @@ from deadtime.feedback import Feedback, Functional
 from deadtime.feedback.law import Law, TableLaw, remember_table, require_room, room
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import Known
-from deadtime.gains.checked_gains import check_gains
+from deadtime.gains.state_feedback import check_gains
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import SwitchingModel, SwitchingSignal
 from deadtime.switching.models.model import SampledChain, require_model

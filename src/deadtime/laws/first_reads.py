@@ -2,7 +2,7 @@
 
 What is sent at t_k is first read at θ_j = min {θ ≥ 0: θ ≥ D_i,j, i = r(x(t_k + θ))}, and exact is
 u_k,j = K_i,j x(t_k + θ_j) with the i of that instant. On the way there the model is moved over the
-stretches of its periods under what every mode reads (`deadtime.plant.every_reading`): inputs in
+stretches of its periods under what every mode reads (`deadtime.plant.sampled_plant`): inputs in
 flight, and, from where one of them is read for the first time that is computed at t_k or later,
 that one, the same feedback of x as it is predicted then, held for as long as it is read.
 
@@ -22,8 +22,8 @@ from jaxtyping import Float, Int
 
 from deadtime.base.errors import ChatteringError
 from deadtime.plant import SampledPlant
-from deadtime.plant.every_reading import EveryReading
-from deadtime.plant.steps import TOLERANCE
+from deadtime.plant.sampled_plant import EveryReading
+from deadtime.plant.sampling import TOLERANCE
 from deadtime.switching import Rule
 from deadtime.switching.rules.motion import Beside, Motion, Move
 

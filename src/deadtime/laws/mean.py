@@ -15,7 +15,7 @@ from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.law import Law, TableLaw, check_dwell_time, remember_table
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import Known
-from deadtime.gains.checked_gains import check_gains, require_hurwitz
+from deadtime.gains.state_feedback import check_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import positive
 from deadtime.base.errors import InfeasibleError
 from deadtime.feedback import Feedback
-from deadtime.gains.checked_gains import check_gains
+from deadtime.gains.state_feedback import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import LiftedLoop
 

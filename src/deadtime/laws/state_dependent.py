@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Update
-from deadtime.gains.checked_gains import check_gains
+from deadtime.gains.state_feedback import check_gains
 from deadtime.laws.first_reads import RuleForecast, chattering_ahead
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.steps import TOLERANCE
+from deadtime.plant.sampling import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules.motion import Beside, Motion
 from deadtime.switching.rules.rule import as_rule

@@ -34,15 +34,12 @@ from deadtime.base.wording import error_percent, inwards
 from deadtime.feedback import Law
 from deadtime.margins.crossing import bands, first_crossing, unit_bands
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.steps import snap
+from deadtime.plant.sampling import snap
 from deadtime.spectrum import growth_rate
-from deadtime.spectrum.affordable import require_affordable
+from deadtime.spectrum.digital_response import digital_response
 from deadtime.spectrum.growth import not_decaying
-from deadtime.spectrum.held_mode_arguments import require_constant
-from deadtime.spectrum.ideal_response import IdealResponse
-from deadtime.spectrum.observed_response import digital_response
-from deadtime.spectrum.one_input import OneInput
-from deadtime.spectrum.response import LoopResponse, Response
+from deadtime.spectrum.held_mode_checks import require_affordable, require_constant
+from deadtime.spectrum.response import IdealResponse, LoopResponse, OneInput, Response
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import SignalOptions

@@ -24,12 +24,10 @@ from deadtime.feedback import Law
 from deadtime.numerics.small_matrices import inverses, matched
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate, least_growth
-from deadtime.spectrum.affordable import require_affordable
+from deadtime.spectrum.digital_response import digital_response
 from deadtime.spectrum.growth import not_decaying
-from deadtime.spectrum.held_mode_arguments import require_constant
-from deadtime.spectrum.ideal_response import IdealResponse
-from deadtime.spectrum.observed_response import digital_response
-from deadtime.spectrum.response import Response
+from deadtime.spectrum.held_mode_checks import require_affordable, require_constant
+from deadtime.spectrum.response import IdealResponse, Response
 
 _TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
 _LARGEST = 1e6  # factors beyond are as good as infinite

@@ -22,16 +22,15 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive, real_array
+from deadtime.base.checks import positive, python_control, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.base.libraries import python_control
 from deadtime.feedback import Law
 from deadtime.margins.delay import DelayMargin, constant_delay_margin
 from deadtime.margins.gain import GainMargin, gain_margin
 from deadtime.numerics.small_matrices import matched
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.held_mode_arguments import check_mode, require_constant
+from deadtime.spectrum.held_mode_checks import check_mode, require_constant
 from deadtime.spectrum.open_loop import OpenLoop, ideal_responses
 
 _POINTS, _MOST = 600, 20_000

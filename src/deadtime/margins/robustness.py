@@ -27,7 +27,7 @@ from deadtime.numerics.kernels import expect_many_calls
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.simulation.initial_input import InitialInput
-from deadtime.spectrum.affordable import why_left_out
+from deadtime.spectrum.held_mode_checks import why_left_out
 from deadtime.switching import Rule, SwitchingSignal
 
 _DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)

@@ -1,13 +1,200 @@
-"""What white noise does to a linear system: covariances after a while, and their square roots."""
+"""Linear systems under white noise: transitions and covariances, and the roots of these.
+
+Over a piece of τ seconds dx/dt = J x + w, E[w(t) w(s)ᵀ] = W δ(t − s), moves x by Φ and adds the
+covariance Q,
+
+    Φ = Σ_k (Jτ)ᵏ/k!,    Q = Σ_k S_k τ^{k+1},    S_0 = W,  (k + 2) S_{k+1} = J S_k + S_k Jᵀ,
+
+series about τ = 0, so that short pieces have all their digits. Their terms depend on the system
+alone and are the same for all pieces. A long piece is halved until they fall fast, then doubled,
+Φ(2τ) = Φ², Q(2τ) = Q + Φ Q Φᵀ: for covariances a sum of positive terms. Pieces that follow each
+other compose alike. Where there are many, they are compiled, which takes a third of NumPy's time;
+both ways give the same bits.
+"""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
+from deadtime.numerics.exponential import balanced, product, products
+from deadtime.numerics.kernels import kernel
 
-_ROUND_OFF = 1e-14  # of a variance
+_MANY = 4096  # stretches that are worth a compiler
+_ROUND_OFF = 1e-18
+_LONGEST = 1100  # doublings, more than any finite number has
+
+
+def accumulate(
+    J: Float[np.ndarray, "mode N N"],
+    W: Float[np.ndarray, "*mode N N"] | None,
+    rate: Float[np.ndarray, " mode"],
+    mode: Int[np.ndarray, "count piece"],
+    tau: Float[np.ndarray, "count piece"],
+) -> tuple[Float[np.ndarray, "count N N"], Float[np.ndarray, "count N N"]]:
+    """M and Q over stretches of some pieces each, tau seconds (0 for none) in a mode.
+
+    `rate` (1/s) is the size of J in units in which that is small; W is one for all modes or one of
+    each, and None is no noise.
+
+    Examples
+    --------
+    >>> J, W = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.diag([0.0, 3.0])
+    >>> pieces = np.zeros((1, 2), np.int64), np.array([[0.5, 1.5]])
+    >>> M, Q = accumulate(J, W, np.ones(1), *pieces)
+    >>> M[0].round(9), Q[0].round(9)
+    (array([[1., 2.],
+           [0., 1.]]), array([[8., 6.],
+           [6., 6.]]))
+    """
+    size = np.where(rate > 0.0, rate, 1.0)
+    longest = float((size[mode] * tau).max(initial=0.0))
+    Phi, S = _terms(J, np.zeros(J.shape[1:]) if W is None else W, size, min(longest, 0.5))
+    M, Q = np.empty((2, len(tau), *J.shape[1:]))
+    work = _follow if len(tau) > _MANY else _follow_by_numpy
+    with np.errstate(over="ignore", invalid="ignore"):
+        work(Phi, S, size, mode, tau, W is not None, M, Q)
+    return M, Q
+
+
+def rates(A: Float[np.ndarray, "mode n n"]) -> Float[np.ndarray, " mode"]:
+    """The sizes of A, 1/s, in units in which it is balanced."""
+    return balanced(np.ascontiguousarray(A))[1]
+
+
+def _terms(
+    J: np.ndarray, W: np.ndarray, size: np.ndarray, longest: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The terms of Φ and Q in s = size·τ ≤ `longest`, (mode, term, N, N), the highest last."""
+    N, J = J.shape[1], J / size[:, None, None]
+    count = next(k for k in range(2, 60) if (2.0 * longest) ** k / math.factorial(k) < _ROUND_OFF)
+    Phi, S = np.empty((2, len(J), count + 2, N, N))
+    Phi[:, 0], S[:, 0] = np.eye(N), W / size[:, None, None]
+    for k in range(1, count + 2):
+        Phi[:, k] = Phi[:, k - 1] @ J / k
+        half = J @ S[:, k - 1]
+        S[:, k] = (half + half.transpose(0, 2, 1)) / (k + 1)
+    return Phi, S
+
+
+@kernel(eager=True, nogil=True)
+def _follow(Phi, S, size, mode, tau, noisy, M, Q):
+    """Fill M and Q of every stretch."""
+    N = Phi.shape[2]
+    P, R, half, spare = np.empty((N, N)), np.zeros((N, N)), np.empty((N, N)), np.empty((N, N))
+    for e in range(tau.shape[0]):
+        for i in range(N):
+            for j in range(N):
+                M[e, i, j] = 1.0 if i == j else 0.0
+                Q[e, i, j] = 0.0
+        for p in range(tau.shape[1]):
+            if tau[e, p] <= 0.0:
+                continue
+            a, s, doublings = mode[e, p], size[mode[e, p]] * tau[e, p], 0
+            while s > 0.5 and doublings < _LONGEST:
+                s *= 0.5
+                doublings += 1
+            _horner_into(Phi, a, s, 1.0, P)
+            if noisy:
+                _horner_into(S, a, s, s, R)
+            for _ in range(doublings):
+                if noisy:
+                    _congruence(P, R, half, spare)
+                    for i in range(N):
+                        for j in range(N):
+                            R[i, j] += spare[i, j]
+                product(P, P, spare)
+                for i in range(N):
+                    for j in range(N):
+                        P[i, j] = spare[i, j]
+            if noisy:
+                _congruence(P, Q[e], half, spare)
+                for i in range(N):
+                    for j in range(N):
+                        Q[e, i, j] = spare[i, j] + R[i, j]
+            product(P, M[e], spare)
+            for i in range(N):
+                for j in range(N):
+                    M[e, i, j] = spare[i, j]
+
+
+@kernel(eager=True, nogil=True)
+def _horner_into(terms, a, s, scale, result):
+    """result = scale Σ terms[a, k] sᵏ: entries inside, so that they are summed side by side."""
+    value, given = result.reshape(-1), terms.reshape(-1)
+    size, last = value.size, terms.shape[1] - 1
+    at = (a * (last + 1) + last) * size
+    for i in range(size):
+        value[i] = given[at + i]
+    for _ in range(last):
+        at -= size
+        for i in range(size):
+            value[i] = value[i] * s + given[at + i]
+    for i in range(size):
+        value[i] *= scale
+
+
+@kernel(eager=True, nogil=True)
+def _congruence(P, R, half, result):
+    """result = P R Pᵀ."""
+    product(P, R, half)
+    for i in range(P.shape[0]):
+        for j in range(P.shape[0]):
+            total = half[i, 0] * P[j, 0]
+            for k in range(1, P.shape[0]):
+                total += half[i, k] * P[j, k]
+            result[i, j] = total
+
+
+def _follow_by_numpy(
+    Phi: np.ndarray,
+    S: np.ndarray,
+    size: np.ndarray,
+    mode: np.ndarray,
+    tau: np.ndarray,
+    noisy: bool,
+    M: np.ndarray,
+    Q: np.ndarray,
+) -> None:
+    """The same, a few operations on all stretches, which lie in the last axis."""
+    N = M.shape[1]
+    moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)
+    added = np.zeros(moved.shape)
+    for p in range(tau.shape[1]):
+        (on,) = np.nonzero(tau[:, p] > 0.0)
+        a, s = mode[on, p], size[mode[on, p]] * tau[on, p]
+        doublings = np.zeros(on.size, np.int64)
+        while (long := (s > 0.5) & (doublings < _LONGEST)).any():
+            s[long] *= 0.5
+            doublings[long] += 1
+        P, R = _horner(Phi, a, s), _horner(S, a, s) * s if noisy else np.zeros((N, N, on.size))
+        for i in range(int(doublings.max(initial=0))):
+            (more,) = np.nonzero(doublings > i)
+            own = P[:, :, more]
+            if noisy:
+                R[:, :, more] += _congruence_all(own, R[:, :, more])
+            P[:, :, more] = products(own, own)
+        if noisy:
+            added[:, :, on] = _congruence_all(P, added[:, :, on]) + R
+        moved[:, :, on] = products(P, moved[:, :, on])
+    M[:], Q[:] = moved.transpose(2, 0, 1), added.transpose(2, 0, 1)
+
+
+def _horner(terms: np.ndarray, mode: np.ndarray, s: np.ndarray) -> np.ndarray:
+    value = terms[mode, -1].transpose(1, 2, 0)
+    for k in range(terms.shape[1] - 2, -1, -1):
+        value = value * s + terms[mode, k].transpose(1, 2, 0)
+    return value
+
+
+def _congruence_all(P: np.ndarray, R: np.ndarray) -> np.ndarray:
+    return products(products(P, R), P.transpose(1, 0, 2))
+
+
+_SPENT = 1e-14  # of a variance: less of it is none
 _NODES, _PIECES = 8, 512  # of a rule that is exact to round-off over a time constant
 
 
@@ -15,10 +202,6 @@ def noise_covariance(
     A: Float[np.ndarray, "n n"], W: Float[np.ndarray, "n n"], tau: float
 ) -> Float[np.ndarray, "n n"]:
     """Q(τ) = ∫₀^τ e^{As} W e^{Aᵀs} ds: the covariance that noise of intensity W adds in τ seconds.
-
-    The exponential of [[−A, W], [0, Aᵀ]] holds e^{−Aτ} Q in its corner (Van Loan, IEEE Trans.
-    Automat. Control 23(3), 1978). It is taken of a piece short enough that e^{−Aτ} is harmless,
-    and Q(2τ) = Q(τ) + e^{Aτ} Q(τ) e^{Aᵀτ} does the rest.
 
     Examples
     --------
@@ -35,26 +218,10 @@ def noise_covariances(
     tau: Float[np.ndarray, " count"],
 ) -> Float[np.ndarray, "count n n"]:
     """`noise_covariance` of many, of one W or of one each; not finite where e^{Aτ} is not."""
-    count, n = A.shape[:2]
-    size = np.abs(W).max(axis=(-2, -1), keepdims=True)
-    if not size.any():
-        return np.zeros(A.shape)
-    size = np.where(size > 0.0, size, 1.0)
+    mode = np.arange(len(A))[:, None]
     with np.errstate(over="ignore", invalid="ignore"):
-        span = 2.0 * tau * np.abs(A).sum(axis=1).max(axis=1)
-        finite = np.isfinite(span)
-        doublings = np.ceil(np.log2(np.maximum(np.where(finite, span, 1.0), 1.0)))
-        joint = np.zeros((count, 2 * n, 2 * n))
-        joint[:, :n, :n], joint[:, :n, n:], joint[:, n:, n:] = -A, W / size, A.transpose(0, 2, 1)
-        joint[~finite] = 0.0
-        E = transitions(joint, tau / 2.0**doublings)
-        Phi = E[:, n:, n:].transpose(0, 2, 1)
-        Q = np.where(finite[:, None, None], Phi @ E[:, :n, n:], np.nan)
-        for i in range(int(doublings.max(initial=0.0))):
-            on = doublings > i
-            P = Phi[on]
-            Q[on], Phi[on] = Q[on] + P @ Q[on] @ P.transpose(0, 2, 1), P @ P
-        return 0.5 * size * (Q + Q.transpose(0, 2, 1))
+        Q = accumulate(A, W, rates(A), mode, tau[:, None])[1]
+        return 0.5 * (Q + Q.transpose(0, 2, 1))
 
 
 def switched_covariances(
@@ -75,16 +242,14 @@ def switched_covariances(
     array([[0.5, 1. ],
            [1. , 1.5]])
     """
-    from deadtime.numerics.accumulated import rates
-
     modes, n, _ = A.shape
     pieces = int(np.clip(np.ceil(rates(A).max() * tau), 1, _PIECES))
     nodes, share = np.polynomial.legendre.leggauss(_NODES)
     s = (np.arange(pieces)[:, None] + 0.5 * (1.0 + nodes)).ravel() * (tau / pieces)
     share = np.tile(0.5 * share / pieces, pieces)
-    many = np.repeat(A, s.size, axis=0), np.tile(s, modes)
-    Phi = transitions(*many).reshape(modes, s.size, n, n)
-    Q = noise_covariances(many[0], np.repeat(W, s.size, axis=0), many[1]).reshape(Phi.shape)
+    mode = np.repeat(np.arange(modes), s.size)[:, None]
+    Phi, Q = accumulate(A, W, rates(A), mode, np.tile(s, modes)[:, None])
+    Phi, Q = Phi.reshape(modes, s.size, n, n), Q.reshape(modes, s.size, n, n)
     result = np.empty((modes, modes, n, n))
     for i, j in np.ndindex(modes, modes):
         # Nodes lie symmetrically: those of τ − s are those of s, read backwards.
@@ -135,7 +300,7 @@ def lower_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n 
     L = np.zeros(Q.shape)
     for j in range(Q.shape[-1]):
         rest = C[..., j:, j] - (L[..., j:, :j] * L[..., j : j + 1, :j]).sum(axis=-1)
-        spent = rest[..., :1] <= _ROUND_OFF  # not where it is no number, for that is to be seen
+        spent = rest[..., :1] <= _SPENT  # not where it is no number, for that is to be seen
         root = np.sqrt(np.where(spent, 1.0, rest[..., :1]))
         L[..., j:, j] = np.where(spent, 0.0, rest / root)
     return unit[..., :, None] * L

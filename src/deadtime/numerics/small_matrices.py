@@ -1,8 +1,19 @@
-"""Many small matrices at once, (points, rows, columns): inverses, traces, eigenvalues in order."""
+"""Many small matrices at once, (points, rows, columns): inverses, traces, eigenvalues in order.
+
+Of a matrix function Δ,
+
+    d ln det Δ = tr(Δ⁻¹ dΔ) = Σ_k (uₖᴴ dΔ vₖ)/σₖ
+
+with the singular value decomposition of Δ, rows and columns scaled alike first: left as they are,
+large entries would hide the digits of small ones.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Complex
 
 _TINY = 1e-200
 
@@ -34,3 +45,26 @@ def matched(values: np.ndarray) -> np.ndarray:
         apart = np.abs(values[i - 1][:, None] - values[i])
         values[i] = values[i][linear_sum_assignment(apart)[1]]
     return values
+
+
+class Decomposed(NamedTuple):
+    """Scaled Δ = U diag(σ) Vᴴ at points, and other matrices scaled like it."""
+
+    left: np.ndarray
+    values: np.ndarray
+    right: np.ndarray
+    others: tuple[np.ndarray, ...]
+
+    def slope(self, k: int) -> Complex[np.ndarray, " point"]:
+        """tr(Δ⁻¹ dΔ), dΔ the k-th of the others."""
+        along = np.einsum("pik,pij,pkj->pk", self.left.conj(), self.others[k], self.right.conj())
+        return (along / np.maximum(self.values, 1e-300)).sum(axis=1)
+
+
+def decompose(Delta: np.ndarray, *others: np.ndarray) -> Decomposed:
+    """Δ (points, k, k), and others, scaled and decomposed."""
+    for axis in (2, 1):
+        size = np.abs(Delta).max(axis=axis, keepdims=True)
+        size[size == 0.0] = 1.0
+        Delta, others = Delta / size, tuple(other / size for other in others)
+    return Decomposed(*np.linalg.svd(Delta), others)

@@ -2,9 +2,10 @@
 
 All are keyed by words of the counter-based generator Philox, and there is no state that one takes
 from another. Whoever draws once in order takes the generator of `stream`; whoever does so for many
-seeds takes `deadtime.numerics.pcg.Streams`, compiled, which draws what these generators do. Whoever
-must reach any number at once takes `uniforms`, which addresses Philox by its counter; this is
-NumPy's, for few numbers, and `deadtime.numerics.philox` gives the same ones compiled, for many.
+seeds takes `deadtime.numerics.generators.Streams`, compiled, which draws what these generators do.
+Whoever must reach any number at once takes `uniforms`, which addresses Philox by its counter; this
+is NumPy's, for few numbers, and `deadtime.numerics.generators` gives the same ones compiled, for
+many.
 """
 
 from __future__ import annotations

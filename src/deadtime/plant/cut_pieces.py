@@ -1,25 +1,208 @@
-"""The pieces of periods that switches cut: `deadtime.plant.pieces.PieceTable`."""
+"""Pieces of periods that switches cut: `deadtime.plant.pieces.PieceTable`, and Gramians over them.
+
+Switches are laid on the stretches of the periods that they lie in; what lies between two of them
+within an entry is a part. NumPy takes all parts at once, and kernels take over, to the same bits,
+once they are compiled.
+"""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.numerics.exponential import (
     add_congruence,
+    congruence_all,
     discretise,
+    discretise_all,
     discretise_into,
     gramian,
+    gramian_all,
     product,
+    product_all,
 )
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.stacked import discretise_all
-from deadtime.plant.laid_cuts import LaidCuts, lay_cuts
-from deadtime.plant.parts import consecutive, gramians_at_once, transitions_at_once
 from deadtime.plant.pieces import PieceTable, Stretches
+
+
+class LaidCuts(NamedTuple):
+    """The pieces of the periods with switches, and the entries that are no whole stretch.
+
+    Piece first[i] + j is the j-th of period[i]. Entries of one's own are numbered after the
+    stretches; `stretch` has the inputs that act in them, the rest is as in a `PieceTable`.
+    """
+
+    period: np.ndarray
+    first: np.ndarray
+    entry: np.ndarray
+    stretch: np.ndarray
+    start: np.ndarray
+    stop: np.ndarray
+    mode: np.ndarray
+    cut: np.ndarray
+
+
+@kernel
+def lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
+    """Lay the first `switches` switches; parts of a period under the same inputs are one entry."""
+    whole, longest, m = stretches.start.size, 0, stretches.lag.shape[1]
+    for i in range(stretches.first.size - 1):
+        longest = max(longest, stretches.first[i + 1] - stretches.first[i])
+    period, first = np.empty(switches, np.int64), np.empty(switches + 1, np.int64)
+    entry = np.empty(2 * longest * switches, np.int64)
+    stretch, mode_of = np.empty(entry.size, np.int64), np.empty(entry.size, np.int64)
+    start, stop = np.empty(entry.size), np.empty(entry.size)
+    cut = np.zeros((entry.size, 2), np.int64)
+    i, e, q, p = 0, 0, 0, 0
+    while p < switches:
+        k, mode, now, goes_on = cut_step[p], cut_mode[p], 0.0, False
+        period[i], first[i] = k, q
+        s, last = stretches.first[mode], stretches.first[mode + 1]
+        while s < last:
+            if p < switches and cut_step[p] == k and cut_offset[p] <= now:
+                p += 1
+                mode = cut_mode[p]
+                s, last = stretches.first[mode], stretches.first[mode + 1]
+                while stretches.stop[s] <= now:
+                    s += 1
+                continue
+            end = stretches.stop[s]
+            ends = p < switches and cut_step[p] == k and cut_offset[p] < end
+            if ends:
+                end = cut_offset[p]
+            if not ends and now == stretches.start[s]:
+                entry[q] = s
+                q += 1
+            else:
+                for j in range(m):
+                    goes_on = goes_on and (stretches.lag[stretch[e - 1], j] == stretches.lag[s, j])
+                if not goes_on:
+                    stretch[e], start[e], mode_of[e], cut[e, 0] = s, now, mode, p
+                    entry[q] = whole + e
+                    e, q = e + 1, q + 1
+                stop[e - 1], cut[e - 1, 1] = end, p
+            now, goes_on = end, ends
+            if not ends:
+                s += 1
+        i += 1
+    first[i] = q
+    return LaidCuts(
+        period[:i],
+        first[: i + 1],
+        entry[:q],
+        stretch[:e],
+        start[:e],
+        stop[:e],
+        mode_of[:e],
+        cut[:e],
+    )
+
+
+class Parts(NamedTuple):
+    """What lies between the switches within entries: mode and seconds.
+
+    `rank` counts the parts of an entry, and `goes_on` says whether another one follows.
+    """
+
+    entry: np.ndarray
+    mode: np.ndarray
+    length: np.ndarray
+    rank: np.ndarray
+    goes_on: np.ndarray
+
+
+def parts_of(
+    start: np.ndarray,
+    stop: np.ndarray,
+    mode: np.ndarray,
+    cut: np.ndarray,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+) -> Parts:
+    """The parts of entries, those without length left out."""
+    inner = cut[:, 1] - cut[:, 0]
+    first = np.concatenate(([0], np.cumsum(inner + 1)))
+    entry = np.repeat(np.arange(start.size), inner + 1)
+    switch = consecutive(cut[:, 0], first)  # that ends a part
+    begins, ends = first[:-1], first[1:] - 1
+    until = np.empty(entry.size)
+    until[ends] = stop
+    inside = np.ones(entry.size, bool)
+    inside[ends] = False
+    until[inside] = cut_offset[switch[inside]]
+    since, of = np.empty(entry.size), np.empty(entry.size, np.int64)
+    since[1:] = until[:-1]
+    since[begins] = start
+    inside[ends], inside[begins] = True, False
+    of[inside] = cut_mode[switch[inside]]
+    of[begins] = mode
+    kept = until > since
+    entry, of, length = entry[kept], of[kept], (until - since)[kept]
+    change = np.concatenate(([True], entry[1:] != entry[:-1]))[: entry.size]
+    begin = np.flatnonzero(change)
+    rank = np.arange(entry.size) - np.repeat(begin, np.diff(np.append(begin, entry.size)))
+    return Parts(entry, of, length, rank, np.append(~change[1:], False)[: entry.size])
+
+
+def transitions_at_once(
+    A: np.ndarray,
+    B: np.ndarray,
+    start: np.ndarray,
+    stop: np.ndarray,
+    mode: np.ndarray,
+    cut: np.ndarray,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`transitions` by NumPy."""
+    parts = parts_of(start, stop, mode, cut, cut_offset, cut_mode)
+    Phi, Gamma = np.empty((mode.size, *A.shape[1:])), np.empty((mode.size, *B.shape[1:]))
+    of, entered = discretise_all(A, B, parts.mode, parts.length)
+    Phi[parts.entry[parts.rank == 0]] = of[parts.rank == 0]
+    Gamma[parts.entry[parts.rank == 0]] = entered[parts.rank == 0]
+    with np.errstate(all="ignore"):
+        for rank in range(1, parts.rank.max(initial=0) + 1):
+            now = np.flatnonzero(parts.rank == rank)
+            e = parts.entry[now]
+            Phi[e] = product_all(of[now], Phi[e])
+            Gamma[e] = product_all(of[now], Gamma[e]) + entered[now]
+    return Phi, Gamma
+
+
+def gramians_at_once(
+    A: np.ndarray,
+    B: np.ndarray,
+    table: PieceTable,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+    Q: np.ndarray,
+) -> np.ndarray:
+    """`gramians` by NumPy."""
+    entries, (n, m) = table.mode.size, B.shape[1:]
+    parts = parts_of(table.start, table.stop, table.mode, table.cut, cut_offset, cut_mode)
+    M = gramian_all(A, B, parts.mode, parts.length, Q)
+    result = np.zeros((entries, n + m, n + m))
+    moved = np.tile(np.eye(n + m), (entries, 1, 1))
+    with np.errstate(all="ignore"):
+        for rank in range(parts.rank.max(initial=-1) + 1):
+            of = np.flatnonzero(parts.rank == rank)
+            e = parts.entry[of]
+            result[e] += congruence_all(moved[e], M[of]) if rank else M[of]
+            of = of[parts.goes_on[of]]
+            e = parts.entry[of]
+            Phi, Gamma = discretise_all(A, B, parts.mode[of], parts.length[of])
+            moved[e, :n, n:] = product_all(Phi, moved[e, :n, n:]) + Gamma
+            moved[e, :n, :n] = product_all(Phi, moved[e, :n, :n])
+    return result
+
+
+def consecutive(values: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """values[i], values[i] + 1, … at the places first[i], …, first[i + 1] − 1."""
+    return np.repeat(values - first[:-1], np.diff(first)) + np.arange(first[-1])
+
 
 FEW = 24  # entries and switches, of which the transitions are kept
 

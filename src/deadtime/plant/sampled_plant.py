@@ -3,7 +3,7 @@
 An input u_k is held from t_k = k h on and reaches the plant a delay later, so within a period
 different samples of it act one after the other. A *piece* is a stretch of a period in which the
 mode and all acting inputs stay; its lags say how many samples before the period's own they were
-computed. An input of delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h (`deadtime.plant.steps`), is
+computed. An input of delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h (`deadtime.plant.sampling`), is
 
     on [t_k, t_k + φ):      that of t_{k−N}       lag N
     on [t_k + φ, t_{k+1}):  that of t_{k−N+1}     lag N − 1, nothing of it where φ = h
@@ -16,6 +16,14 @@ and Γ,
 Along a switching signal pieces end at switches, too: a `PieceTable` has those of many periods, as
 arrays for compiled loops. Whoever needs to know what acts when reads pieces or periods, and works
 out neither.
+
+A mode that the state decides is not known beforehand. It may change within a stretch of a period,
+and with it the delays with which inputs are read. With what each mode reads as inputs of its own,
+
+    dx/dt = A_σ x + B̃_σ ũ,   ũ = (u as mode 0 reads it, u as mode 1 does, …),   B̃_i = [0 … B_i … 0],
+
+nothing that acts changes over a stretch of `SampledPlant.cut_alike`, whatever the mode becomes.
+Where all modes have the same delays they all read one u: ũ = u, B̃ = B.
 """
 
 from __future__ import annotations
@@ -23,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,7 +39,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import positive, read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant.pieces import Ahead, Period, Piece, PieceTable, Stretch, Stretches
-from deadtime.plant.steps import Cuts, Window, require_step, windows_of
+from deadtime.plant.sampling import Cuts, Window, require_step, windows_of
 from deadtime.plant.switched_system import SwitchedSystem
 
 _KEPT = 100_000  # periods; of more, tables are too large to lie about
@@ -264,3 +273,44 @@ def acting_inputs(
     array([5., 2.])
     """
     return np.array([inputs[k][j] for j, k in enumerate(lag)])
+
+
+class EveryReading(NamedTuple):
+    """A plant under what every mode reads.
+
+    plant : SwitchedSystem
+        With the inputs ũ; nobody reads its delays.
+    stretches : tuple of Stretch
+        Of a period, in any mode; `lag` (inputs of ũ,).
+    readers : int
+        How many modes stand side by side in ũ: all, or 1 where they read alike.
+    """
+
+    plant: SwitchedSystem
+    stretches: tuple[Stretch, ...]
+    readers: int
+
+    @classmethod
+    def of(cls, sampled: SampledPlant) -> EveryReading:
+        """Of a plant whose periods are cut alike in all modes.
+
+        Examples
+        --------
+        >>> plant = SwitchedSystem([[[0.0]], [[1.0]]], [[[1.0]], [[2.0]]], delay=[[0.2], [0.1]])
+        >>> every = EveryReading.of(SampledPlant(plant, 0.1).cut_alike())
+        >>> every.plant.B.tolist(), every.stretches[0].lag
+        ([[[1.0, 0.0]], [[0.0, 2.0]]], array([2, 1]))
+        """
+        plant = sampled.plant
+        if (plant.delays == plant.delays[0]).all():
+            return cls(plant, sampled.stretches(0), 1)
+        modes, n, m = plant.B.shape
+        B = np.zeros((modes, n, modes, m))
+        B[np.arange(modes), :, np.arange(modes)] = plant.B
+        by_mode = [sampled.stretches(mode) for mode in range(modes)]
+        stretches = tuple(
+            parts[0]._replace(lag=read_only(np.concatenate([part.lag for part in parts])))
+            for parts in zip(*by_mode, strict=True)
+        )
+        delays = np.tile(plant.delays.ravel(), (modes, 1))
+        return cls(plant.like(plant.A, B.reshape(modes, n, -1), delays), stretches, modes)

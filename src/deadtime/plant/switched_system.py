@@ -6,6 +6,8 @@ A mode *reads* input j its own D_σ,j seconds back: after a switch between modes
 acts jumps, and may be heard again or not at all; what was sent is in the delay line all the same.
 
 Arrays hold one matrix per mode, mode first. Modes count from 0.
+
+A plant that rests elsewhere than at 0 has an `OperatingPoint`.
 """
 
 from __future__ import annotations
@@ -308,3 +310,37 @@ def require_exponential(name: str, A: Float[np.ndarray, "mode n n"], tau: float)
             f"{np.abs(A).max():.3g} 1/s: |A|·{name} is beyond what floats hold, 1.8e308."
         )
     return size
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class OperatingPoint(Frozen):
+    """The state x₀ and the input u₀ that a plant's states and inputs are deviations from.
+
+        dx/dt = A_σ (x − x₀) + B_σ (u(t − D) − u₀)
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+        In the units of the states.
+    u : array_like, shape (m,)
+        In the units of the inputs.
+
+    Examples
+    --------
+    >>> OperatingPoint([30.0, 25.0], [45.0]).in_words(("level", "heat"), ("valve",))
+    'level = 30, heat = 25 with valve = 45'
+    """
+
+    x: Float[np.ndarray, " n"]
+    u: Float[np.ndarray, " m"]
+
+    def __init__(self, x: ArrayLike, u: ArrayLike) -> None:
+        object.__setattr__(self, "x", real_array("x", x, "(n,)", 1))
+        object.__setattr__(self, "u", real_array("u", u, "(m,)", 1))
+        self.__post_init__()
+
+    def in_words(self, states: tuple[str, ...], inputs: tuple[str, ...]) -> str:
+        """States and inputs by their names."""
+        each = zip((*states, *inputs), (*self.x.tolist(), *self.u.tolist()), strict=True)
+        said = [f"{name} = {value:.4g}" for name, value in each]
+        return f"{', '.join(said[: self.x.size])} with {', '.join(said[self.x.size :])}"

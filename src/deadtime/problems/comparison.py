@@ -15,7 +15,7 @@ from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import Outcome, elsewhere, is_pushed, outcome_of
 from deadtime.simulation.tracking import measure_of
 from deadtime.spectrum import growth_rate
-from deadtime.spectrum.affordable import why_left_out
+from deadtime.spectrum.held_mode_checks import why_left_out
 from deadtime.switching import SwitchingSignal
 
 Progress = Callable[[str], None]

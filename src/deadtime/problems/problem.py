@@ -14,7 +14,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.base.wording import input_names, numbered
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
-from deadtime.imperfections.words import in_words
+from deadtime.imperfections.disturbances import in_words
 from deadtime.laws import (
     ExactPredictor,
 )

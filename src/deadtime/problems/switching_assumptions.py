@@ -18,7 +18,7 @@ from deadtime.switching import Rule, SignalClass, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint, one_or_each
 from deadtime.switching.models.semi_markov import SemiMarkov
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential
-from deadtime.switching.random import mean_or_twice
+from deadtime.switching.signal import mean_or_twice
 from deadtime.switching.signal_class import Instants
 
 STEP = 0.01  # for problems whose loop is ideal, seconds

@@ -186,7 +186,7 @@ def _judge(
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify
     from deadtime.margins.delay import constant_delay_margin
-    from deadtime.spectrum.affordable import why_left_out
+    from deadtime.spectrum.held_mode_checks import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
     try:
@@ -308,7 +308,7 @@ def delay_sentence(problem: Problem) -> list[str]:
     Where it would take long, that it was left out.
     """
     from deadtime.margins.delay import constant_delay_margin
-    from deadtime.spectrum.affordable import why_left_out
+    from deadtime.spectrum.held_mode_checks import why_left_out
 
     name, law = next(iter(problem.laws.items()))
     too_long = why_left_out("delay margin", problem.plant, law, problem.step)

@@ -20,8 +20,7 @@ from deadtime.base.wording import as_rate, compact
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import PLAIN, record_of, text_of
 from deadtime.synthesis import Design, TradeOff
-from deadtime.synthesis.floors import DECAY, LIMIT
-from deadtime.synthesis.message import percent
+from deadtime.synthesis.design_result import DECAY, LIMIT, percent
 
 STEP = "step, s"
 HEADINGS = (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deadtime.base.staging import replacing
+from deadtime.base.files import replacing
 from deadtime.feedback import Law
 from deadtime.identification import Identification
 from deadtime.identification.identification_figure import figures_of

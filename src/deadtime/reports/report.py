@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from deadtime.base.wording import with_names
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,7 @@ from matplotlib.figure import Figure
 
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
-from deadtime.base.wording import file_name
+from deadtime.base.wording import file_name, with_names
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison, Progress, compare

@@ -12,8 +12,8 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import DeadtimeError
+from deadtime.base.files import Staging, unwritable
 from deadtime.base.json_records import json_text
-from deadtime.base.staging import Staging, unwritable
 from deadtime.base.version import __version__
 
 PAGE = "index.html"

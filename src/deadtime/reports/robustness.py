@@ -23,7 +23,7 @@ from deadtime.margins.drawn_plants import has_rates
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.spectrum import growth_rate
-from deadtime.spectrum.affordable import MOST, seconds_of
+from deadtime.spectrum.held_mode_checks import MOST, seconds_of
 
 DRAWN_HEADINGS = ("law, each mode held", "stable on", "slowest, 1/s")
 

@@ -27,7 +27,7 @@ from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
 from deadtime.spectrum import growth_rate, least_growth
-from deadtime.spectrum.affordable import why_left_out
+from deadtime.spectrum.held_mode_checks import why_left_out
 
 _SAME = 1e-9  # costs that differ by less, relative, differ by round-off
 

@@ -15,7 +15,7 @@ from deadtime.feedback.table import OLDEST
 from deadtime.imperfections import Limiting, Sizes
 from deadtime.numerics.covariance import square_root
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
-from deadtime.plant.steps import snap, snap_all
+from deadtime.plant.sampling import snap, snap_all
 from deadtime.scenarios.acting import Acting, acting_of
 from deadtime.scenarios.cut_periods import (
     WIDE,

@@ -22,7 +22,7 @@ from deadtime.imperfections import (
     TimingImperfection,
     streams,
 )
-from deadtime.imperfections.words import in_words
+from deadtime.imperfections.disturbances import in_words
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.batch_loop import Loop

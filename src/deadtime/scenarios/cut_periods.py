@@ -95,7 +95,7 @@ def compose(
     weight: Weight | None = None,
 ) -> Maps:
     """M and E of every period, over its parts, z having `wide` entries."""
-    from deadtime.numerics.stacked import discretise_all, gramian_all
+    from deadtime.numerics.exponential import discretise_all, gramian_all
 
     parts = [part for period in periods for part in period]
     mode, tau = np.array([part.mode for part in parts]), np.array([part.length for part in parts])

@@ -18,9 +18,9 @@ from deadtime.imperfections import (
     TimingImperfection,
 )
 from deadtime.imperfections.base import Drawing, DrawnTiming
-from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
+from deadtime.imperfections.disturbances import DrawnDisturbance
 from deadtime.imperfections.received import DrawnRelaying, relayed
-from deadtime.numerics.pcg import Streams
+from deadtime.numerics.generators import Streams
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.source import scenario_seeds
 from deadtime.simulation.imperfection_arrays import lags_of

@@ -1,7 +1,7 @@
 """Switching signals laid on the periods of a digital loop, many at once, compiled.
 
-As `plant.steps.Cuts` has it, a switch within 1e-9 of a period of a sample, or of an arriving input,
-is at it.
+As `plant.sampling.Cuts` has it, a switch within 1e-9 of a period of a sample, or of an arriving
+input, is at it.
 """
 
 # Intrinsics take one argument less than the functions that declare them.

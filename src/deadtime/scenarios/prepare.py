@@ -11,7 +11,7 @@ from jaxtyping import Float
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.memory import Tables
 from deadtime.imperfections import Disturbance, Imperfection, Limiting, TimingImperfection
-from deadtime.imperfections.array_kinds import is_batched
+from deadtime.imperfections.received import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.engine import Engine, EngineTable

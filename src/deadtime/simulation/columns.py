@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.staging import replacing
+from deadtime.base.files import replacing
 from deadtime.base.wording import one_line, subscript
 
 

@@ -15,7 +15,7 @@ from deadtime.feedback.table import OLDEST, follow
 from deadtime.imperfections import Disturbance
 from deadtime.loop.belief_steps import BeliefState
 from deadtime.loop.observer_steps import ObserverState
-from deadtime.plant.steps import snap
+from deadtime.plant.sampling import snap
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.ideal_run import IdealRecord

@@ -13,7 +13,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.steps import TOLERANCE, Cuts, snap_all
+from deadtime.plant.sampling import TOLERANCE, Cuts, snap_all
 from deadtime.simulation.slides import Slides
 
 

@@ -14,11 +14,11 @@ from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Disturbance, Sizes, Stacked
-from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
-from deadtime.numerics.accumulated import accumulate, rates
+from deadtime.imperfections.disturbances import DrawnDisturbance
+from deadtime.numerics.covariance import accumulate, rates
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.steps import Cuts
+from deadtime.plant.sampling import Cuts
 
 _SINGULAR = 1e-8  # of a piece
 

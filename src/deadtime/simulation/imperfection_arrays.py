@@ -19,9 +19,8 @@ from deadtime.imperfections import (
     Sizes,
     TimingImperfection,
 )
-from deadtime.imperfections.array_kinds import is_known
-from deadtime.imperfections.received import relayed
-from deadtime.plant.steps import snap_all
+from deadtime.imperfections.received import is_known, relayed
+from deadtime.plant.sampling import snap_all
 
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
 

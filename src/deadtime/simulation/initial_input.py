@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, require_shape, require_unmasked
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.numerics.collocation import Nodes, gauss
+from deadtime.numerics.polynomials import Nodes, gauss
 
 _TOLERANCE = 1e-12
 _MOST_PIECES = 2000

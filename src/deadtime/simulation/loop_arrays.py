@@ -10,7 +10,7 @@ import numpy as np
 
 from deadtime.feedback import Law
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.steps import snap
+from deadtime.plant.sampling import snap
 from deadtime.simulation.imperfection_arrays import Arrays
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
@@ -94,6 +94,6 @@ class Grid:
     def acting(self, k: int, lag: np.ndarray) -> np.ndarray:
         """The inputs that act in period k, as many samples old as their lags say.
 
-        Lags (m,), or those of several modes side by side (`deadtime.plant.every_reading`).
+        Lags (m,), or those of several modes side by side (`deadtime.plant.sampled_plant`).
         """
         return self.inputs[self.past + k - lag, np.arange(lag.size) % self.inputs.shape[1]]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.numerics.collocation import gauss
+from deadtime.numerics.polynomials import gauss
 from deadtime.switching.rules.motion import Leg, Motion
 
 _NODES = 10

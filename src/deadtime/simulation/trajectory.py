@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.checks import index, number, read_only
+from deadtime.base.checks import index, number, python_control, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.base.libraries import python_control
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.steps import TOLERANCE
+from deadtime.plant.sampling import TOLERANCE
 from deadtime.plant.weight import Weight, costs, weight_of
 from deadtime.simulation.columns import numbered_columns, write_csv
 from deadtime.simulation.digital_record import DigitalRecord

@@ -14,4 +14,4 @@ from .lifted import (
     lifted_loop as lifted_loop,
     with_memory as with_memory,
 )
-from .pace import least_growth as least_growth
+from .loop_units import least_growth as least_growth

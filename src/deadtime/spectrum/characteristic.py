@@ -2,7 +2,7 @@
 
     dx/dt = A x(t) + Σ_j b_j u_j(t − D_j),    u(t) = F x(t) + ∫ w(τ) u(t − τ) dτ,    det Δ(s) = 0
 
-(`deadtime.spectrum.ideal` has w and Δ). What kind of spectrum this is:
+(`deadtime.spectrum.ideal` has w and Δ). Its spectrum is of this kind:
 
 - The loop is retarded, never neutral, whatever delays plant and law have. The input obeys a
   Volterra equation of the second kind whose kernel w is smooth on each of the law's windows
@@ -28,9 +28,9 @@
 
 How roots are found: eigenvalues of the generator on polynomials start Newton's method on
 det Δ, s ← s − 1/tr(Δ⁻¹Δ'), down to round-off. The argument principle then counts the roots to the
-right of a line just left of the last one (`deadtime.spectrum.count`). As each root found is a
-root, they are all of them if the numbers agree; if not, the degree goes up. That is numerical
-evidence in double precision, not a proof.
+right of a line just left of the last one. As each root found is a root, they are all of them if the
+numbers agree; if not, the degree goes up. That is numerical evidence in double precision, not a
+proof.
 
 References
 ----------
@@ -51,10 +51,221 @@ from jaxtyping import Complex, Float
 from deadtime.base.checks import count as checked_count
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Law
+from deadtime.numerics.small_matrices import decompose, inverses
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.held_mode_arguments import check_mode
-from deadtime.spectrum.ideal import IdealLoop
-from deadtime.spectrum.newton import errors, newton
+from deadtime.spectrum.held_mode_checks import check_mode
+from deadtime.spectrum.ideal import IdealLoop, weights
+
+_STEPS, _CIRCLE = 40, 8
+_CONVERGED = 1e-6  # relative: of a multiple root half of the digits are lost
+
+
+def newton(
+    loop: IdealLoop, starts: Complex[np.ndarray, " root"]
+) -> tuple[Complex[np.ndarray, " root"], Float[np.ndarray, " root"]]:
+    """Roots of det Δ from every start, s ← s − 1/tr(Δ⁻¹Δ'), and σ_min/σ_max of Δ there.
+
+    Infinite where it does not converge within `loop.unit` of its start.
+    """
+    unit = loop.unit
+    best, s, real = starts.copy(), starts.copy(), np.imag(starts) == 0.0
+    residuals, last = np.full((2, starts.size), np.inf)
+    for _ in range(_STEPS if s.size else 0):
+        now = decompose(*loop.matrix(s))
+        residual, step = now.values[:, -1] / now.values[:, 0], 1.0 / now.slope(0)
+        better = residual < residuals
+        best[better], residuals[better] = s[better], residual[better]
+        last[better] = np.abs(step[better]) / (np.abs(s[better]) + unit)
+        s = np.where(real, np.real(s) - np.real(step), s - step)
+        lost = ~(np.abs(s - starts) <= unit)
+        s[lost], step[lost] = best[lost], 0.0
+        if (np.abs(step) <= 1e-15 * (np.abs(s) + unit)).all():
+            break
+    residuals[~(last <= _CONVERGED)] = np.inf
+    return best, residuals
+
+
+def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.ndarray, " root"]:
+    """How far round-off δ in Δ may move each root.
+
+    To first order that is |u|ᵀ δ |v| / |uᴴ Δ' v|, and with it goes what is left to the root of this
+    Δ, a step of Newton's method. Roots close to each other move farther, a double one as √δ and not
+    as δ over a slope of 0: the answer is the radius of a circle on which ρ(|Δ⁻¹| δ) < 1, so that no
+    change of Δ by δ takes a root across it, found from a smaller one outwards.
+    """
+    if roots.size == 0:
+        return np.empty(0)
+    epsilon = np.finfo(float).eps
+    now = decompose(*loop.matrix(roots), epsilon * loop.magnitude(roots))
+    prime, round_off = now.others
+    u, v = now.left[:, :, -1], now.right[:, -1].conj()
+    change = np.einsum("pi,pij,pj->p", np.abs(u), round_off, np.abs(v))
+    slope = np.abs(np.einsum("pi,pij,pj->p", u.conj(), prime, v))
+    left = 1.0 / np.maximum(np.abs(now.slope(0)), 1e-300)
+    first = np.minimum(change / np.maximum(slope, 1e-300), math.sqrt(epsilon) * loop.unit)
+    radius = np.minimum(1.25 * (first + left), loop.unit)
+    circle = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
+    grown = np.arange(roots.size)
+    while grown.size:
+        points = (roots[grown, None] + radius[grown, None] * circle).ravel()
+        moved = np.abs(inverses(loop.matrix(points)[0])) @ (epsilon * loop.magnitude(points))
+        across = np.abs(np.linalg.eigvals(moved)).max(axis=1).reshape(-1, _CIRCLE).max(axis=1)
+        grown = grown[(across >= 1.0) & (radius[grown] < loop.unit)]
+        radius[grown] *= 1.5
+    return radius
+
+
+MOST_POINTS = 400_000
+_CHUNK = 20_000
+
+
+def count_right_of(loop: IdealLoop, line: float) -> int | None:
+    """Roots with Re s > `line`; None on a line too close to a root or too long to be followed.
+
+    With n poles p to the left of the line Re s = c, f(s) = det Δ(s)/(s − p)ⁿ has no pole on it or
+    to its right, tends to 1 there, and is real on the real axis. So the number of roots to the
+    right is the turn of f's argument along the upper half of the line, in half turns:
+
+        count = (arg f(c) − arg f(c + i∞))/π.
+
+    The argument is followed over points so close that |f'/f| times their distance is below 1, up to
+    the radius beyond which I − Y(s), Y(s) = W(s) + F (sI − A)⁻¹ B diag(e^{−sD_j}), |Y| < 1, has
+    none but eigenvalues of positive real part; what is left to infinity is the sum of their
+    arguments.
+    """
+    radius = loop.radius(line)
+    spacing = 1.0 / (float(loop.delays.max()) + loop.lead + 1.0 / radius)
+    if not radius / spacing < MOST_POINTS:
+        return None
+    pole = line - loop.unit
+    points = np.linspace(0.0, radius, int(radius / spacing) + 2)
+    sign, rate = _values(loop, line + 1j * points, pole)
+    while True:
+        gap = np.diff(points)
+        coarse = np.flatnonzero(~(np.maximum(rate[1:], rate[:-1]) * gap <= 1.0))
+        if coarse.size == 0:
+            break
+        if points.size > MOST_POINTS or gap.min() < 1e-13 * (1.0 + abs(line)):
+            return None
+        middles = points[coarse] + gap[coarse] / 2.0
+        more_sign, more_rate = _values(loop, line + 1j * middles, pole)
+        points = np.insert(points, coarse + 1, middles)
+        sign, rate = (
+            np.insert(sign, coarse + 1, more_sign),
+            np.insert(rate, coarse + 1, more_rate),
+        )
+    turn = float(np.angle(sign[1:] / sign[:-1]).sum())
+    half_turns = -(turn - _rest(loop, line + 1j * radius, pole)) / np.pi
+    nearest = round(half_turns)
+    return nearest if abs(half_turns - nearest) < 1e-3 else None
+
+
+def _values(
+    loop: IdealLoop, s: Complex[np.ndarray, " point"], pole: float
+) -> tuple[Complex[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+    """f/|f| and |f'/f|."""
+    n = loop.A.shape[0]
+    sign, rate = np.empty(s.size, complex), np.empty(s.size)
+    for start in range(0, s.size, _CHUNK):
+        part = slice(start, start + _CHUNK)
+        Delta, prime = loop.matrix(s[part])
+        phase = np.linalg.slogdet(Delta)[0]
+        lost = phase == 0.0  # exactly singular: a root on the line
+        Delta[lost] = np.eye(Delta.shape[1])
+        away = s[part] - pole
+        sign[part] = np.where(lost, 1.0, phase) * (np.abs(away) / away) ** n
+        slope = np.trace(np.linalg.solve(Delta, prime), axis1=1, axis2=2) - n / away
+        rate[part] = np.where(lost, np.inf, np.abs(slope))
+    return sign, rate
+
+
+def _rest(loop: IdealLoop, end: complex, pole: float) -> float:
+    """arg f at the end of the line, followed back from its limit 0 at infinity."""
+    n = loop.A.shape[0]
+    W = loop.memory(np.array([end]))[0][0]
+    free = np.linalg.solve(end * np.eye(n) - loop.A, loop.B * np.exp(-end * loop.delays))
+    fed = np.linalg.eigvals(np.eye(W.shape[0]) - W - loop.F @ free)
+    open_loop = (end - np.linalg.eigvals(loop.A)) / (end - pole)
+    return float(np.angle(fed).sum() + np.angle(open_loop).sum())
+
+
+_CENTRE = 1.618  # of the plant's rate: no root is there but by accident
+
+
+def approximate_roots(loop: IdealLoop, degree: int) -> Complex[np.ndarray, " order"]:
+    """Eigenvalues of the generator on polynomials of a degree, at most n + m·degree of them.
+
+    The state of the loop is x(t) and u on [t − T, t], T the longest delay of plant and law.
+    Shifting it in time is a semigroup with the generator
+
+        (x, u) ↦ (A x + Σ_j b_j u_j(−D_j), du/dθ)    where    u(0) = F x + ∫ w(τ) u(−τ) dτ.
+
+    A polynomial through u at Chebyshev points turns it into a matrix whose eigenvalues tend to the
+    roots, faster than any power of the degree since eigenfunctions are exponentials: for a degree
+    of a few more than |s| T/2. The others are of no meaning, so all are polished and counted. One
+    polynomial serves unequal delays, too: the smooth functions that matter do not break at any
+    −D_j, nor where a window of the law ends.
+
+    Those of the plant's size are wanted to its digits, and the generator has entries of degree²/T,
+    which may be any power of ten larger. So its inverse about a point σ of the plant's size is
+    taken, of which they are the large eigenvalues 1/(s − σ).
+    """
+    G, E = generator(loop, degree)
+    centre = _CENTRE * loop.rate
+    inverse = np.linalg.eigvals(np.linalg.solve(G - centre * np.diag(E), np.diag(E)))
+    return centre + 1.0 / inverse[inverse != 0.0].astype(complex)
+
+
+def generator(
+    loop: IdealLoop, degree: int
+) -> tuple[Float[np.ndarray, "order order"], Float[np.ndarray, " order"]]:
+    """G and the diagonal of E: the generator is E⁻¹G, of (x, u(θ_1), …, u(θ_degree)), u(0) gone."""
+    n, m = loop.B.shape
+    longest = loop.longest
+    nodes, derivative, barycentric = _chebyshev(degree)
+    tau, taps = weights(loop.windows, loop.near + 2.0 * degree / longest)
+    delays, effects = zip(*loop.pipes, strict=True)
+    at = _interpolation(nodes, barycentric, 1.0 - 2.0 * np.append(tau, delays) / longest)
+    window = np.tensordot(taps, at[: tau.size], ([0], [0])).transpose(2, 0, 1)  # by node (m, m)
+    now = np.zeros((m, n + m * degree))
+    now[:, :n] = loop.F
+    now[:, n:] = window[1:].transpose(1, 0, 2).reshape(m, m * degree)
+    now = np.linalg.solve(np.eye(m) - window[0], now)
+    G = np.zeros((n + m * degree, n + m * degree))
+    for row, B in zip(at[tau.size :], effects, strict=True):
+        G[:n] += row[0] * (B @ now)
+        G[:n, n:] += np.kron(row[1:], B)
+    G[:n, :n] += loop.A
+    slope = derivative[1:]
+    G[n:] = np.kron(slope[:, :1], now)
+    G[n:, n:] += np.kron(slope[:, 1:], np.eye(m))
+    return G, np.repeat((1.0, 0.5 * longest), (n, m * degree))
+
+
+def _chebyshev(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points cos(jπ/degree), the matrix that differentiates there, barycentric weights."""
+    angle = np.arange(degree + 1) * (np.pi / degree)
+    nodes = np.cos(angle)
+    barycentric = (-1.0) ** np.arange(degree + 1)
+    barycentric[[0, -1]] /= 2.0
+    # x_i − x_j = −2 sin((a_i + a_j)/2) sin((a_i − a_j)/2) keeps its digits where points crowd.
+    half = angle / 2.0
+    apart = -2.0 * np.sin(half[:, None] + half) * np.sin(half[:, None] - half)
+    np.fill_diagonal(apart, 1.0)
+    derivative = barycentric / barycentric[:, None] / apart
+    np.fill_diagonal(derivative, 0.0)
+    np.fill_diagonal(derivative, -derivative.sum(axis=1))
+    return nodes, derivative, barycentric
+
+
+def _interpolation(nodes: np.ndarray, barycentric: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Rows that evaluate the polynomial through values at the nodes."""
+    apart = at[:, None] - nodes
+    hit = np.abs(apart) < 1e-15
+    ratio = barycentric / np.where(hit, 1.0, apart)
+    rows = ratio / ratio.sum(axis=1, keepdims=True)
+    return np.where(hit.any(axis=1, keepdims=True), hit, rows).astype(float)
+
 
 _FIRST, _FACTOR, _MOST_ORDER = 24, 1.5, 600
 _CLOSE = 0.1  # of the loop's unit: how far a polished root may be from its eigenvalue
@@ -135,8 +346,6 @@ def characteristic_roots(
 
 def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
     """At least so many of the rightmost roots of a loop, where there are so many."""
-    from deadtime.spectrum.chebyshev_roots import approximate_roots
-    from deadtime.spectrum.count import count_right_of
 
     n, m = loop.B.shape
     degree, before = _FIRST, -1

@@ -9,9 +9,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.held_mode_arguments import check_mode
+from deadtime.spectrum.held_mode_checks import check_mode
 from deadtime.spectrum.lifted import LiftedLoop, aged_row, with_memory
-from deadtime.spectrum.pace import least_growth, pace_of
+from deadtime.spectrum.loop_units import least_growth, pace_of
 from deadtime.switching import SwitchingSignal
 
 _PRECISION = 1e-4  # of the ideal loop, per delay
@@ -89,7 +89,7 @@ def growth_rate(
     feedback = rows.digital(step, SwitchingSignal.constant(mode), 1)
     row = aged_row(feedback, mode)
     if law.observer is not None:
-        from deadtime.spectrum.observed import observed_loop
+        from deadtime.spectrum.lifted import observed_loop
 
         law.require_step(step)
         return observed_loop(plant, law, feedback, mode, row).growth_rate(step)

@@ -10,26 +10,41 @@ W the longer of the plant's longest lag N and the law's taps:
 
 l over the lags of the plant's period (`plant.sampled_plant`). The rest of z is shifted. The
 law's row comes from its own model, which need not be the plant.
+
+With an observer in it, it is the lifted loop of a larger plant. Before the sample at t_k the loop's
+state, besides the past inputs, is X = (x, x̄, s): the plant's, the observer's prediction, and for
+tracking s = q_{k−1} + h v_{k−1}/2 with v = H C x. Then
+
+    x̂ = x̄ + L (C x − C_o x̄),   q = s + h v/2,   u_k = F (x̂, q) + Σ_j G_j u_{k−j},
+    x' = Φ x + …,   x̄' = Φ_o x̂ + …,   s' = s + h v,
+
+the dots being the inputs that arrive, with the lags of the plant and of the observer's model,
+which may differ.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
 
 from deadtime.base.checks import index
-from deadtime.feedback import Feedback
+from deadtime.feedback import Feedback, Law
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
-from deadtime.spectrum.input_units import in_units, units_of
+from deadtime.spectrum.loop_units import in_units, units_of
+from deadtime.spectrum.sampled_runs import LoopPeriods, forward
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
 LEADING = 32  # eigenvalues that are looked at for doubts about the largest
+_MOST_VECTORS = 90  # of Arnoldi's method
+_POWERS = 200_000  # of w that are held at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +104,17 @@ class LiftedLoop:
                 L[:n, n + (lag - 1) * m : n + lag * m] += Gamma
         return L
 
+    @cached_property
+    def _periods(self) -> LoopPeriods:
+        return LoopPeriods.of_period(self.period, self.F, self.G)
+
     def after(self, z: Float[np.ndarray, " order"], periods: int) -> Float[np.ndarray, " order"]:
         """L^periods z, by running the loop: O(W m²) a period."""
-        from deadtime.spectrum.lifted_kernels import march
-
-        m, n = self.F.shape
-        taps, W = self.G.shape[0], self.past
-        G = np.array(self.G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
-        inputs = np.empty((W + periods) * m)
-        inputs[: W * m] = z[n:].reshape(W, m)[::-1].ravel()
-        Phi, Gamma, lags = self.period
-        x = march(Phi, Gamma, np.array(lags), self.F, G, z[:n].copy(), inputs, W)
-        return np.concatenate((x, inputs.reshape(-1, m)[: -W - 1 : -1].ravel()))
+        (m, n), W = self.F.shape, self.past
+        line, states = np.empty((W + periods) * m), np.empty((periods, n))
+        line[: W * m] = z[n:].reshape(W, m)[::-1].ravel()
+        forward(self._periods, z[:n].copy(), line, states)
+        return np.concatenate((states[-1], line.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
     def growth_rate(self, step: float, dense: int | None = None) -> float:
         """ln(spectral radius of L)/h, −∞ where that is 0; see `leading_eigenvalues`."""
@@ -112,28 +126,19 @@ class LiftedLoop:
     ) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
         """Eigenvalues of L of the largest moduli, some of them, and the spectral radius.
 
-        Above the order `dense`, `DENSE` by default, the largest eigenvalues of L^{4W} are found by
-        Arnoldi's method: over several windows they grow far apart, while those of L lie close to
-        each other. The rates of the two methods agree to about 1e-9 1/s where eigenvalues are well
-        conditioned.
+        Above the order `dense`, `DENSE` by default, the largest eigenvalue of L^{4W}, or L^{12W},
+        is found by Arnoldi's method: over several windows they grow far apart, while those of L lie
+        close to each other. The rates of the two methods agree to about 1e-9 1/s where eigenvalues
+        are well conditioned.
         """
         if self.order > (DENSE if dense is None else dense):
-            from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
-
-            periods, shape = 4 * self.past, (self.order, self.order)
-            operator: Any = LinearOperator
-            power = operator(shape, lambda z: self.after(z.ravel(), periods), dtype=float)
-            options: Any = {"ncv": 80, "tol": 1e-8, "maxiter": 20}
             start = np.random.default_rng(0).normal(size=self.order)
-            try:
+            for periods in (4 * self.past, 12 * self.past):
                 with np.errstate(over="ignore", invalid="ignore"):
-                    found: Any = eigs(power, 2, v0=start, **options)
-                largest, vectors = found
-                first = int(np.abs(largest).argmax())
-                radius = float(np.abs(largest[first])) ** (1.0 / periods)
-                return np.array([self._quotient(vectors[:, first])]), radius
-            except ArpackError:  # many eigenvalues of one modulus, or a power beyond 1e308
-                pass
+                    found = leading_eigenvalue(lambda z, k=periods: self.after(z, k), start, 1e-11)
+                if found is not None:
+                    radius = abs(found[0]) ** (1.0 / periods)
+                    return np.array([self._quotient(found[1].astype(complex))]), radius
         values = np.linalg.eigvals(self.matrix())
         values = values[np.argsort(-np.abs(values), kind="stable")[:LEADING]]
         return values.astype(complex), float(np.abs(values[0]))
@@ -150,8 +155,7 @@ class LiftedLoop:
         method is for det [[zI − Φ, −Σ_l z^{−l} Γ_l], [−F, I − Σ_j G_j z^{−j}]]. At an eigenvalue
         of multiplicity k its step is a k-th of the distance; k ≤ n is taken.
         """
-        from deadtime.spectrum.lifted_kernels import transform
-        from deadtime.spectrum.newton import decompose
+        from deadtime.numerics.small_matrices import decompose
 
         (m, n), z = self.F.shape, values[:, None, None]
         Phi, Gamma, lags = self.period
@@ -228,3 +232,130 @@ def with_memory(plant: SwitchedSystem, feedback: Feedback) -> SwitchedSystem:
 def aged_row(feedback: Feedback, mode: int) -> int:
     """The row that applies when a mode has been held throughout."""
     return feedback.row(mode, feedback.ages, feedback.state_gain.shape[0] - 1)
+
+
+def leading_eigenvalue(
+    apply: Callable[[np.ndarray], np.ndarray], start: np.ndarray, tolerance: float
+) -> tuple[complex, np.ndarray] | None:
+    """The eigenvalue of largest modulus of an operator and its eigenvector, by Arnoldi's method.
+
+    None where 90 vectors do not tell it to a relative `tolerance`, or numbers are beyond floats.
+    """
+    order = start.size
+    most = min(order, _MOST_VECTORS)
+    basis, H = np.zeros((most + 1, order)), np.zeros((most + 1, most))
+    basis[0] = start / np.linalg.norm(start)
+    for j in range(most):
+        image = apply(basis[j])
+        if not np.isfinite(image).all():
+            return None
+        for _ in range(2):
+            part = basis[: j + 1] @ image
+            image = image - part @ basis[: j + 1]
+            H[: j + 1, j] += part
+        H[j + 1, j] = size = float(np.linalg.norm(image))
+        if not np.isfinite(H[: j + 2, j]).all():
+            return None
+        closed = size <= 1e-14 * np.abs(H[: j + 1, : j + 1]).max() or j + 1 == order
+        if closed or j % 4 == 3:
+            values, vectors = np.linalg.eig(H[: j + 1, : j + 1])
+            i = int(np.argmax(np.abs(values)))
+            if closed or size * abs(vectors[-1, i]) <= tolerance * abs(values[i]):
+                return complex(values[i]), vectors[:, i] @ basis[: j + 1]
+        basis[j + 1] = image / size
+    return None
+
+
+def transform(G, w):
+    """Σ_j G_j w^j and Σ_j j G_j w^j, (points, m, m), for G (taps, m, m) and w (points,)."""
+    taps, m, _ = G.shape
+    flat = G.reshape(taps, m * m)
+    both = np.concatenate((flat, flat * np.arange(1.0, taps + 1.0)[:, None]), axis=1)
+    result = np.empty((w.size, 2 * m * m), np.complex128)
+    size = max(1, _POWERS // taps)
+    for start in range(0, w.size, size):
+        some = w[start : start + size, None]
+        with np.errstate(all="ignore"):  # far outside the unit circle powers overflow
+            result[start : start + size] = np.cumprod(np.repeat(some, taps, axis=1), axis=1) @ both
+    value, slope = result.reshape(-1, 2, m, m).transpose(1, 0, 2, 3)
+    return value, slope
+
+
+class LawSide(NamedTuple):
+    """What observer and law make of what is seen, w = (x̄, s): w' = A w + B y, u = E w + D y.
+
+    Without the inputs that arrive, and without the law's taps.
+    """
+
+    A: Float[np.ndarray, "w w"]
+    B: Float[np.ndarray, "w seen"]
+    E: Float[np.ndarray, "m w"]
+    D: Float[np.ndarray, "m seen"]
+
+    @classmethod
+    def of(
+        cls,
+        law: Law,
+        C: Float[np.ndarray, "p seen"],
+        x_bar: Period,
+        F: Float[np.ndarray, "m z"],
+        mode: int,
+    ) -> LawSide:
+        """Under F of the law inside, with C the measurement; the identity for y itself."""
+        h, observer = law.observer.step, law.observer
+        C_o, L = observer.C[mode], observer.gain[mode]
+        H = np.zeros((0, len(C))) if law.servo is None else law.servo.tracked[: law.servo.sums]
+        seen, n_o, q = C.shape[1], len(x_bar.Phi), len(H)
+        estimate, v = np.zeros((n_o, seen + n_o + q)), np.zeros((q, seen + n_o + q))
+        estimate[:, :seen], estimate[:, seen : seen + n_o] = L @ C, np.eye(n_o) - L @ C_o
+        v[:, :seen] = H @ C
+        q_now = h / 2.0 * v
+        q_now[:, seen + n_o :] += np.eye(q)
+        after = np.vstack((x_bar.Phi @ estimate, h * v))
+        after[n_o:, seen + n_o :] += np.eye(q)
+        gain = F[:, :n_o] @ estimate + F[:, n_o : n_o + q] @ q_now
+        return cls(after[:, seen:], after[:, :seen], gain[:, seen:], gain[:, :seen])
+
+
+class Joined(NamedTuple):
+    """X' = Phi X + …, u_k = gain X + …, X = (x, x̄, s), its first `true` those of the plant."""
+
+    Phi: Float[np.ndarray, "size size"]
+    gain: Float[np.ndarray, "m size"]
+    true: int
+
+    @classmethod
+    def of(cls, law: Law, x: Period, x_bar: Period, F: np.ndarray, mode: int) -> Joined:
+        """Plant and observer side by side, each with its own inputs, under F of the law inside."""
+        assert law.outputs is not None
+        side, n = LawSide.of(law, law.outputs[mode], x_bar, F, mode), len(x.Phi)
+        Phi = np.zeros((n + len(side.A), n + len(side.A)))
+        Phi[:n, :n] = x.Phi
+        Phi[n:, :n], Phi[n:, n:] = side.B, side.A
+        return cls(Phi, np.hstack((side.D, side.E)), n)
+
+    def arrivals(self, x: Period, x_bar: Period) -> Period:
+        """The same with its inputs: those of the plant and of the observer's model, lag by lag."""
+        n, m = x.Gamma.shape[1:]
+        rows = {"plant": slice(0, n), "model": slice(n, n + x_bar.Gamma.shape[1])}
+        lags = tuple(sorted({*x.lags, *x_bar.lags}, reverse=True))
+        Gamma = np.zeros((len(lags), len(self.Phi), m))
+        for name, period in (("plant", x), ("model", x_bar)):
+            for lag, part in zip(period.lags, period.Gamma, strict=True):
+                Gamma[lags.index(lag), rows[name]] = part
+        return Period(self.Phi, Gamma, lags)
+
+
+def periods_of(plant: SwitchedSystem, law: Law, mode: int) -> tuple[Period, Period]:
+    """A period of the plant, and of the observer's model of it."""
+    step, model = law.observer.step, law.observer.plant
+    return SampledPlant(plant, step).period(mode), SampledPlant(model, step).period(mode)
+
+
+def observed_loop(
+    plant: SwitchedSystem, law: Law, feedback: Feedback, mode: int, row: int
+) -> LiftedLoop:
+    """The loop of plant, observer and one row of the table of the law inside, reference 0."""
+    x, x_bar = periods_of(plant, law, mode)
+    X = Joined.of(law, x, x_bar, feedback.state_gain[row], mode)
+    return LiftedLoop(X.arrivals(x, x_bar), X.gain, feedback.input_gain[row])

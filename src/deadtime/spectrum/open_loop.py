@@ -7,7 +7,7 @@ that it asks for,
     w_{k+1} = A w_k + B y_k + Σ_l Γʷ_l u_{k−l},    u_k = E w_k + D y_k + Σ_j G_j u_{k−j}:
 
 a law on the state has no w, D = F and C = I; one with an observer has w = (x̄, s)
-(`deadtime.spectrum.observed`). The closed loop has v = u.
+(`deadtime.spectrum.lifted`). The closed loop has v = u.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ from deadtime.numerics.exponential import balance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
 from deadtime.spectrum.ideal import IdealLoop
-from deadtime.spectrum.lifted import aged_row
-from deadtime.spectrum.lifted_kernels import transform
-from deadtime.spectrum.observed import LawSide, periods_of
+from deadtime.spectrum.lifted import LawSide, aged_row, periods_of, transform
 from deadtime.switching import SwitchingSignal
 
 

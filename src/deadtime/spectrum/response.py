@@ -19,13 +19,16 @@ are longer by as much as ever, and each has its own column of p.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.feedback import Law
 from deadtime.numerics.small_matrices import inverses, traces
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.ideal import IdealLoop
 
 
 class Samples(NamedTuple):
@@ -169,3 +172,118 @@ class LoopResponse(Response):
 def offsets_of(plant: SwitchedSystem, mode: int) -> Float[np.ndarray, " m"]:
     """By how much the delays of a mode are longer than the plant's shortest, seconds."""
     return plant.delays[mode] - plant.shortest_delay
+
+
+@dataclass(frozen=True, eq=False)
+class IdealResponse(LoopResponse):
+    """A plant in one mode under a law updated continuously (immutable)."""
+
+    loop: IdealLoop
+    F: Float[np.ndarray, "m n"]
+    radius: float
+    offsets: Float[np.ndarray, " m"]
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, law: Law, mode: int) -> IdealResponse:
+        """The loop with one mode held."""
+        loop = IdealLoop.of(plant, law, mode)
+        return cls(loop, loop.F, loop.radius(0.0, any_delay=True), offsets_of(plant, mode))
+
+    @property
+    def taps(self) -> float:
+        return self.loop.lead
+
+    @property
+    def highest(self) -> float:
+        return self.radius
+
+    def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        unit = np.eye(self.loop.A.shape[0])
+        z = 1j * omega[:, None, None] * unit
+        return z - self.loop.A, np.broadcast_to(1j * unit, z.shape)
+
+    def law(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        W, slope = self.loop.memory(1j * omega)
+        return np.eye(W.shape[1]) - W, -1j * slope
+
+    def even_law(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        return self.law((np.arange(count) + 0.5) / count * self.highest)
+
+    def arriving(
+        self, inputs: slice | np.ndarray, omega: np.ndarray, delay: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rate, after = (-1j * part[:, None, None] for part in (omega, delay))
+        p = np.exp(rate * delay[:, None, None]) * self.loop.B[:, inputs]
+        return p, after * p, rate * p
+
+    @property
+    def cuts(self) -> Float[np.ndarray, " cut"]:
+        return np.zeros(1)
+
+    @property
+    def period(self) -> float | None:
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class OneInput(Response):
+    """A loop as a function of one input's delay, closed but for that input (immutable).
+
+    With the columns p_k of the delay line of all other inputs at their own delays, a root lies on
+    the limit of stability where M − r p is singular,
+
+        M − r p = M_j − r p_j e_jᵀ,    M_j = M − Σ_{k≠j} r p_k e_kᵀ,
+
+    and det(M_j − r p_j e_jᵀ) = det M_j (1 − r_j p_j) with r_j = e_jᵀ M_j⁻¹ r: the loop gain at
+    input j is a number, r_j p_j.
+
+    Attributes
+    ----------
+    whole : LoopResponse
+    nominal : float
+        The delay at which the `whole` has all its inputs' own, seconds.
+    number : int
+        j.
+    offset : float
+        By how much the delay of input j is longer than the one that is varied, seconds.
+    """
+
+    whole: LoopResponse
+    nominal: float
+    number: int
+    offset: float
+
+    @property
+    def memory(self) -> float:
+        return self.whole.memory + self.nominal + self.offset
+
+    @property
+    def highest(self) -> float:
+        return self.whole.highest
+
+    @property
+    def cuts(self) -> Float[np.ndarray, " cut"]:
+        return self.whole.cuts
+
+    @property
+    def period(self) -> float | None:
+        return self.whole.period
+
+    def samples(self, omega: np.ndarray, even: bool = False) -> Samples:
+        loop, j = self.whole.samples(omega, even), self.number
+        p, p_slope, _ = self.whole.delay_line(omega, np.array([self.nominal]))
+        p[:, :, j] = p_slope[:, :, j] = 0.0
+        M_slope = loop.M_slope - loop.r_slope @ p - loop.r @ p_slope
+        inverse = inverses(loop.M - loop.r @ p)
+        r = inverse @ loop.r
+        r_slope = (inverse @ (loop.r_slope - M_slope @ r))[:, j : j + 1]
+        # det M_j and det M_j · r_j for M and r would do as well. Scaled to M = 1 at every
+        # frequency they have the same poles and zeros, and floats hold them.
+        rate = traces(inverse, M_slope)[:, None, None]
+        r = r[:, j : j + 1]
+        return Samples(omega, loop.plant, np.ones_like(rate), rate, r, r_slope + rate * r)
+
+    def delay_line(
+        self, omega: np.ndarray, delay: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.whole.arriving(slice(self.number, self.number + 1), omega, delay + self.offset)

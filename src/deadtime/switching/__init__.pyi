@@ -1,10 +1,10 @@
 from .batch import SignalBatch as SignalBatch
 from .models.model import SwitchingModel as SwitchingModel
-from .rules.quadratic import QuadraticRegions as QuadraticRegions
 from .rules.rule import (
     FunctionRule as FunctionRule,
     HalfSpace as HalfSpace,
     Polyhedra as Polyhedra,
+    QuadraticRegions as QuadraticRegions,
     Rule as Rule,
 )
 from .signal import SwitchingSignal as SwitchingSignal

@@ -1,4 +1,4 @@
-"""What a class of switching signals allows: sojourns of every mode, and which mode may follow.
+"""The sojourns that a class of switching signals allows, which mode may follow, and how often.
 
 A signal is admissible if every sojourn in mode i that ends in a switch lasts at least
 `dwell_time[i]` and none lasts longer than `maximum_dwell[i]`, and if it switches from i to j only
@@ -19,11 +19,58 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
+from deadtime.numerics.kernels import kernel
 
 if TYPE_CHECKING:
     PerMode = float | Sequence[float] | np.ndarray
 else:
     PerMode = object  # checked inside, with better messages
+
+
+@kernel
+def least_slope(t, chatter):
+    """min (t_j − t_i)/(j + 1 − chatter − i) over i ≤ j where positive; infinite for no pair.
+
+    That is the average dwell time of a signal with N₀ = chatter, in one pass over its switches.
+    Between switch i and switch j ≥ i, at t_i and t_j, there are j − i + 1 of them: at most
+    N₀ + (t_j − t_i)/τ for all i, j means
+
+        τ ≤ (t_j − t_i)/(j + 1 − N₀ − i)   wherever the denominator is positive,
+
+    the slope from the point (i, t_i) to the point (j + 1 − N₀, t_j). The least slope to a point
+    comes from the upper hull of the points to its left, and the hull's first points, once steeper
+    than those that follow, never matter again.
+
+    References ---------- K.-M. Chung and H.-I. Lu, "An optimal algorithm for the maximum-density
+    segment problem", SIAM J. Comput. 34(2), 2004.
+    """
+    hull = np.empty(t.size, np.int64)
+    first, stop, new = 0, 0, 0
+    least = np.inf
+    for j in range(t.size):
+        while new <= j and j + 1 - new > chatter:
+            while stop - first >= 2:
+                a, b = hull[stop - 2], hull[stop - 1]
+                if (t[b] - t[a]) * (new - b) > (t[new] - t[b]) * (b - a):
+                    break
+                stop -= 1
+            hull[stop] = new
+            stop += 1
+            new += 1
+        if stop == first:
+            continue
+        while True:
+            a = hull[first]
+            slope = (t[j] - t[a]) / (j - a + 1 - chatter)
+            if stop - first < 2:
+                break
+            b = hull[first + 1]
+            if (t[j] - t[b]) / (j - b + 1 - chatter) > slope:
+                break
+            first += 1
+        least = min(least, slope)
+    return least
+
 
 T = TypeVar("T")
 ROUND_OFF = 1e-9  # of a dwell time, which a sum of times may miss

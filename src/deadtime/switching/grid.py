@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from deadtime.plant.sampled_plant import SampledPlant
-from deadtime.plant.steps import TOLERANCE, Cuts, snap_all
+from deadtime.plant.sampling import TOLERANCE, Cuts, snap_all
 from deadtime.switching.signal import SwitchingSignal
 
 

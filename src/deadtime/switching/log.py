@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.staging import replacing
-from deadtime.base.text_files import read_text
+from deadtime.base.files import read_text, replacing
 
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known

@@ -10,33 +10,27 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, reporter
 from deadtime.feedback import Law
 from deadtime.gains import lqr
-from deadtime.gains.checked_gains import check_gains
-from deadtime.gains.state_feedback import require_controllable
+from deadtime.gains.state_feedback import check_gains, require_controllable
 from deadtime.laws import AveragedPredictor
 from deadtime.margins.delay import DelayMargin, constant_delay_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.spectrum import growth_rate
-from deadtime.spectrum.affordable import require_affordable
+from deadtime.spectrum.held_mode_checks import require_affordable
 from deadtime.synthesis.design_measures import WIDEST, assess
 from deadtime.synthesis.design_request import (
     check_request,
     decay_asked,
     require_seen,
     require_table,
+    unit_hints,
 )
-from deadtime.synthesis.design_search import DesignSearch, MakeLaw, Tried
-from deadtime.synthesis.exact_margins import Exact
-from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.design_result import Design, Floors, TradeOff, sentences
+from deadtime.synthesis.design_search import DesignSearch, Exact, MakeLaw, Tried, pairs_of, spend
 from deadtime.synthesis.gain_families import Choice, ChoiceFamily
-from deadtime.synthesis.initial_states import InitialStates
 from deadtime.synthesis.input_peak import Source, check_initial, largest_inputs, limits_asked
+from deadtime.synthesis.input_sources import InitialStates, StationaryNoise
 from deadtime.synthesis.limits import DelayLimit, delay_limit
-from deadtime.synthesis.message import sentences
-from deadtime.synthesis.result import Design, TradeOff
-from deadtime.synthesis.stationary_noise import StationaryNoise
-from deadtime.synthesis.strategy import pairs_of, spend
-from deadtime.synthesis.unit_hints import unit_hints
 
 DEAREST = 100.0
 

@@ -1,14 +1,217 @@
-"""What a search knows of a design: its margin, cost and growth, found fast."""
+"""The measures of a design that a search compares, found fast: its margin, cost and growth.
+
+The cost is ∫ xᵀQx + uᵀRu, the mean over initial states on the unit sphere.
+
+With one mode held, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
+`deadtime.spectrum`, and what a period costs is a quadratic form zᵀ S z: the Gramians of
+`numerics.exponential` give ∫xᵀQx over the pieces of the period, the held input h u_kᵀR u_k. So
+
+    ∫₀^∞ xᵀQx + uᵀRu dt = z₀ᵀ X z₀,    X = S + Lᵀ X L.
+
+Only the block X_xx is wanted, whose trace over n is the mean over |x₀| = 1 without inputs in the
+past: that is n runs, summed period by period until nothing more comes, which costs less than the
+Lyapunov equation of order n + W m. No quadrature, so it is exact to round-off.
+"""
 
 from __future__ import annotations
 
 import math
 
-from deadtime.feedback import Law
-from deadtime.plant import SwitchedSystem, Weight
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.base.checks import read_only
+from deadtime.feedback import Feedback, Law
+from deadtime.numerics.small_matrices import decompose
+from deadtime.plant import SampledPlant, SwitchedSystem, Weight
+from deadtime.plant.pieces import Piece
 from deadtime.spectrum import LiftedLoop, aged_row
-from deadtime.synthesis.margin_estimate import estimated_margin
-from deadtime.synthesis.price import BLOCKS, cost_and_growth
+from deadtime.spectrum.digital_response import DigitalResponse
+from deadtime.spectrum.sampled_runs import LoopPeriods, cost_of_run
+
+_LOW, _FINE = 0.02, 0.25  # rad, of delay × frequency: the lowest, and the distance higher up
+_FEW = 160
+_STARTS, _NEWTON, _CONVERGED = 24, 12, 1e-6
+_NEAREST = 0.6  # of a start's δ: so much nearer its solution may be
+_HIGH = -0.2  # of log|λ|: a peak that may reach 1 at another delay
+
+
+def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
+    """The smallest error of the delay, relative to it, that loses a mode stable without one.
+
+    Of several delays, which all err by as many seconds, relative to the shortest.
+
+    At the limit of stability det(M − r p) = 0 (`spectrum.response`). Far below the Nyquist
+    frequency a delay longer by δ turns the delay line p by e^{−iωδ}, so each eigenvalue λ(ω) of M⁻¹
+    r p with |λ| = 1 asks for ωδ = arg λ, modulo 2π. Crossings of |λ| = 1 are read off a grid of
+    frequencies; from the nearest of them Newton's method goes to solutions (ω, D + δ) of det Δ = 0,
+    p being exact there. A crossing between two points of the grid is missed: `spectrum.margin`
+    misses none.
+    """
+    response = DigitalResponse.of(plant, feedback, mode)
+    delay = plant.shortest_delay
+    omega = frequencies(plant.longest_delay, response.highest)
+    z, _ = response.free(omega)
+    M, _ = response.law(omega)
+    p, _, _ = response.delay_line(omega, np.full(omega.size, delay))
+    loop = np.linalg.solve(M, feedback_to_state(response.F, z) @ p)
+    values = loop[:, :, 0] if loop.shape[1] == 1 else np.linalg.eigvals(loop)
+    values = np.take_along_axis(values, np.argsort(np.abs(values), axis=1), axis=1)
+    w, away, sure = _starts(omega, values)
+    best, batch = math.inf, 0
+    while batch < w.size and _NEAREST * abs(away[batch]) < best:
+        some = slice(batch, batch + _STARTS)
+        found = _refine(response, w[some], away[some], sure[some], delay)
+        best, batch = min(best, found), batch + _STARTS
+    return best / delay
+
+
+def feedback_to_state(F: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """r = F (zI − Φ)⁻¹ at every frequency."""
+    return np.linalg.solve(free.transpose(0, 2, 1), F.T).transpose(0, 2, 1)
+
+
+def frequencies(delay: float, highest: float) -> np.ndarray:
+    """Even in the logarithm while that is closer, then as close as the loop turns."""
+    low = np.geomspace(_LOW / delay, highest, _FEW, endpoint=False)
+    even = np.arange(_FINE / delay, highest, _FINE / delay)
+    return np.unique(np.concatenate((low, even)))
+
+
+def _starts(omega: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies where a modulus passes 1 or peaks close to it, and the δ of either sign, seconds.
+
+    The nearest first; and whether a modulus is sure to pass 1 there.
+    """
+    level = np.log(np.maximum(np.abs(values), 1e-300))
+    angle = np.angle(values)
+    rows, columns = np.nonzero(np.sign(level[1:]) != np.sign(level[:-1]))
+    before, after = level[rows, columns], level[rows + 1, columns]
+    part = before / (before - after)
+    turn = np.angle(np.exp(1j * (angle[rows + 1, columns] - angle[rows, columns])))
+    w = omega[rows] + part * np.diff(omega)[rows]
+    at = angle[rows, columns] + part * turn
+    inner = level[1:-1]
+    peak = (inner >= level[:-2]) & (inner >= level[2:]) & (inner > _HIGH)
+    rows, columns = np.nonzero(peak)
+    sure = np.arange(w.size + rows.size) < w.size
+    w = np.concatenate((w, omega[rows + 1]))
+    at = np.concatenate((at, angle[rows + 1, columns]))
+    longer = np.mod(at, 2.0 * np.pi) / w
+    away = np.concatenate((longer, longer - 2.0 * np.pi / w))
+    order = np.argsort(np.abs(away))
+    return np.tile(w, 2)[order], away[order], np.tile(sure, 2)[order]
+
+
+def _refine(
+    response: DigitalResponse, w: np.ndarray, away: np.ndarray, sure: np.ndarray, delay: float
+) -> float:
+    """The smallest |δ| after Newton's method from every start; unrefined where it fails."""
+    start, sign = np.where(sure, np.abs(away), np.inf), np.sign(away)
+    d = delay + away
+    able = d > 0.0
+    w, d, start, sign = w[able], d[able], start[able], sign[able]
+    best, alive = start.copy(), np.arange(w.size)
+    for _ in range(_NEWTON):
+        if alive.size == 0:
+            break
+        now = decompose(*response.matrix(w[alive], d[alive]))
+        # 1 + a dω + b dD = 0: with b divided out, the imaginary part has no dD.
+        a, b = now.slope(0), now.slope(1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            dw = -np.imag(1.0 / b) / np.imag(a / b)
+            dd = -np.real(1.0 / b) - dw * np.real(a / b)
+        step = np.maximum(np.abs(dw) / w[alive], np.abs(dd) / delay)
+        near = (step < 0.3) & (d[alive] + dd > 0.0)
+        alive, step = alive[near], step[near]
+        w[alive] += dw[near]
+        d[alive] += dd[near]
+        moved = sign[alive] * (d[alive] - delay)
+        done = (step < _CONVERGED) & (moved > 0.0) & (moved < 2.0 * start[alive])
+        best[alive[done]] = moved[done]
+        alive = alive[step >= _CONVERGED]
+    return float(best.min()) if best.size else math.inf
+
+
+_DONE = 1e-15  # of the cost: what the last block may add
+BLOCKS = 4000  # of one delay each
+_SHORTEST = 16  # periods
+LARGEST = 1e60  # cost: beyond, the loop grows
+
+
+def cost_and_growth(
+    plant: SwitchedSystem,
+    feedback: Feedback,
+    mode: int,
+    blocks: int = BLOCKS,
+    weight: Weight | None = None,
+) -> tuple[float, float]:
+    """The cost, ∞ if unstable; and how fast the loop grows, about, 1/s: negative where it decays.
+
+    After so many `blocks` of one delay the rest is taken for a geometric series.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], delay=0.2)
+    >>> idle = dt.DelayedStateFeedback(plant, [[[0.0]]]).digital(0.1)
+    >>> round(cost_and_growth(plant, idle, 0)[0], 12)                     # ∫ e^{−2t} dt
+    0.5
+    """
+    pieces, step = SampledPlant(plant, feedback.step).pieces(mode), feedback.step
+    one = LoopPeriods.held(pieces, feedback, aged_row(feedback, mode))
+    block, n, m = block_of(one), plant.states, plant.inputs
+    lags, form = _form(plant, pieces, step, mode, weight)
+    line, states = np.empty((one.past + block) * m), np.empty((block, n))
+    run, total, growth = (line, states, np.empty(len(form)), blocks, _DONE, LARGEST), 0.0, -math.inf
+    for x0 in np.eye(n):
+        cost, ratio = cost_of_run(one, form, lags, x0, *run)
+        if math.isinf(cost):
+            return cost, math.log(max(ratio, 1.0 + 1e-9)) / (2.0 * block * step)
+        total += cost
+        if ratio > 0.0:
+            growth = max(growth, math.log(ratio) / (2.0 * block * step))
+    return total / n, growth
+
+
+def _form(
+    plant: SwitchedSystem,
+    pieces: tuple[Piece, ...],
+    step: float,
+    mode: int,
+    weight: Weight | None,
+) -> tuple[Int[np.ndarray, " lag"], Float[np.ndarray, "z z"]]:
+    """The lags of a period, and S with ∫xᵀQx + uᵀRu over it = zᵀ S z, z = (x_k, u_{k−lags[0]}, …).
+
+    The part of u is that of the input sent in the period: what follows is all of them.
+    """
+    from deadtime.numerics.exponential import energy_gramian
+
+    n, m = plant.B.shape[1:]
+    A, B = read_only(plant.A[mode]), read_only(plant.B[mode])
+    Q, R = (None, np.eye(m)) if weight is None else (weight.Q, weight.R)
+    lags = np.unique(np.append(np.concatenate([one.stretch.lag for one in pieces]), 0))
+    X, form = np.eye(n, n + lags.size * m), np.zeros((n + lags.size * m,) * 2)
+    form[n : n + m, n : n + m] = step * R  # lag 0 comes first
+    for Phi, Gamma, (start, stop, lag) in pieces:
+        U = np.zeros((m, len(form)))
+        U[np.arange(m), n + np.searchsorted(lags, lag) * m + np.arange(m)] = 1.0
+        z = np.vstack((X, U))
+        form += z.T @ energy_gramian(A, B, stop - start, Q) @ z
+        X = Phi @ X + Gamma @ U
+    return lags, form
+
+
+def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> LoopPeriods:
+    """One mode of a plant under the row of a mode that has been held throughout."""
+    pieces = SampledPlant(plant, feedback.step).pieces(mode)
+    return LoopPeriods.held(pieces, feedback, aged_row(feedback, mode))
+
+
+def block_of(one: LoopPeriods) -> int:
+    """Periods that are run at a time, at least as many as inputs are remembered."""
+    return max(one.past, _SHORTEST)
+
 
 _DENSE = 150  # order: up to there all eigenvalues of a loop are as fast as the largest
 WIDEST = 9.0  # relative: beyond, margins are not told apart

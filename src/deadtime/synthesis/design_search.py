@@ -1,12 +1,13 @@
 """The search for designs: global samples, then Nelder and Mead's method from the best of them.
 
-Everything tried is kept, so that the trade-off of margin and cost comes with the answer.
+Everything tried is kept, so that the trade-off of margin and cost comes with the answer, by exact
+margins.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,10 +15,11 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.laws import LowPassPredictor
+from deadtime.margins.delay import DelayMargin, constant_delay_margin
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.synthesis.design_measures import assess
-from deadtime.synthesis.floors import Floors
-from deadtime.synthesis.gain_families import Choice, ChoiceFamily
+from deadtime.synthesis.design_result import Floors, TradeOff
+from deadtime.synthesis.gain_families import Choice, ChoiceFamily, Poles, Weights
 from deadtime.synthesis.input_peak import largest_inputs
 
 MakeLaw = Callable[[SwitchedSystem, np.ndarray], Law]
@@ -185,3 +187,184 @@ def make_law(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
         return law
     T = choice.time_constant
     return LowPassPredictor(law, T[0, 0] if T.shape[0] == 1 else T)
+
+
+_ROUND = 50  # trials in the first round
+_SAMPLED = 0.2  # of a round
+_PARTS = (0.2, 0.25, 0.35, 0.5, 1.0)  # of the rest, one after the other
+_SIZES = (0.25, 0.6, 0.25, 0.6, 0.15)  # of the simplex that each starts with
+_FEWEST = 20  # trials that polishing is worth
+_LONGER = (1, 2, 5, 10, 20, 50, 100)  # times the step: what is tried where longer ones are allowed
+
+
+def pairs_of(
+    search: DesignSearch, filtered: bool | None, step: float, longest_step: float | None
+) -> list[tuple[ChoiceFamily, float]]:
+    """What is varied: families of parameters and periods."""
+    kinds = [False, True] if filtered is None else [filtered]
+    family = Poles if search.plant.inputs == 1 else Weights
+    families = [family(search.plant, kind) for kind in kinds]
+    longest = step if longest_step is None else longest_step
+    steps = [k * step for k in _LONGER if k * step <= longest * (1.0 + 1e-9)]
+    return [(family, one) for one in steps for family in families]
+
+
+def spend(
+    search: DesignSearch,
+    pairs: Sequence[tuple[ChoiceFamily, float]],
+    gains: np.ndarray,
+    rng: np.random.Generator,
+) -> None:
+    """Rounds of samples and polishing, each twice as long as the one before.
+
+    The budget only says where they end, so a larger one tries all that a smaller one does.
+    """
+    try:
+        for family, step in pairs:
+            for parameters in family.starts(gains):
+                search.evaluate(family, step, parameters)
+        size = _ROUND
+        while True:
+            _round(search, pairs, search.spent + size, size, rng)
+            size *= 2
+    except Spent:
+        return
+
+
+def _round(
+    search: DesignSearch,
+    pairs: Sequence[tuple[ChoiceFamily, float]],
+    end: int,
+    size: int,
+    rng: np.random.Generator,
+) -> None:
+    """Samples, then polishing for cost, and for the request where that falls short."""
+    share = max(4, int(_SAMPLED * size / len(pairs)))
+    for family, step in pairs:
+        search.samples(family, step, share, rng)
+    for part, simplex in zip(_PARTS, _SIZES, strict=True):
+        short = not any(search.shortfall(one) == 0.0 for one in search.stable)
+        merits = [search.nearest()] if short else [search.cheapest()]
+        if short and part < 0.3:
+            merits.append(search.cheapest())
+        per_mode = search.plant.modes > 1 and part >= 0.25
+        left = end - search.spent
+        for merit in merits:
+            if search.budget - search.spent < _FEWEST:
+                raise Spent
+            if left < _FEWEST:
+                return
+            for start in _distinct(search, merit, 1 if part == 1.0 else 2):
+                search.polish(start, merit, per_mode, int(part * left / 3.0) + 10, simplex)
+
+
+def _distinct(search: DesignSearch, merit: Merit, most: int) -> list[Tried]:
+    """The best of each family and step, the best of all first."""
+    best: list[Tried] = []
+    for one in search.ranking(merit):
+        if all((one.family, one.step) != (other.family, other.step) for other in best):
+            best.append(one)
+        if len(best) == most:
+            break
+    return best
+
+
+_CHECKED = 10  # designs looked at exactly for the one that comes nearest
+_ERRS = 3e-3  # of a shortfall: what its estimate may err by
+_NEAR = 0.01  # of a shortfall: so much farther is as near
+_POINTS = 10  # of the trade-off
+_WIDE = 2.0  # relative: margins beyond are not told apart in the trade-off
+
+
+class Exact:
+    """Exact margins of what a search tried, each computed once."""
+
+    def __init__(self, plant: SwitchedSystem, search: DesignSearch) -> None:
+        self.plant = plant
+        self.search = search
+        self.known: dict[int, DelayMargin] = {}
+
+    def margin(self, tried: Tried) -> DelayMargin:
+        """As by `constant_delay_margin`."""
+        key = id(tried)
+        if key not in self.known:
+            self.known[key] = constant_delay_margin(self.plant, tried.law, tried.step)
+        return self.known[key]
+
+    def relative(self, tried: Tried) -> float:
+        """0 where a mode is unstable."""
+        return self.margin(tried).relative or 0.0
+
+    def decay_rate(self, tried: Tried) -> float:
+        """Of the slowest constant mode, 1/s."""
+        return -float(self.margin(tried).growth.max())
+
+    def shortfall(self, tried: Tried) -> float:
+        """By how much it falls short of what is asked, 0 where it does not."""
+        found = self.relative(tried), self.decay_rate(tried)
+        return self.search.floors.shortfall(*found, load=tried.load)
+
+    def choose(self) -> Tried | None:
+        """The cheapest that meets the request; else the one nearest to it.
+
+        Of those as near as the nearest, about, the cheapest.
+        """
+        stable = self.search.stable
+        short = {one: self.search.shortfall(one) for one in stable}
+        for one in sorted(stable, key=_price):
+            if short[one] <= _ERRS and self.shortfall(one) == 0.0:
+                return one
+        few = [*sorted(stable, key=short.__getitem__)[:_CHECKED], *self._front()]
+        far = {one: self.shortfall(one) for one in few if self.relative(one) > 0.0}
+        least = min(far.values(), default=0.0)
+        near = [one for one in far if far[one] <= least + _NEAR]
+        return min(near, key=_price, default=None)
+
+    def trade_off(self, chosen: TradeOff | None) -> tuple[TradeOff, ...]:
+        """Designs of which none is both wider and cheaper, few enough to draw; and the chosen.
+
+        Of those with the decay rate that is asked for, and inputs within their limits, where there
+        are any.
+        """
+        points = [self._point(one) for one in self._front()]
+        if chosen is not None:
+            points = [chosen, *(point for point in points if point.law is not chosen.law)]
+        floors = self.search.floors
+        fast = [
+            point
+            for point in points
+            if point.decay_rate >= floors.decay_rate and floors.load(point.input_peak) <= 1.0
+        ] or points
+        kept, widest = [], 0.0
+        for point in sorted(points, key=lambda point: (point.cost, -point.margin)):
+            wider = point in fast and point.margin > widest
+            if wider or point is chosen:
+                kept.append(point)
+            if wider:
+                widest = point.margin
+        return tuple(sorted(kept, key=lambda point: point.margin))
+
+    def _point(self, one: Tried) -> TradeOff:
+        peak = largest_inputs(self.plant, one.law, one.step, self.search.floors.initial)
+        return TradeOff(one.law, one.step, self.relative(one), one.cost, self.decay_rate(one), peak)
+
+    def _front(self) -> list[Tried]:
+        """Of the front by estimated margins, a few with margins evenly apart."""
+        floor = self.search.floors.decay_rate
+        stable = sorted(self.search.stable, key=_price)
+        kept = [one for one in stable if (-one.growth >= floor or not floor) and one.load <= 1.0]
+        best: list[Tried] = []
+        for one in kept or stable:
+            if not best or one.margin > best[-1].margin:
+                best.append(one)
+        if not best:
+            return []
+        margins = np.array([one.margin for one in best])
+        wanted = np.linspace(margins[0], min(margins[-1], max(_WIDE, 2.0 * margins[0])), _POINTS)
+        at = np.searchsorted(margins, wanted - 1e-12)
+        return [best[i] for i in sorted({int(i) for i in at})]
+
+
+def _price(one: Tried) -> float:
+    """The cost to six digits: of equals the one tried first, such as the plain one."""
+    return float(f"{one.cost:.6g}")

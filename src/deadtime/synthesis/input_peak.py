@@ -3,7 +3,7 @@
 With one mode held and no inputs in the past every input is linear in the state at the start,
 u_k = M_k x(0), and held over its period, so the largest over samples is the largest over time. M_k
 comes from n runs. Over a set of initial states the largest |u_k| is a closed form of each row
-(`deadtime.synthesis.initial_states`), and no bound.
+(`deadtime.synthesis.input_sources`), and no bound.
 
 Of x(0) ~ N(0, X) the spread of every u_k is exact, σ_k² = M_k X M_kᵀ. The probability that |u_k|
 stays below a level c at all k is not a closed form, and lies between
@@ -14,7 +14,7 @@ with F_n the distribution of χ² with as many degrees as X has directions: with
 that size no u_k exceeds c; the product is Šidák's inequality (Journal of the American Statistical
 Association 62, 626–633, 1967). With one state the bounds meet.
 
-Stationary noise spreads the inputs, too: `deadtime.synthesis.stationary_noise`.
+Stationary noise spreads the inputs, too: `deadtime.synthesis.input_sources`.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.numerics.covariance import noise_covariance
-from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import LiftedLoop, aged_row, growth_rate, least_growth
-from deadtime.synthesis.initial_states import InitialStates
-from deadtime.synthesis.price import HeldLoop, periods_of
-from deadtime.synthesis.stationary_noise import StationaryNoise, level_of
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.spectrum import growth_rate, least_growth
+from deadtime.spectrum.sampled_runs import LoopPeriods, forward
+from deadtime.synthesis.design_measures import block_of, periods_of
+from deadtime.synthesis.input_sources import InitialStates, StationaryNoise, level_of
 
 Source = InitialStates | StationaryNoise  # what moves the inputs
 _DONE = 1e-6  # of the largest input: a block that stays below is the last
@@ -251,15 +251,15 @@ def error_rows(
 ) -> Float[np.ndarray, "k m n"] | None:
     """H_k of u_k = H_k v, v the error of the first sample: H_0 = F, then until they have fallen."""
     one = periods_of(plant, feedback, mode)
-    period = LiftedLoop.of(plant, feedback, mode, aged_row(feedback, mode)).period
+    period, F = SampledPlant(plant, feedback.step).period(mode), one.F[0]
     soon = sum(B for lag, B in zip(period.lags, period.Gamma, strict=True) if lag == 0)
-    states = (soon @ one.F).T.copy() if np.ndim(soon) else np.zeros((plant.states, plant.states))
-    later = _responses(one, states, one.F.T)
-    return None if later is None else np.concatenate((one.F[None], later))
+    states = (soon @ F).T.copy() if np.ndim(soon) else np.zeros((plant.states, plant.states))
+    later = _responses(one, states, F.T)
+    return None if later is None else np.concatenate((F[None], later))
 
 
 def _responses(
-    one: HeldLoop,
+    one: LoopPeriods,
     states: Float[np.ndarray, "n n"],
     sent: Float[np.ndarray, "n m"] | None = None,
 ) -> Float[np.ndarray, "k m n"] | None:
@@ -267,19 +267,18 @@ def _responses(
 
     None if they grow.
     """
-    from deadtime.synthesis.march import run_block
-
-    m, n = one.F.shape
-    past = max(one.G.shape[1] // m, int(one.lags.max()))
-    inputs = np.zeros((n, (past + one.block) * m))
+    _, m, n = one.F.shape
+    past, block = one.past, block_of(one)
+    inputs, after = np.zeros((n, (past + block) * m)), np.empty((block, n))
     if sent is not None and past:
         inputs[:, (past - 1) * m : past * m] = sent
     blocks, size = [], 0.0
     largest = first = 0.0 if sent is None else float(np.abs(sent).max())
-    for _ in range(-(-_MOST // one.block)):
-        run_block(one.Phi, one.Gamma, one.lags, one.F, one.G, past, states, inputs)
-        new = inputs[:, past * m :].reshape(n, one.block, m).transpose(1, 2, 0).copy()
-        inputs[:, : past * m] = inputs[:, one.block * m :].copy()
+    for _ in range(-(-_MOST // block)):
+        for x, row in zip(states, inputs, strict=True):
+            forward(one, x, row, after)
+        new = inputs[:, past * m :].reshape(n, block, m).transpose(1, 2, 0).copy()
+        inputs[:, : past * m] = inputs[:, block * m :].copy()
         size = float(np.abs(new).max())
         first = first or size
         if not size < _GROWS * first and size > 0.0:

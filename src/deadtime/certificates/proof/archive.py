@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.base.errors import ArgumentError, CertificateFileError
-from deadtime.base.staging import replacing
-from deadtime.base.text_files import read_text
+from deadtime.base.files import read_text, replacing
 from deadtime.base.version import __version__
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.family import Delays

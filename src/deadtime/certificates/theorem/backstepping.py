@@ -19,8 +19,8 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.gains.checked_gains import check_gains
-from deadtime.numerics.collocation import gauss
+from deadtime.gains.state_feedback import check_gains
+from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory
 from deadtime.simulation.ideal.breakpoints import merge, subdivide

@@ -8,7 +8,6 @@ Arnoldi's method on a power of it that spans several delays, where the eigenvalu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Protocol
@@ -21,46 +20,14 @@ from deadtime.feedback import Feedback
 from deadtime.feedback.table import follow, side_by_side
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.spectrum import aged_row
+from deadtime.spectrum.lifted import leading_eigenvalue
+from deadtime.spectrum.sampled_runs import LoopPeriods, carry_back, forward
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 
 WINDOWS = 3  # of the delay in one application
 TOLERANCE = 1e-9
-MOST_VECTORS = 90
 DENSE = 600  # up to this order all eigenvalues are computed where Arnoldi's method fails
-
-
-class CycleTable(NamedTuple):
-    """What happens in each period of a cycle, for the compiled loop.
-
-    first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
-    rows : (periods,), of the law's table
-    F : (contexts, m, n), G : (contexts, m, taps·m), that table, weighted, the oldest input first
-    weight : w, of one period
-    power : (entries,), w^lag of the first input of every entry
-    others : (entries, m), what those of the others are times that
-    """
-
-    first: np.ndarray
-    entry: np.ndarray
-    Phi: np.ndarray
-    Gamma: np.ndarray
-    lag: np.ndarray
-    rows: np.ndarray
-    F: np.ndarray
-    G: np.ndarray
-    weight: float
-    power: np.ndarray
-    others: np.ndarray
-
-    @property
-    def periods(self) -> int:
-        """The length of the cycle."""
-        return self.rows.size
-
-    def until(self, periods: int) -> CycleTable:
-        """The first periods."""
-        return self._replace(first=self.first[: periods + 1], rows=self.rows[:periods])
 
 
 class Growth(NamedTuple):
@@ -134,7 +101,7 @@ class SampledLoop:
         """The size of ζ."""
         return self.plant.states + self.past * self.plant.inputs
 
-    def table(self, cycle: Cycle) -> CycleTable:
+    def table(self, cycle: Cycle) -> LoopPeriods:
         """The periods of a cycle that has been going on without a beginning."""
         step, feedback = self.step, self.feedback
         signal, periods = cycle.signal(step), cycle.periods
@@ -146,10 +113,7 @@ class SampledLoop:
             seen = modes_at(signal, np.arange(periods) * step, step)
             rows = np.roll(feedback.rows(np.tile(seen, 2))[periods:], self.lag)
         pieces = self.sampled.along(cuts_of(signal, self.sampled), periods)
-        first = pieces.lag[:, :1]
-        power, others = self.weight ** first[:, 0], self.weight ** (pieces.lag - first)
-        law = rows, feedback.state_gain, self.G
-        return CycleTable(*pieces[:5], *law, self.weight, power, others)
+        return LoopPeriods.of(pieces, rows, feedback.state_gain, self.G, self.weight)
 
     def _rows_with_losses(self, cycle: Cycle, signal: SwitchingSignal) -> np.ndarray:
         """The rows where samples of the cycle are lost: of the mode told last, and of a loss."""
@@ -162,29 +126,25 @@ class SampledLoop:
         rows = feedback.rows_at(modes[periods:], ages[periods:])
         return rows + lost * (len(feedback.state_gain) // 2)
 
-    def run(self, table: CycleTable, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, table: LoopPeriods, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs
         (W + samples, m), the W past ones first."""
-        from deadtime.certificates.worst_case.cycle_kernels import forward
-
         n, m, W = self.plant.states, self.plant.inputs, self.past
-        samples = repeats * table.periods
+        samples = repeats * table.rows.size
         line, states = np.empty((W + samples) * m), np.empty((samples, n))
         line[: W * m] = z[n:]
         forward(table, z[:n].copy(), line, states)
         return states, line.reshape(-1, m)
 
-    def after(self, table: CycleTable, repeats: int, z: np.ndarray) -> np.ndarray:
+    def after(self, table: LoopPeriods, repeats: int, z: np.ndarray) -> np.ndarray:
         """ζ (order,) after some cycles, weighted."""
         states, inputs = self.run(table, repeats, z)
         return np.concatenate((states[-1], inputs[-self.past :].ravel()))
 
-    def before(self, table: CycleTable, y: np.ndarray) -> np.ndarray:
+    def before(self, table: LoopPeriods, y: np.ndarray) -> np.ndarray:
         """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
-        from deadtime.certificates.worst_case.cycle_kernels import carry_back
-
         n, held = self.plant.states, self.past * self.plant.inputs
-        line = np.zeros(held + table.periods * self.plant.inputs)
+        line = np.zeros(held + table.rows.size * self.plant.inputs)
         line[-held:] = y[n:]
         p = y[:n].copy()
         carry_back(table, p, line, np.empty(n))
@@ -197,12 +157,12 @@ class SampledLoop:
         """
         table = self.table(cycle)
         start = np.random.default_rng(0).normal(size=self.order)
-        spanning = max(1, -(-WINDOWS * self.past // table.periods))
+        spanning = max(1, -(-WINDOWS * self.past // table.rows.size))
         dominant, repeats = None, 1
         with np.errstate(over="ignore", invalid="ignore"):
             for repeats in (spanning, 3 * spanning, 1):
                 apply = partial(self.after, table, repeats)
-                dominant = _largest(apply, start, tolerance)
+                dominant = leading_eigenvalue(apply, start, tolerance)
                 if dominant is not None:
                     break
         if dominant is None:
@@ -210,14 +170,14 @@ class SampledLoop:
         if dominant is None:
             return None
         value, vector = dominant
-        time = repeats * table.periods * self.step
+        time = repeats * table.rows.size * self.step
         rate = math.log(abs(value)) / time if value else -math.inf
         n, m, W = self.plant.states, self.plant.inputs, self.past
         back = self.weight ** np.arange(W, 0, -1)  # ũ_{−j} = w^{−j} u_{−j}
         vector = np.append(vector[:n], vector[n:] * np.repeat(back, m))
         return Growth(self.shift + rate, vector)
 
-    def _dense(self, table: CycleTable) -> tuple[complex, np.ndarray] | None:
+    def _dense(self, table: LoopPeriods) -> tuple[complex, np.ndarray] | None:
         """The largest eigenvalue over one cycle and its vector, by computing all of them."""
         if self.order > DENSE:
             return None
@@ -227,32 +187,3 @@ class SampledLoop:
         values, vectors = np.linalg.eig(operator)
         largest = int(np.argmax(np.abs(values)))
         return complex(values[largest]), vectors[:, largest]
-
-
-def _largest(
-    apply: Callable[[np.ndarray], np.ndarray], start: np.ndarray, tolerance: float
-) -> tuple[complex, np.ndarray] | None:
-    """The eigenvalue of largest modulus and its eigenvector, by Arnoldi's method."""
-    order = start.size
-    most = min(order, MOST_VECTORS)
-    basis, H = np.zeros((most + 1, order)), np.zeros((most + 1, most))
-    basis[0] = start / np.linalg.norm(start)
-    for j in range(most):
-        image = apply(basis[j])
-        if not np.isfinite(image).all():
-            return None
-        for _ in range(2):
-            part = basis[: j + 1] @ image
-            image = image - part @ basis[: j + 1]
-            H[: j + 1, j] += part
-        H[j + 1, j] = size = float(np.linalg.norm(image))
-        if not np.isfinite(H[: j + 2, j]).all():
-            return None
-        closed = size <= 1e-14 * np.abs(H[: j + 1, : j + 1]).max() or j + 1 == order
-        if closed or j % 4 == 3:
-            values, vectors = np.linalg.eig(H[: j + 1, : j + 1])
-            i = int(np.argmax(np.abs(values)))
-            if closed or size * abs(vectors[-1, i]) <= tolerance * abs(values[i]):
-                return complex(values[i]), vectors[:, i] @ basis[: j + 1]
-        basis[j + 1] = image / size
-    return None

@@ -31,9 +31,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from deadtime.certificates.worst_case.cycle_growth import CycleTable, SampledLoop
+from deadtime.certificates.worst_case.cycle_growth import SampledLoop
 from deadtime.certificates.worst_case.cycles import Admissible, Cycle
 from deadtime.feedback import Feedback
+from deadtime.spectrum.sampled_runs import LoopPeriods
 
 RANK = 16
 RUNS = 32
@@ -160,7 +161,7 @@ def ranges(lengths: np.ndarray, signals: Admissible) -> tuple[np.ndarray, np.nda
 
 def _entry_table(
     loop: SampledLoop, mode: int, before: int, wait: int, shortest: int, periods: int
-) -> CycleTable:
+) -> LoopPeriods:
     """The periods of a mode that has just been entered; see `Kinds` for `before` and `wait`."""
     rows = loop.feedback.rows(np.full(periods, mode))
     if before >= 0:
@@ -171,7 +172,7 @@ def _entry_table(
 
 def _projection(
     loop: SampledLoop,
-    tables: list[CycleTable],
+    tables: list[LoopPeriods],
     lengths: np.ndarray,
     kinds: Kinds,
     low: np.ndarray,
@@ -192,7 +193,7 @@ def _projection(
 
 def _snapshots(
     loop: SampledLoop,
-    tables: list[CycleTable],
+    tables: list[LoopPeriods],
     lengths: np.ndarray,
     kinds: Kinds,
     ends: tuple[np.ndarray, np.ndarray],

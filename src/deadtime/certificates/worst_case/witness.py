@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from deadtime.imperfections import SensorImperfection
-from deadtime.imperfections.base import Sizes
-from deadtime.imperfections.received import Heard
-from deadtime.imperfections.received import Relaying
-
 import math
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +14,9 @@ from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.growth_proof import GrowthProof, prove
 from deadtime.feedback import Law
-from deadtime.imperfections import Imperfection, ModeDelay
+from deadtime.imperfections import Imperfection, ModeDelay, SensorImperfection
+from deadtime.imperfections.base import Sizes
+from deadtime.imperfections.received import Heard, Relaying
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.spectrum import least_growth

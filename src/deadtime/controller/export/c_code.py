@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
-from deadtime.base.staging import Staging, unwritable
+from deadtime.base.files import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export import belief_code, observer_code, prediction_code, rest_code
 from deadtime.controller.export.bounds import bounds, largest, require_exportable, require_limits

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.base.staging import Staging, unwritable
+from deadtime.base.files import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export.belief_code import outputs_of
 from deadtime.controller.export.c_code import c_sources, environment, given_of

@@ -9,36 +9,32 @@ The compiler vectorises such loops by itself only where it can prove that no two
 and then keeps no vector in a register from one period to the next.
 """
 
-from deadtime.numerics.lanes.choices import (
+from deadtime.numerics.lanes.code import LANES, KnownNumbers
+from deadtime.numerics.lanes.intrinsics import (
+    block_product,
     choose,
     exponent,
-    larger,
-    mantissa,
-    smaller,
-    where_larger,
-)
-from deadtime.numerics.lanes.code import LANES, KnownNumbers
-from deadtime.numerics.lanes.moves import (
     first_of,
     gather,
+    larger,
     load,
     load_each,
-    same,
-    spread,
-    store,
-)
-from deadtime.numerics.lanes.operators import lanes_of
-from deadtime.numerics.lanes.sums import (
-    block_product,
+    mantissa,
     matrix_product,
     own_form,
     own_product,
     product,
+    same,
+    smaller,
+    spread,
     squares,
+    store,
     table_product,
     times,
     total,
+    where_larger,
 )
+from deadtime.numerics.lanes.operators import lanes_of
 
 __all__ = [
     "LANES",

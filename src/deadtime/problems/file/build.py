@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from deadtime.problems.imperfection_registry import ImperfectionSection
-from deadtime.problems.imperfection_registry import build_imperfection
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -30,6 +27,7 @@ from deadtime.problems.file.gains_and_laws import (
 )
 from deadtime.problems.file.servo import FileServo
 from deadtime.problems.file.switching import build_rule, build_signal, promise_of
+from deadtime.problems.imperfection_registry import ImperfectionSection, build_imperfection
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
 from deadtime.switching import Rule, SignalClass, SwitchingModel, SwitchingSignal

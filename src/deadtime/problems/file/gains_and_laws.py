@@ -16,7 +16,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.estimation import ModeFilter, OutputModeFilter, Servo
 from deadtime.feedback import Law
 from deadtime.gains import lqr, place
-from deadtime.gains.checked_gains import check_gains
+from deadtime.gains.state_feedback import check_gains
 from deadtime.laws import LowPassPredictor
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.problems.file import schema

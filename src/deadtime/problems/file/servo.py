@@ -15,7 +15,7 @@ from pydantic import Field
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.base.text_files import read_text
+from deadtime.base.files import read_text
 from deadtime.estimation import Observer, Servo
 from deadtime.estimation.servo import Reference
 from deadtime.imperfections import Imperfection, Limiting, Sizes

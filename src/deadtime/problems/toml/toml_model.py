@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.text_files import read_text
+from deadtime.base.files import read_text
 from deadtime.problems.toml.complaints import at_line, complaint, excess, faults, key_lines, line_of
 
 

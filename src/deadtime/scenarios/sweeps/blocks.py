@@ -16,7 +16,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import DeadtimeError
 from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Relaying, TimingImperfection
-from deadtime.imperfections.array_kinds import is_batched
+from deadtime.imperfections.received import is_batched
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
 from deadtime.scenarios.sweeps.study import Loop, Study

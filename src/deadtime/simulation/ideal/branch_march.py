@@ -20,8 +20,8 @@ import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Forecast
-from deadtime.numerics.collocation import Nodes, gauss
 from deadtime.numerics.kernels import kernel
+from deadtime.numerics.polynomials import Nodes, gauss
 from deadtime.simulation.ideal.rereading import feedback_through_rereading
 from deadtime.simulation.ideal.segment_kernel import (
     arrivals,

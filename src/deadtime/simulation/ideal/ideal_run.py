@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from deadtime.feedback import Forecast, Functional
 from deadtime.feedback.table import require_finite_gains
-from deadtime.numerics.collocation import gauss
+from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation.ideal.piecewise import Piecewise
 from deadtime.simulation.ideal.segments import NODES, segments_of

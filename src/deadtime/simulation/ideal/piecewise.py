@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
-from deadtime.numerics.collocation import gauss
+from deadtime.numerics.polynomials import gauss
 from deadtime.simulation.ideal.breakpoints import merge
 from deadtime.simulation.initial_input import InputHistory
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.numerics.collocation import Nodes, shares
+from deadtime.numerics.polynomials import Nodes, shares
 
 _MOST_PIECES = 10_000
 

@@ -28,7 +28,7 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.laws import StateDependentPredictor
-from deadtime.numerics.collocation import gauss
+from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import RunOutcome
 from deadtime.simulation.ideal.ideal_run import NODES, IdealRecord

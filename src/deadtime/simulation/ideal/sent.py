@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.numerics.collocation import gauss, shares
+from deadtime.numerics.polynomials import gauss, shares
 from deadtime.simulation.ideal.ideal_run import NODES
 from deadtime.simulation.ideal.piecewise import Piecewise
 

@@ -18,14 +18,18 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
-from deadtime.switching.models.sojourn_families import EQUAL, FAMILIES, Goodness, Observed, estimate
-from deadtime.switching.models.sojourns import Distribution, Fixed
-from deadtime.switching.models.truncated_fit import (
+from deadtime.switching.models.sojourn_families import (
+    EQUAL,
+    FAMILIES,
     FAMILIES_BETWEEN,
+    Goodness,
+    Observed,
+    estimate,
     estimate_between,
     require_between,
     require_family_between,
 )
+from deadtime.switching.models.sojourns import Distribution, Fixed
 from deadtime.switching.signal import SwitchingSignal
 
 if TYPE_CHECKING:
@@ -77,7 +81,7 @@ def fit_model(
         The switches that can be: a log with another one is refused.
     dwell_time, maximum_dwell : float, or one per mode, optional
         The shortest and the longest sojourn, seconds, where they are known: families are fitted as
-        what is left of them in between (`deadtime.switching.models.truncated_fit`). Shifted
+        what is left of them in between (`deadtime.switching.models.sojourn_families`). Shifted
         exponential and uniform ones are then not among them, for these limits are their own.
 
     Raises

@@ -7,12 +7,23 @@ not depend on which signals are drawn beside it, and a longer horizon continues 
 All signals advance together, a round of jumps at a time: the modes they pass first, since these
 do not depend on the sojourns, then the sojourns, then the instants; those that have reached the
 horizon leave.
+
+A sojourn of mode i that is drawn with the number u in (0, 1) is the time that a sojourn exceeds
+with probability u:
+
+    P(S_i > t) = u,    t = a_i − b_i log u for a shifted exponential or a fixed sojourn (b_i = 0)
+
+and what the distribution's own `isf` says otherwise, or `ppf` at 1 − u, or a search where it has
+no formula for either.
+
+The loops over jumps, compiled, release Python's lock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +32,192 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import count, positive, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.numerics.kernels import kernel
 from deadtime.numerics.streams import WORDS, key_of, uniforms
-from deadtime.switching.models.jump_loops import lay, place, walk
-from deadtime.switching.models.quantiles import Quantiles
+from deadtime.switching.models.sojourns import Distribution, Fixed, ShiftedExponential, log_survival
+
+
+@dataclass(frozen=True, eq=False)
+class Quantiles(Frozen):
+    """The inverse survival functions of all modes.
+
+    Attributes
+    ----------
+    shift, scale : (mode,) arrays
+        a_i and b_i, seconds, for modes with a formula; 0 for the others. An infinite scale is a
+        mode that is never left.
+    others : tuple of (name, function, modes)
+        The other modes by distribution: its name in messages, its `isf`, and which modes have it.
+    """
+
+    shift: Float[np.ndarray, " mode"]
+    scale: Float[np.ndarray, " mode"]
+    others: tuple[tuple[str, Callable, np.ndarray], ...] = ()
+
+    @classmethod
+    def of(cls, sojourn: Sequence[Distribution]) -> Quantiles:
+        """Those of one distribution per mode; each distinct one is asked once for all its modes."""
+        shift, scale = np.zeros(len(sojourn)), np.zeros(len(sojourn))
+        others: dict[int, tuple[str, Callable, np.ndarray]] = {}
+        for i, dist in enumerate(sojourn):
+            formula = _formula(dist)
+            if formula is not None:
+                shift[i], scale[i] = formula
+                continue
+            new = np.zeros(len(sojourn), dtype=bool)
+            others.setdefault(id(dist), (*_inverse(f"sojourn[{i}]", dist), new))[2][i] = True
+        return cls(shift, scale, tuple(others.values()))
+
+    def __call__(
+        self, modes: Int[np.ndarray, "scenario jump"], u: Float[np.ndarray, "scenario jump"]
+    ) -> Float[np.ndarray, "scenario jump"]:
+        """The sojourns in `modes`, seconds, for the numbers u in (0, 1)."""
+        if len(self.others) == 1 and self.others[0][2].all():
+            name, inverse, _ = self.others[0]
+            return _invert(name, inverse, u.ravel()).reshape(u.shape)
+        result = np.log(u)
+        result *= -self.scale[modes]
+        result += self.shift[modes]
+        for name, inverse, holds in self.others:
+            here = holds[modes]
+            if here.any():
+                result[here] = _invert(name, inverse, u[here])
+        return result
+
+
+def _formula(dist: Distribution) -> tuple[float, float] | None:
+    """(a, b) of t = a − b log u, where that is the inverse survival function."""
+    if isinstance(dist, Fixed):
+        return dist.length, 0.0
+    if isinstance(dist, ShiftedExponential):
+        return dist.loc, dist.scale
+    family = type(getattr(dist, "dist", None))
+    if family.__name__ != "expon_gen" or not family.__module__.startswith("scipy.stats"):
+        return None
+    given = dict(zip(("loc", "scale"), getattr(dist, "args", ()), strict=False))
+    given |= getattr(dist, "kwds", {})
+    return float(given.get("loc", 0.0)), float(given.get("scale", 1.0))
+
+
+def _inverse(name: str, dist: Distribution) -> tuple[str, Callable]:
+    """The inverse survival function of a distribution, and its name in messages."""
+    isf, ppf = (getattr(dist, word, None) for word in ("isf", "ppf"))
+    if _is_searched(dist) or not (callable(isf) or callable(ppf)):
+        return f"{name}.sf", partial(_search, dist)
+    if callable(isf):
+        return f"{name}.isf", isf
+    assert ppf is not None
+    return f"{name}.ppf", lambda u: ppf(1.0 - u)  # exact for multiples of 2⁻⁵³
+
+
+def _is_searched(dist: Distribution) -> bool:
+    """Whether it is one of scipy's without a formula of its own, whose `isf` is slow.
+
+    Scipy inverts their cdf by a root search for each number, some milliseconds long.
+
+    Examples
+    --------
+    >>> from scipy.stats import foldnorm, gamma
+    >>> _is_searched(gamma(2.0)), _is_searched(foldnorm(1.0))
+    (False, True)
+    """
+    if not type(dist).__module__.startswith("scipy.stats"):
+        return False
+    from scipy.stats import rv_continuous
+
+    family = getattr(dist, "dist", None)
+    return isinstance(family, rv_continuous) and all(
+        getattr(type(family), word) is getattr(rv_continuous, word) for word in ("_ppf", "_isf")
+    )
+
+
+def _search(dist: Distribution, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The least doubles that sojourns exceed with a probability of at most u, by bisection.
+
+    Examples
+    --------
+    >>> _search(Fixed(0.3), np.array([0.2, 0.9]))
+    array([0.3, 0.3])
+    """
+    level, most = np.log(u), np.ones(u.size)
+    while (short := (log_survival(dist, most) > level) & (most < np.inf)).any():
+        most[short] *= 2.0
+    # Doubles ≥ 0 have the order of their bits read as integers.
+    low, high = np.zeros(u.size, np.int64), most.view(np.int64)
+    while (high - low > 1).any():
+        middle = low + (high - low) // 2
+        longer = log_survival(dist, middle.view(np.float64)) > level
+        low, high = np.where(longer, middle, low), np.where(longer, high, middle)
+    return high.view(np.float64)
+
+
+def _invert(name: str, inverse: Callable, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    with np.errstate(all="ignore"):
+        drawn = np.asarray(inverse(u), dtype=np.float64)
+    if drawn.shape != u.shape:
+        raise ArgumentError(f"{name} must return shape {u.shape} for that of u, got {drawn.shape}.")
+    if not drawn.min(initial=0.0) >= 0.0:
+        raise ArgumentError(f"{name} must return numbers ≥ 0, in s, got {drawn.min():g}.")
+    return drawn
+
+
+@kernel(nogil=True)
+def walk(bounds, mode, u):
+    """The modes of the next sojourns of every signal, and the mode after them.
+
+    `bounds` are cumulated probabilities of the next mode, of which each row ends in 1; `mode` is
+    where each signal starts, and u (signal, jump) are numbers in (0, 1).
+    """
+    path = np.empty(u.shape, np.int64)
+    after = np.empty(mode.size, np.int64)
+    for i in range(mode.size):
+        now = mode[i]
+        for j in range(u.shape[1]):
+            path[i, j] = now
+            following = 0
+            while u[i, j] >= bounds[now, following]:
+                following += 1
+            now = following
+        after[i] = now
+    return path, after
+
+
+@kernel(nogil=True)
+def lay(path, sojourns, time, last, horizon):
+    """When the sojourns start: times and modes (signal, jump), of which the first `used` hold.
+
+    `time` is where the first sojourn of each row starts and `last` the mode before it, −1 for
+    none. A sojourn whose ends are one number is left out, and one in the mode before it goes on
+    with that. Returns also the time and the last mode after the row; a time that is not below
+    the horizon ends the signal.
+    """
+    count, jumps = path.shape
+    times, modes = np.empty((count, jumps)), np.empty((count, jumps), np.int64)
+    used, end, held = np.zeros(count, np.int64), time.copy(), last.copy()
+    for i in range(count):
+        t, mode, kept = time[i], last[i], 0
+        for j in range(jumps):
+            then = t + sojourns[i, j]
+            if then > t and path[i, j] != mode:
+                mode = path[i, j]
+                times[i, kept], modes[i, kept] = t, mode
+                kept += 1
+            t = then
+            if not t < horizon:
+                break
+        used[i], end[i], held[i] = kept, t, mode
+    return times, modes, used, end, held
+
+
+@kernel(nogil=True)
+def place(to, rows, used, times, modes, flat_times, flat_modes):
+    """Move the sojourns of a round to where their signals' next ones belong, `to`; move `to`."""
+    for i in range(rows.size):
+        at, kept = to[rows[i]], used[i]
+        for j in range(kept):
+            flat_times[at + j], flat_modes[at + j] = times[i, j], modes[i, j]
+        to[rows[i]] = at + kept
+
 
 MOST_SWITCHES = 1e7
 MOST_JUMPS = 1e8
@@ -133,9 +327,9 @@ def _numbers(signals: int, block: int) -> Callable[..., np.ndarray]:
     """What gives random numbers: NumPy where few are asked for, else compiled; bitwise equal."""
     if signals <= FEW_SIGNALS and block <= FEW_BLOCKS:
         return uniforms
-    from deadtime.numerics import philox
+    from deadtime.numerics import generators
 
-    return philox.uniforms
+    return generators.uniforms
 
 
 def _pack(rounds: Sequence[tuple[np.ndarray, ...]], size: int) -> Switches:

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive, read_only, real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.models.jump_process import JumpProcess, Switches
+from deadtime.switching.models.jump_process import JumpProcess, Quantiles, Switches
 from deadtime.switching.models.model import SampledChain, SwitchingModel, rows_text
-from deadtime.switching.models.quantiles import Quantiles
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count as whole_number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.models.fit import Signals, check_signals
-from deadtime.switching.models.jump_process import JumpProcess, Switches
+from deadtime.switching.models.jump_process import JumpProcess, Quantiles, Switches
 from deadtime.switching.models.model import (
     SampledChain,
     SwitchingModel,
     check_probabilities,
     rows_text,
 )
-from deadtime.switching.models.quantiles import Quantiles
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -96,7 +95,7 @@ class MarkovChain(SwitchingModel):
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
         """P^r at a period of r steps; within a period of one nothing switches."""
-        from deadtime.plant.steps import snap
+        from deadtime.plant.sampling import snap
 
         periods = snap(positive("step", step) / self.step)
         if periods < 1.0 or not periods.is_integer():
@@ -109,13 +108,13 @@ class MarkovChain(SwitchingModel):
         return SampledChain.of_matrix(P, within=periods > 1.0)
 
     def at_samples(self, step: float) -> bool:
-        from deadtime.plant.steps import snap
+        from deadtime.plant.sampling import snap
 
         return snap(self.step / step).is_integer()
 
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Sojourns of whole periods; every instant is a multiple of the period, to the bit."""
-        from deadtime.plant.steps import snap
+        from deadtime.plant.sampling import snap
 
         periods = np.ceil(snap(positive("horizon", horizon) / self.step))
         each = np.eye(self.modes, dtype=bool)
@@ -155,7 +154,7 @@ class MarkovChain(SwitchingModel):
         array([[0.9 , 0.1 ],
                [0.25, 0.75]])
         """
-        from deadtime.plant.steps import snap, snap_all
+        from deadtime.plant.sampling import snap, snap_all
 
         step, logs = positive("step", step), check_signals(signals)
         number = 1 + max(int(log.modes.max()) for log in logs)

@@ -1,4 +1,4 @@
-"""Boundaries between regions as zeros of g(x) = xᵀQx + row·x − offset, compiled.
+"""Boundaries between regions, zeros of g(x) = xᵀQx + row·x − offset, and slides, compiled.
 
 Region r is where all of its g are ≤ 0; those numbered first[r], …, first[r + 1] − 1 are its own.
 Polyhedra have no Q: `forms` is then empty. A tuple `boundaries` is (forms, rows, offsets), a tuple
@@ -6,6 +6,24 @@ Polyhedra have no Q: `forms` is then empty. A tuple `boundaries` is (forms, rows
 
 A state is known up to its spread M|x| + N|u| only (`switching.rules.motion.round_off`), and so
 g up to its band β, and the direction in which a vector field crosses a boundary.
+
+Along a boundary at which both modes point a motion slides (Filippov). Where f_i points out of the
+region of mode i through its boundary g = 0 and f_j back into it, a = ∇g·f_i > 0 > b = ∇g·f_j, no
+mode can go on; the limit of ever faster switching between them is
+
+    x' = (a f_j − b f_i) / (a − b),    the mean of the fields that is tangent to the boundary.
+
+It is not linear, not even on a plane: its weights are ratios of functions of x. So it is
+integrated, by the extrapolated midpoint rule (Gragg, Bulirsch and Stoer), until two columns agree
+to the round-off of x; a step over which they do not is halved. After every step x is put back onto
+g = 0. The motion lasts until a < 0 or b > 0 beyond round-off, or another boundary of either
+region is met; all are asked at the end of every step of at most 1/(2|A|), so that what is met and
+left again within one such step is missed, and the end is then bisected.
+
+References
+----------
+A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer 1988, Chapter 2.
+E. Hairer, S. P. Nørsett and G. Wanner, Solving Ordinary Differential Equations I, Section II.9.
 """
 
 from __future__ import annotations
@@ -143,3 +161,149 @@ def nearest(regions, spread, x, left):
             if outside < best:
                 best, result = outside, r
     return result
+
+
+STAYS, BACK, ON, ELSEWHERE, LOST = 0, 1, 2, 3, 4  # how a sliding motion ends
+_COLUMNS = 9
+_HALVINGS = 40
+_SHARP = 2.0**-52
+
+
+@kernel(eager=True)
+def _field(A, B, boundaries, pair, x, u):
+    """The mean of the fields of modes i and j that is tangent to boundary number `row`."""
+    i, j, row = pair
+    first, second = move((A[i], B[i]), x, u), move((A[j], B[j]), x, u)
+    normal = gradient(boundaries, row, x)
+    a, b = dot(normal, first), dot(normal, second)
+    if not a - b > 0.0:
+        return first
+    # At rest on the boundary a and b are round-off, and their ratio may be anything.
+    share = min(max(a / (a - b), 0.0), 1.0)
+    return first + share * (second - first)
+
+
+@kernel(eager=True)
+def _step(A, B, boundaries, pair, x, u, tau):
+    """x after τ, and how far the last two columns of the extrapolation are apart."""
+    n = x.size
+    table = np.zeros((_COLUMNS, n))
+    start = _field(A, B, boundaries, pair, x, u)
+    error, last = np.full(n, np.inf), x
+    for k in range(_COLUMNS):
+        count = 2 * (k + 1)
+        short = tau / count
+        before, now = x, x + short * start
+        for _ in range(count - 1):
+            before, now = now, before + 2.0 * short * _field(A, B, boundaries, pair, now, u)
+        last = 0.5 * (before + now + short * _field(A, B, boundaries, pair, now, u))
+        for c in range(k):
+            # Column c + 1 from column c of the row above, in place.
+            ratio = (k + 1.0) / (k - c)
+            better = last + (last - table[c]) / (ratio * ratio - 1.0)
+            table[c] = last
+            last = better
+        if k:
+            error = np.abs(last - table[k - 1])
+        table[k] = last
+        if k and error.max() <= ROUND_OFF * np.abs(last).max():
+            break
+    return last, error
+
+
+@kernel(eager=True)
+def _onto(boundaries, row, x):
+    """The point of the boundary next to x."""
+    for _ in range(2):
+        normal = gradient(boundaries, row, x)
+        square = dot(normal, normal)
+        if square > 0.0:
+            x = x - height(boundaries, row, x) / square * normal
+    return x
+
+
+@kernel(eager=True)
+def _opposite(regions, row, entered, x):
+    """The boundary of the region entered that is the one left, seen from there; −1 if none."""
+    forms, rows, offsets, first, _ = regions
+    boundaries = forms, rows, offsets
+    normal = gradient(boundaries, row, x)
+    for j in range(first[entered], first[entered + 1]):
+        other = gradient(boundaries, j, x)
+        if dot(normal, other) < -(1.0 - 1e-9) * np.sqrt(dot(normal, normal) * dot(other, other)):
+            return j
+    return -1
+
+
+@kernel(eager=True)
+def _ending(plant, regions, surface, x, u):
+    """Whether and how the sliding motion has ended at x; and the region that is not there."""
+    forms, rows, offsets, first, modes = regions
+    boundaries = forms, rows, offsets
+    region, entered, row, opposite = surface
+    M, N = plant[2:]
+    spread = spread_of((M[modes[region]], N[modes[region]]), x, u)
+    for r in (region, entered):
+        for j in range(first[r], first[r + 1]):
+            doubt = band(boundaries, j, x, spread)
+            if j not in (row, opposite) and height(boundaries, j, x) > doubt:
+                return ELSEWHERE, r
+    a, unsure = slope(plant, modes[region], boundaries, row, x, u)
+    b, doubt = slope(plant, modes[entered], boundaries, row, x, u)
+    if a < -unsure:
+        return BACK, region
+    if b > doubt:
+        return ON, region
+    return STAYS, region
+
+
+@kernel(eager=True)
+def slide(plant, regions, between, x, u, tau):
+    """Slide for at most τ along boundary `row` from one region to another, `between` the three.
+
+    Returns x, how long it took, how it ended (STAYS: τ is over; BACK or ON into the region left
+    or entered; ELSEWHERE across another boundary; LOST where no step is short enough) and the
+    region that the motion is in or next to from there.
+    """
+    forms, rows, offsets, _, modes = regions
+    boundaries = forms, rows, offsets
+    region, entered, row = between
+    surface = region, entered, row, _opposite(regions, row, entered, x)
+    pair = modes[region], modes[entered], row
+    A, B, M, N = plant
+    noise, beyond = (M[pair[0]], N[pair[0]]), (M[pair[1]], N[pair[1]])
+    rate = max(np.abs(A[pair[0]]).sum(axis=1).max(), np.abs(A[pair[1]]).sum(axis=1).max())
+    longest = tau if rate * tau <= 0.5 else 0.5 / rate
+    x = _onto(boundaries, row, x)
+    done, step = 0.0, longest
+    while done < tau:
+        step = min(step, tau - done, longest)
+        y, error = _step(A, B, boundaries, pair, x, u, step)
+        known = spread_of(noise, y, u) + spread_of(beyond, y, u)
+        if not (error <= 4.0 * known).all():
+            if step < longest * 0.5**_HALVINGS:
+                return x, done, LOST, region
+            step *= 0.5
+            continue
+        y = _onto(boundaries, row, y)
+        end, without = _ending(plant, regions, surface, y, u)
+        if end == STAYS:
+            x = y
+            done = tau if step == tau - done else done + step
+            step *= 2.0
+            continue
+        low, high = 0.0, step
+        while high - low > _SHARP * step:
+            middle = 0.5 * (low + high)
+            z = _onto(boundaries, row, _step(A, B, boundaries, pair, x, u, middle)[0])
+            state, there = _ending(plant, regions, surface, z, u)
+            if state == STAYS:
+                low = middle
+            else:
+                high, y, end, without = middle, z, state, there
+        if end == BACK:
+            return y, done + high, end, region
+        if end == ON:
+            return y, done + high, end, entered
+        return y, done + high, end, nearest(regions, spread_of(noise, y, u), y, without)
+    return x, tau, STAYS, region

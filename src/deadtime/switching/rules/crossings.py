@@ -13,17 +13,19 @@ the parts are half as long, so that their products end where x does.
 g is known to its round-off β only, so that a trajectory along a boundary would cross it at
 random: what is looked for is g > β, and the zero of g before it is the crossing. Which region is
 entered is asked where g = β. If at the crossing both modes point at the boundary, beyond the
-round-off of either, the plant slides along it (`deadtime.switching.rules.sliding`).
+round-off of either, the plant slides along it (`deadtime.switching.rules.boundaries`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from deadtime.numerics.bernstein import first_positive, zero_before
 from deadtime.numerics.exponential import discretise, multiply
 from deadtime.numerics.kernels import kernel
+from deadtime.numerics.polynomials import first_positive, zero_before
 from deadtime.switching.rules.boundaries import (
+    LOST,
+    STAYS,
     band,
     dot,
     height,
@@ -32,11 +34,11 @@ from deadtime.switching.rules.boundaries import (
     nearest,
     own,
     product,
+    slide,
     slope,
     spread_of,
     times,
 )
-from deadtime.switching.rules.sliding import LOST, STAYS, slide
 
 _LAST_TERM = 1e-18
 _MOST_TERMS = 16

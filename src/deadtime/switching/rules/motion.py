@@ -10,7 +10,7 @@ a boundary. A crossing counts once it is beyond the round-off of the state, and 
 points at a boundary if it does so beyond its own; below that the mode is kept.
 
 Where both modes point at their boundary the state slides along it, in the sense of Filippov
-(`switching.rules.sliding`); its place, and mode, is the one that it came from until it leaves
+(`switching.rules.boundaries`); its place, and mode, is the one that it came from until it leaves
 the boundary. When its input changes it goes on beyond the boundary, if the mode there leads on.
 Where a rule does not say what its boundaries are, or crossings pile up, no trajectory goes on: the
 plant chatters. The move then says so, and holds one of the modes from there on.

@@ -163,7 +163,7 @@ class RegionMotion(Motion):
 
     def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
         from deadtime.numerics.exponential import discretise
-        from deadtime.switching.rules.sliding import slide
+        from deadtime.switching.rules.boundaries import slide
 
         z, mode = leg.x / self.unit, self.mode_of(leg.place)
         if leg.beside is None:

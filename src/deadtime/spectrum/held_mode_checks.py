@@ -1,4 +1,4 @@
-"""What a growth rate or a margin costs to compute, before it is computed.
+"""Checks before a loop with one mode held is computed: of the arguments, and of what it costs.
 
 The work grows with the square of W, the periods that a delay holds. A delay in milliseconds taken
 for one in seconds has a thousand times as many, and a million times the work.
@@ -9,9 +9,30 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+from deadtime.base.checks import index, instance
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
+from deadtime.feedback.law import require_match
 from deadtime.plant import SwitchedSystem
+
+
+def require_constant(plant: SwitchedSystem, law: Law) -> None:
+    """Refuse a plant and a law that do not make a loop with one mode held."""
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    require_match(plant, law)
+    if law.foreseen is not None and law.foreseen.switches:
+        raise ArgumentError(
+            "law must not foresee a signal of its own that switches, when one mode is "
+            "held: build the ExactPredictor without one."
+        )
+
+
+def check_mode(plant: SwitchedSystem, law: Law, mode: object) -> int:
+    """The mode that is held in a loop, checked."""
+    require_constant(plant, law)
+    return index("mode", mode, plant.modes)
+
 
 MOST = 10.0  # seconds, of what is one of many answers or asked for alone
 _SEARCH = 600.0  # of a design, which is worth waiting for

@@ -1,4 +1,12 @@
-"""How the digital loop cuts time: samples, the delay's fraction, and switches off the grid.
+"""Sampling: a mode over a period, exactly, and how the digital loop cuts time.
+
+With the input held for h seconds,
+
+    x(t + h) = Φ x(t) + Γ u,    Φ = I + A W,  Γ = W B,  W = ∫₀^h e^{As} ds.
+
+Poles and ranks are asked of the difference quotient (x(t + h) − x(t))/h = (W/h)(A x + B u)
+instead: it tends to (A, B) as h → 0, where Φ → I and Γ → 0, has no cancellation, and a gain
+gives it the eigenvalues (z − 1)/h where Φ + ΓK has the eigenvalues z.
 
 Sampling instants are t_k = k h. An input u_k, held on [t_k, t_{k+1}), reaches the plant D
 later, so with
@@ -18,11 +26,44 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.checks import positive
+from deadtime.base.checks import positive, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.plant.discretisation import finite_discretisation
 from deadtime.plant.switched_system import SwitchedSystem, require_exponential
+
+
+def finite_discretisation(
+    A: np.ndarray, B: np.ndarray, step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Φ and Γ of one mode over a step; refused where they are beyond what floats hold."""
+    from deadtime.numerics.exponential import discretise
+
+    Phi, Gamma = discretise(read_only(A), read_only(B), step)
+    if not (np.isfinite(Phi).all() and np.isfinite(Gamma).all()):
+        raise ArgumentError(
+            f"step = {step:g} s is too long: within it the plant grows beyond what floats hold."
+        )
+    return Phi, Gamma
+
+
+def quotient(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """((Φ − I)/h, Γ/h)."""
+    mean = finite_discretisation(A, np.eye(A.shape[0]), step)[1] / step
+    return mean @ A, mean @ B
+
+
+def quotient_poles(poles: np.ndarray, step: float, i: int) -> np.ndarray:
+    """(e^{ph} − 1)/h for poles p in 1/s, which must not oscillate faster than samples can."""
+    turning = np.abs(np.imag(poles))
+    if (turning >= np.pi * (1.0 - 1e-9) / step).any():
+        worst = poles[np.argmax(turning)]
+        raise ArgumentError(
+            f"poles of mode {i}: {worst:g} oscillates faster than a period of {step:g} s shows: "
+            f"|Im p| must be below π/h = {np.pi / step:.4g} 1/s; shorten the step."
+        )
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too long is refused elsewhere
+        return np.expm1(poles * step) / step
+
 
 TOLERANCE = 1e-9
 _SURE = 600.0  # of |A|·step: e^(A·step) is within floats
