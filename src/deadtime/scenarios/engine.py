@@ -30,7 +30,7 @@ from deadtime.scenarios.lane_types import (
 )
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.observer_memory import ObserverLanes, OutputLanes
-from deadtime.scenarios.preview_lanes import KnownSignalModel, stacks_of
+from deadtime.scenarios.preview_lanes import KnownSignalModel, PreviewLanes
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.scenario_sums import Path, ScenarioSums
 from deadtime.scenarios.side_by_side import groups
@@ -138,9 +138,8 @@ class Engine:
         self.run(table, self._loop.lay_nothing())
 
     def _foreseeing(self, ahead: ModelAhead, model: KnownSignalModel) -> EngineTable:
-        n = self._loop.plant.states
         entering = model.lags.size * self._loop.plant.inputs
-        shape = replace(self._shape, square=n * n, entering=entering, model=n + entering)
+        shape = replace(self._shape, entering=entering)
         taps = ahead.loop.sampled.longest_lag
         return EngineTable(shape, None, None, model, None, None, None, taps, None)
 
@@ -196,7 +195,7 @@ class Engine:
         law, shape, samples = table.factored, table.shape, self._run.samples
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
         work = work_of(shape, plant, self._run, table.taps, carry, count)
-        ahead = None if table.model is None else stacks_of(shape, table.model)
+        ahead = None if table.model is None else PreviewLanes.of(shape, table.model)
         kept = None if table.memory is None else ObserverLanes.of(table.memory)
         mind = None
         if table.belief is not None and table.gains is not None:

@@ -62,7 +62,7 @@ from deadtime.scenarios.observer_memory import (
     note_answer,
     observe_again,
 )
-from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, sum_up, turn
+from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, turn
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -218,8 +218,7 @@ def run_scenarios(
             window, places = window_of(shape, dense), m * np.arange(LANES)
             width = window.line.size // LANES
         if model is not None:
-            enters = look_ahead(shape, model, ahead, begin, few, period)
-            r = model.length
+            enters = look_ahead(shape, model, ahead, line, begin, few, period)
         if relayed is not None:
             recent = recent_of(shape, relayed, sight)
             lost_now = lanes_of(recent.lost.reshape(1, LANES))
@@ -273,10 +272,7 @@ def run_scenarios(
             if model is not None:
                 if enters // LANES == k:
                     enters = turn(model, ahead, k, enters)
-                if r == model.length:
-                    sum_up(shape, model.length, ahead)
-                    r = np.int64(0)
-                u = foresee(shape, model.length, ahead, r, known, before)
+                u = foresee(shape, model.length, ahead, k, known, line[latest])
             if factored is not None:
                 if r == factored.length:
                     refill(shape, factored, ring, period, now, carry)
@@ -314,9 +310,7 @@ def run_scenarios(
             store(ring, now * m * LANES, u)
             if model is not None:  # noqa: SIM102
                 if model.length > 0:
-                    enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
-                    r += 1
-                    _turn_around(ahead.acting, m, ring.size)
+                    enter(ahead, line)
             if factored is not None:
                 entered = product(factored.enter, 0, u, same(0.0, shape.b))
                 b = block_product(factored.transition, 0, b, entered, shape.block)

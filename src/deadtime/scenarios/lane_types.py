@@ -23,7 +23,7 @@ class LoopSizes:
     seen : what is measured;  known : what the law's rows are multiplied with
     kept : that of a law with a memory, zeros of one with a bank;  output : what it measures
     head : m (n + m), for the heads of dense rows
-    square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
+    entering : `acting` of the model of a law that knows the signal
     """
 
     x: int
@@ -42,9 +42,7 @@ class LoopSizes:
     block: int = 0
     rows: int = 0
     head: int = 0
-    square: int = 0
     entering: int = 0
-    model: int = 0
 
     @cached_property
     def _numba_type_(self) -> Any:

@@ -22,7 +22,7 @@ from deadtime.simulation.ideal.ideal_run import IdealRecord
 from deadtime.simulation.imperfect import Told
 from deadtime.simulation.imperfection_arrays import Arrays, no_clip
 from deadtime.simulation.loop_arrays import DelayLine, Grid, Rows
-from deadtime.simulation.preview_loop import Along, Foreseen
+from deadtime.simulation.preview_loop import Along, PreviewLaw
 from deadtime.simulation.sight import Sight
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
@@ -95,14 +95,14 @@ def run_table(
     line = DelayLine.of(grid, arrays, measured, remembered, believed)
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
     along = Along(sampled, signal, table)
-    foreseen = Foreseen.of(tables.foresight, samples, along) if tables.foresight else None
+    preview = PreviewLaw.of(tables.foresight, samples, along) if tables.foresight else None
     state = observer = None
     if memory is not None:
         observer = ObserverState.of(memory)
         observer.z[:] = memory.start
     if belief is not None:
         state = BeliefState.of(belief, rows.F.shape[0])
-    known = memory, observer, belief, state, foreseen
+    known = memory, observer, belief, state, preview
     kept, path = closed_loop(table, rows, *known, line, sight, clip, shift, x0)
     record = DigitalRecord(
         sampled,

@@ -135,25 +135,25 @@ def _move(Phi, Gamma, e, path, q, acting):
         path[q + 1, i] = total
 
 
-def _in_python(table, rows, memory, observer, belief, state, foreseen, *run):
+def _in_python(table, rows, memory, observer, belief, state, preview, *run):
     """`closed_loop` where it is not compiled: over lists where these will do."""
     line, sight, clip, shift, x0 = run
-    simple = memory is None and belief is None and foreseen is None
+    simple = memory is None and belief is None and preview is None
     if simple and is_bare(table, line, sight, clip, shift):
         return bare_loop(table, rows, line, x0)
-    known = memory, observer, belief, state, foreseen
+    known = memory, observer, belief, state, preview
     return closed_loop.function(table, rows, *known, *run)
 
 
 @kernel(plain=_in_python, large=_LONG)
 def closed_loop(
-    table, rows, memory, observer, belief, state, foreseen, line, sight, clip, shift, x0
+    table, rows, memory, observer, belief, state, preview, line, sight, clip, shift, x0
 ):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
     `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`
     and `observer` its state, `belief` a `deadtime.feedback.belief.Belief` and `state` its own,
-    `foreseen` one of its file in place of rows, or None each; the others are of
+    `preview` a `PreviewLaw` in place of rows, or None each; the others are of
     `deadtime.simulation`, too: `rows` and `line` of `loop_arrays`, `sight` of its file, `clip` of
     `imperfection_arrays`; `shift` (pieces, n), or empty, is what disturbances add. Returns
     (samples, path): how many samples were kept before |x| left the limit, and x at the start of
@@ -187,8 +187,8 @@ def closed_loop(
                 for i in range(known.size):
                     known[i] = estimates[k, i]
             recent = flat[at * m - window : at * m]
-            if foreseen is not None:
-                foresee(foreseen, k, past, told, known, answer)
+            if preview is not None:
+                foresee(preview, k, past, told, known, answer)
             elif belief is not None:
                 believe(belief, state, k, past, told, measured, line.beliefs)
                 _mean_row(rows, state.weight, recent, known, answer)

@@ -35,7 +35,6 @@ from deadtime.numerics.lanes.sums import (
     own_product,
     product,
     squares,
-    table_product,
     times,
     total,
 )
@@ -62,7 +61,6 @@ __all__ = [
     "spread",
     "squares",
     "store",
-    "table_product",
     "times",
     "total",
     "where_larger",
