@@ -14,13 +14,13 @@ from deadtime.feedback import Feedback
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.feedback.memory import Memory
+from deadtime.imperfections import Sizes
+from deadtime.imperfections.actuators import InputLimits
 from deadtime.numerics.lanes import LANES, KnownNumbers
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.belief_memory import belief_lanes
 from deadtime.scenarios.lane_loop import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.lane_types import (
-    KINDS,
-    ClipLanes,
     Dense,
     Factored,
     Hearing,
@@ -74,8 +74,8 @@ class Engine:
         self._loop = loop
         x0, root = read_only(loop.x0), read_only(loop.root.ravel())  # one type
         self._run = RunLanes(loop.whole + 1, loop.rest / loop.step, loop.late, x0, root)
-        rate, low, high = loop.limits
-        self._clip = ClipLanes(rate, low.ravel(), high.ravel()) if rate.size else None
+        limits = InputLimits.of(loop.actuators, Sizes.of(loop.plant, loop.step))
+        self._limits = limits if limits.relative.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
         inputs = loop.acting.lags.size * m
         sizes = n, m, n + m, inputs, wide - n, wide, 2 * m, wide - n - inputs, n, n
@@ -191,7 +191,7 @@ class Engine:
     ) -> ScenarioSums:
         records, lags = laid.records, self._loop.acting.lags
         plant = PlantLanes(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._clip, *hearing, force
+        loop = plant, self._run, self._limits, *hearing, force
         law, shape, samples = table.factored, table.shape, self._run.samples
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
         work = work_of(shape, plant, self._run, table.taps, carry, count)
@@ -222,8 +222,7 @@ def _dense(feedback: Feedback) -> Dense:
     G = feedback.latest_first
     head = np.concatenate((feedback.state_gain, G[:, :, :m]), axis=2)
     rest[:, :, : (taps - 1) * m] = G[:, :, m:]
-    kind = KINDS[feedback.context]
-    return Dense(taps, head.ravel(), rest.ravel(), width, kind, feedback.ages)
+    return Dense(taps, head.ravel(), rest.ravel(), width, feedback.apart, feedback.ages)
 
 
 def _zeros_on_cache_lines(size: int) -> np.ndarray:

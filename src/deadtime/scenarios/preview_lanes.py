@@ -82,7 +82,7 @@ def look_ahead(shape, model, ahead, ring, start, count, period):
 
     Inputs from before time 0 are 0.
     """
-    _m, soon = len(shape.u), -np.int64(model.length) * LANES
+    soon = -np.int64(model.length) * LANES
     for p in range(model.lags.size):
         ahead.acting[p] = -model.lags[p] % period
     for lane in range(LANES):
