@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 import deadtime as dt
 from deadtime.plant import SampledPlant, Window
-from deadtime.plant.sampling import snap, snap_all
+from deadtime.plant.discretisation import snap, snap_all
 from deadtime.switching.grid import cuts_of, modes_at
 
 quick = settings(max_examples=200, deadline=None, derandomize=True)

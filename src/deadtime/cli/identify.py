@@ -380,7 +380,7 @@ def _off_grid(signals: list[SwitchingSignal], step: float) -> dict[str, int]:
     """How many switches the logs have, and how many of them lie between samples."""
     import numpy as np
 
-    from deadtime.plant.sampling import snap_all
+    from deadtime.plant.discretisation import snap_all
 
     periods = snap_all(np.concatenate([one.times[1:] for one in signals]) / step)
     return {"switches": periods.size, "off_grid": int(np.sum(periods != np.round(periods)))}

@@ -59,7 +59,7 @@ def numbers_of(name: str, text: str) -> list[float]:
 def with_step(problem: Problem, step: float | None) -> Problem:
     """A problem at another period; modes that change at its samples may change between those."""
     from deadtime.base.checks import positive
-    from deadtime.plant.sampling import snap
+    from deadtime.plant.discretisation import snap
 
     if step is None:
         return problem

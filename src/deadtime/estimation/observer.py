@@ -58,7 +58,7 @@ from deadtime.numerics.lmi import (
     symmetric_value,
 )
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampling import finite_discretisation, quotient, quotient_poles
+from deadtime.plant.discretisation import finite_discretisation, quotient, quotient_poles
 from deadtime.plant.weight import weight_matrix
 
 _NARROW = 1e-3  # of the bracket at which bisection stops

@@ -53,7 +53,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.estimation.observer import output_matrices, per_mode
 from deadtime.gains import state_feedback as design
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampling import TOLERANCE, finite_discretisation
+from deadtime.plant.discretisation import TOLERANCE, finite_discretisation
 
 
 @runtime_checkable

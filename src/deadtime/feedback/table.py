@@ -69,7 +69,12 @@ def require_finite_gains(*gains: np.ndarray) -> None:
 
 def row_of(context: Context, ages: int, mode: int, age: int) -> int:
     """The row of a table that does not depend on the sample's number."""
-    return 0 if context == "none" else mode * ages + min(age, ages - 1)
+    return row_at(0 if context == "none" else ages, ages, mode, age)
+
+
+def row_at(apart, ages, mode, age):
+    """The row of a mode and its age, whose rows are so far `apart` from those of the next mode."""
+    return mode * apart + min(age, ages - 1)
 
 
 def ages_along(modes: np.ndarray, initial_age: ArrayLike) -> np.ndarray:
@@ -183,6 +188,11 @@ class Feedback(Frozen):
         # Where they are: a table may take as much memory as there is for one.
         for array in (self.state_gain, self.input_gain, *(self.factor or ())):
             array.flags.writeable = False
+
+    @property
+    def apart(self) -> int:
+        """How many rows a mode's are from those of the next one; 0 where one row is of all."""
+        return 0 if self.context == "none" else self.ages
 
     @property
     def taps(self) -> int:

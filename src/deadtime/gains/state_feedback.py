@@ -23,7 +23,7 @@ from deadtime.base.checks import positive, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, require_controllable
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampling import finite_discretisation, quotient, quotient_poles
+from deadtime.plant.discretisation import finite_discretisation, quotient, quotient_poles
 from deadtime.plant.weight import weight_matrix
 
 

@@ -1,14 +1,27 @@
-"""Actuators: limits of the input and of its rate."""
+"""Actuators: limits of the input and of its rate, and the step that applies them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, bound, not_nan
+from deadtime.base.checks import as_floats, bound, not_nan, read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import ActuatorImperfection, Limiting, Limits, Sizes, per_signal
+from deadtime.imperfections.base import (
+    ActuatorImperfection,
+    Imperfection,
+    Limiting,
+    Limits,
+    Sizes,
+    per_signal,
+)
+from deadtime.numerics.kernels import kernel
+from deadtime.numerics.numbers import where
 
 
 @dataclass(frozen=True)
@@ -62,3 +75,39 @@ class RateLimit(Limiting, ActuatorImperfection):
         if (most <= 0.0).any():
             raise ArgumentError(f"RateLimit.rate must be positive, got {self.rate}.")
         return Limits(-most, most, True)
+
+
+class InputLimits(NamedTuple):
+    """The limits of the inputs in their order.
+
+    low, high : (count, m)
+    relative : (count,), whether the bounds are of the change from the input applied before
+    """
+
+    low: Float[np.ndarray, "limit m"]
+    high: Float[np.ndarray, "limit m"]
+    relative: Bool[np.ndarray, " limit"]
+
+    @classmethod
+    def of(cls, imperfections: Sequence[Imperfection], sizes: Sizes) -> InputLimits:
+        """The limits among them."""
+        limits = [each.limits(sizes) for each in imperfections if isinstance(each, Limiting)]
+        shape = len(limits), sizes.inputs
+        return cls(
+            read_only(np.reshape([limit.low for limit in limits], shape)),
+            read_only(np.reshape([limit.high for limit in limits], shape)),
+            read_only(np.array([limit.relative for limit in limits], np.bool_)),
+        )
+
+
+# Arrays of their own and not a tuple of them: that would cost as much as 50 terms.
+@kernel(nogil=True, forceinline=True, _nrt=False)
+def limit_input(low, high, relative, i, u, before):
+    """What limits leave of input i, u being asked for and `before` applied in the last period.
+
+    Numbers are floats, or vectors of eight scenarios (`deadtime.numerics.numbers`).
+    """
+    for j in range(relative.size):
+        base = where(relative[j], before, 0.0)
+        u = min(max(u, base + low[j, i]), base + high[j, i])
+    return u

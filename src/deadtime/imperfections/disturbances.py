@@ -23,7 +23,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Disturbance, Imperfection, Sizes, Stacked, once, per_signal
 from deadtime.numerics.covariance import accumulate, lower_root, rates
 from deadtime.numerics.kernels import kernel
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 
 
 class DrawnDisturbance(Stacked, Disturbance):

@@ -22,8 +22,8 @@ from jaxtyping import Float, Int
 
 from deadtime.base.errors import ChatteringError
 from deadtime.plant import SampledPlant
+from deadtime.plant.discretisation import TOLERANCE
 from deadtime.plant.sampled_plant import EveryReading
-from deadtime.plant.sampling import TOLERANCE
 from deadtime.switching import Rule
 from deadtime.switching.rules.motion import Beside, Motion, Move
 

@@ -44,7 +44,7 @@ from deadtime.feedback.table import Known
 from deadtime.numerics.covariance import noise_covariances, transitions
 from deadtime.numerics.exponential import discretise_modes
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.switching.models.model import SampledChain
 
 

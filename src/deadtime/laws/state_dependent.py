@@ -15,7 +15,7 @@ from deadtime.feedback.law import Update
 from deadtime.gains.state_feedback import check_gains
 from deadtime.laws.first_reads import RuleForecast, chattering_ahead
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.sampling import TOLERANCE
+from deadtime.plant.discretisation import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules.motion import Beside, Motion
 from deadtime.switching.rules.rule import as_rule

@@ -34,7 +34,7 @@ from deadtime.base.wording import error_percent, inwards
 from deadtime.feedback import Law
 from deadtime.margins.crossing import bands, first_crossing, unit_bands
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.digital_response import digital_response
 from deadtime.spectrum.growth import not_decaying

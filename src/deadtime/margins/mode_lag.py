@@ -18,7 +18,7 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import SignalOptions

@@ -48,3 +48,8 @@ def arrays_of(*shapes: tuple[int, ...], lanes: tuple[int, ...] = ()) -> list[np.
         arrays.append(buffer[begin : begin + size].reshape(*shape, *lanes))
         begin += size
     return arrays
+
+
+def room_of(memory, sizes):
+    """`memory`, of `sizes.room` numbers, to work in; compiled code of eight takes registers."""
+    return memory

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.plant.sampling import Cuts
+from deadtime.plant.discretisation import Cuts
 
 
 class Stretch(NamedTuple):

@@ -3,7 +3,7 @@
 An input u_k is held from t_k = k h on and reaches the plant a delay later, so within a period
 different samples of it act one after the other. A *piece* is a stretch of a period in which the
 mode and all acting inputs stay; its lags say how many samples before the period's own they were
-computed. An input of delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h (`deadtime.plant.sampling`), is
+computed. An input of delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h (`deadtime.plant.discretisation`), is
 
     on [t_k, t_k + φ):      that of t_{k−N}       lag N
     on [t_k + φ, t_{k+1}):  that of t_{k−N+1}     lag N − 1, nothing of it where φ = h
@@ -38,8 +38,8 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import positive, read_only
 from deadtime.base.frozen import Frozen
+from deadtime.plant.discretisation import Cuts, Window, require_step, windows_of
 from deadtime.plant.pieces import Ahead, Period, Piece, PieceTable, Stretch, Stretches
-from deadtime.plant.sampling import Cuts, Window, require_step, windows_of
 from deadtime.plant.switched_system import SwitchedSystem
 
 _KEPT = 100_000  # periods; of more, tables are too large to lie about

@@ -11,7 +11,7 @@ import numpy as np
 from deadtime.base.json_records import plain, record
 from deadtime.base.version import __version__
 from deadtime.base.wording import compact
-from deadtime.plant.sampling import TOLERANCE
+from deadtime.plant.discretisation import TOLERANCE
 from deadtime.plant.weight import Weight, record_of, text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison

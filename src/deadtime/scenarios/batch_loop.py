@@ -12,10 +12,10 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.feedback.table import OLDEST
-from deadtime.imperfections import Limiting, Sizes
+from deadtime.imperfections import Limiting
 from deadtime.numerics.covariance import square_root
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
-from deadtime.plant.sampling import snap, snap_all
+from deadtime.plant.discretisation import snap, snap_all
 from deadtime.scenarios.acting import Acting, acting_of
 from deadtime.scenarios.cut_periods import (
     WIDE,
@@ -122,16 +122,6 @@ class Loop:
         """How many cells of a period a series is made of."""
         size = max(map(balanced_norm, self.plant.A)) * self.step
         return 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
-
-    @cached_property
-    def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Per actuator: 1 where it limits the change of the input and 0 otherwise, low, high."""
-        m = self.plant.inputs
-        sizes = Sizes(self.plant.modes, self.plant.states, m, self.step)
-        limits = [one.limits(sizes) for one in self.actuators]
-        rate = np.array([float(limit.relative) for limit in limits])
-        low = np.reshape([limit.low for limit in limits], (-1, m))
-        return rate, low, np.reshape([limit.high for limit in limits], (-1, m))
 
     def place(self, signals: SignalBatch) -> Records:
         """In which period, and when in it, the switches of signals fall."""

@@ -13,13 +13,13 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
 from deadtime.feedback.belief import BankForm, Belief
 from deadtime.feedback.memory import Memory
+from deadtime.imperfections import Sizes
+from deadtime.imperfections.actuators import InputLimits
 from deadtime.numerics.lanes import LANES, KnownNumbers
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.belief_memory import belief_lanes
 from deadtime.scenarios.lane_loop import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.lane_types import (
-    KINDS,
-    ClipLanes,
     Dense,
     Factored,
     Hearing,
@@ -29,7 +29,7 @@ from deadtime.scenarios.lane_types import (
 )
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.observer_memory import ObserverLanes, OutputLanes
-from deadtime.scenarios.preview_lanes import KnownSignalModel, stacks_of
+from deadtime.scenarios.preview_lanes import KnownSignalModel, PreviewLanes
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.scenario_sums import Path, ScenarioSums
 from deadtime.scenarios.side_by_side import groups
@@ -73,8 +73,8 @@ class Engine:
         self._loop = loop
         x0, root = read_only(loop.x0), read_only(loop.root.ravel())  # one type
         self._run = RunLanes(loop.whole + 1, loop.rest / loop.step, loop.late, x0, root)
-        rate, low, high = loop.limits
-        self._clip = ClipLanes(rate, low.ravel(), high.ravel()) if rate.size else None
+        limits = InputLimits.of(loop.actuators, Sizes.of(loop.plant, loop.step))
+        self._limits = limits if limits.relative.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
         inputs = loop.acting.lags.size * m
         sizes = n, m, n + m, inputs, wide - n, wide, 2 * m, wide - n - inputs, n, n
@@ -137,9 +137,8 @@ class Engine:
         self.run(table, self._loop.lay_nothing())
 
     def _foreseeing(self, ahead: ModelAhead, model: KnownSignalModel) -> EngineTable:
-        n = self._loop.plant.states
         entering = model.lags.size * self._loop.plant.inputs
-        shape = replace(self._shape, square=n * n, entering=entering, model=n + entering)
+        shape = replace(self._shape, entering=entering)
         taps = ahead.loop.sampled.longest_lag
         return EngineTable(shape, None, None, model, None, None, None, taps, None)
 
@@ -191,11 +190,11 @@ class Engine:
     ) -> ScenarioSums:
         records, lags = laid.records, self._loop.acting.lags
         plant = PlantLanes(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._clip, *hearing, force
+        loop = plant, self._run, self._limits, *hearing, force
         law, shape, samples = table.factored, table.shape, self._run.samples
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
         work = work_of(shape, plant, self._run, table.taps, carry, count)
-        ahead = None if table.model is None else stacks_of(shape, table.model)
+        ahead = None if table.model is None else PreviewLanes.of(shape, table.model)
         kept = None if table.memory is None else ObserverLanes.of(table.memory)
         mind = None
         if table.belief is not None and table.gains is not None:
@@ -222,8 +221,7 @@ def _dense(feedback: Feedback) -> Dense:
     G = feedback.latest_first
     head = np.concatenate((feedback.state_gain, G[:, :, :m]), axis=2)
     rest[:, :, : (taps - 1) * m] = G[:, :, m:]
-    kind = KINDS[feedback.context]
-    return Dense(taps, head.ravel(), rest.ravel(), width, kind, feedback.ages)
+    return Dense(taps, head.ravel(), rest.ravel(), width, feedback.apart, feedback.ages)
 
 
 def _zeros_on_cache_lines(size: int) -> np.ndarray:

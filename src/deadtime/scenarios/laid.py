@@ -1,6 +1,6 @@
 """Switching signals laid on the periods of a digital loop, many at once, compiled.
 
-As `plant.sampling.Cuts` has it, a switch within 1e-9 of a period of a sample, or of an arriving
+As in `plant.discretisation.Cuts`, a switch within 1e-9 of a period of a sample, or of an arriving
 input, is at it.
 """
 

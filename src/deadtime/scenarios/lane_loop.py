@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadtime.imperfections.actuators import limit_input
 from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import (
     LANES,
@@ -62,7 +63,7 @@ from deadtime.scenarios.observer_memory import (
     note_answer,
     observe_again,
 )
-from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, sum_up, turn
+from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, turn
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -154,17 +155,6 @@ def _switch(plant, work, k, soon):
 
 
 @inner_kernel
-def _clip(shape, clip, u, before):
-    """The input after the actuators, the one before given."""
-    m, one = len(shape.u), same(1.0, _ONE)
-    for a in range(clip.rate.size):
-        base = times(same(clip.rate[a], shape.u), before, same(0.0, shape.u))
-        low = product(clip.low, a * m, one, base)
-        u = smaller(larger(u, low), product(clip.high, a * m, one, base))
-    return u
-
-
-@inner_kernel
 def _turn_around(places, m, size):
     """The places of the next inputs in a ring."""
     for p in range(places.size):
@@ -176,17 +166,17 @@ def _turn_around(places, m, size):
 # where it is inlined, in twice the time of compiling.
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, memory, belief, bank, taps, plant, run, clip, relayed, sight,
+    shape, factored, dense, model, memory, belief, bank, taps, plant, run, limits, relayed, sight,
     force, start, count, path, keep, work, ahead, kept, mind, outputs,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
     it remembers, `belief` what its rows are weighed by (`feedback.belief.Belief`), and `bank` what
-    it makes of outputs meanwhile. These may be None, and so may `clip`, `relayed` and `sight`, what
-    the law hears (`layout.Hearing`), and `force`, what the plant feels (`forces`). `path`, unless
-    it is empty, gets x and u of every sample from `keep` on. The last scenario fills the last group
-    of eight.
+    it makes of outputs meanwhile. These may be None, and so may `limits` of the inputs, `relayed`
+    and `sight`, how measurements and modes reach the law (`lane_types.Hearing`), and `force`, what
+    acts on the plant besides (`forces`). `path`, unless it is empty, gets x and u of every sample
+    from `keep` on. The last scenario fills the last group of eight.
     `ahead` is the memory of a model, `kept` of an observer and `mind` of a belief, None without
     one; `outputs` what the plant shows of its state, None where that is measured itself.
     """
@@ -218,8 +208,7 @@ def run_scenarios(
             window, places = window_of(shape, dense), m * np.arange(LANES)
             width = window.line.size // LANES
         if model is not None:
-            enters = look_ahead(shape, model, ahead, begin, few, period)
-            r = model.length
+            enters = look_ahead(shape, model, ahead, line, begin, few, period)
         if relayed is not None:
             recent = recent_of(shape, relayed, sight)
             lost_now = lanes_of(recent.lost.reshape(1, LANES))
@@ -273,10 +262,7 @@ def run_scenarios(
             if model is not None:
                 if enters // LANES == k:
                     enters = turn(model, ahead, k, enters)
-                if r == model.length:
-                    sum_up(shape, model.length, ahead)
-                    r = np.int64(0)
-                u = foresee(shape, model.length, ahead, r, known, before)
+                u = foresee(shape, model.length, ahead, k, known, line[latest])
             if factored is not None:
                 if r == factored.length:
                     refill(shape, factored, ring, period, now, carry)
@@ -309,14 +295,17 @@ def run_scenarios(
             elif relayed is not None and bank is None:
                 u = command(shape, recent, u, asked)
                 asked = u
-            if clip is not None:
-                u = _clip(shape, clip, u, before)
             store(ring, now * m * LANES, u)
+            if limits is not None:
+                for i in range(m):
+                    base, asked_for = line[latest, i], line[now, i]
+                    line[now, i] = limit_input(
+                        limits.low, limits.high, limits.relative, i, asked_for, base
+                    )
+                u = load(ring, now * m * LANES, shape.u)
             if model is not None:  # noqa: SIM102
                 if model.length > 0:
-                    enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
-                    r += 1
-                    _turn_around(ahead.acting, m, ring.size)
+                    enter(ahead, line)
             if factored is not None:
                 entered = product(factored.enter, 0, u, same(0.0, shape.b))
                 b = block_product(factored.transition, 0, b, entered, shape.block)

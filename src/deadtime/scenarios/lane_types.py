@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-KINDS = {"none": 0, "mode": 1, "mode_age": 2}  # what a table's rows go by
-
 
 @dataclass(frozen=True)
 class LoopSizes:
@@ -23,7 +21,7 @@ class LoopSizes:
     seen : what is measured;  known : what the law's rows are multiplied with
     kept : that of a law with a memory, zeros of one with a bank;  output : what it measures
     head : m (n + m), for the heads of dense rows
-    square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
+    entering : `acting` of the model of a law that knows the signal
     """
 
     x: int
@@ -42,9 +40,7 @@ class LoopSizes:
     block: int = 0
     rows: int = 0
     head: int = 0
-    square: int = 0
     entering: int = 0
-    model: int = 0
 
     @cached_property
     def _numba_type_(self) -> Any:
@@ -74,15 +70,14 @@ class Dense(NamedTuple):
     """Dense rows of `taps` inputs.
 
     `head` (rows, m, n + m): what x and the latest input, and `rest` (rows, m, width): what the
-    others, the latest first, are multiplied by, padded. `kind` 0 one row, 1 a row per mode, 2 per
-    mode and age.
+    others, the latest first, are multiplied by, padded. `apart` and `ages` are those of the table.
     """
 
     taps: int
     head: np.ndarray
     rest: np.ndarray
     width: int
-    kind: int
+    apart: int
     ages: int
 
 
@@ -112,14 +107,6 @@ class RunLanes(NamedTuple):
     late: int
     x0: np.ndarray
     root: np.ndarray
-
-
-class ClipLanes(NamedTuple):
-    """Actuator a clips to [low[a], high[a]], relative to the input before where `rate[a]`."""
-
-    rate: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
 
 
 class Relayed(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 
 from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import LANES, first_of, load, product, same, store, times, total
+from deadtime.scenarios.side_by_side import row_of_mode
 
 _ONE = (0.0,)
 _FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
@@ -75,12 +76,8 @@ def window_of(shape, dense):
 def choose_rows(dense, work, window, k):
     """The row of every scenario by its mode and age."""
     for lane in range(LANES):
-        row = 0
-        if dense.kind == 1:
-            row = work.mode[lane]
-        elif dense.kind == 2:
-            row = work.mode[lane] * dense.ages + min(k - work.began[lane], dense.ages - 1)
-        window.row[lane] = row
+        age = k - work.began[lane]
+        window.row[lane] = row_of_mode(dense.apart, dense.ages, work.mode[lane], age)
 
 
 @inner_kernel

@@ -1,13 +1,9 @@
 """Laws that know the signal, eight scenarios at once: their model moves ahead of the plant.
 
-At t_k the prediction takes x_k over the W = ⌊D/h⌋ periods that lie ahead and over the rest φ' of
-the delay, 0 ≤ φ' < h (`deadtime.feedback.preview`). Over a period p the model does the affine
-map x → Φ_p x + Γ_p z_p, its inputs z_p being in flight, so what is needed is the composition of
-the last W such maps: a window that slides by one a period. Two stacks do it without inverting
-anything: maps that enter are composed into `back`, and once the window's first half is used up,
-the maps in it become suffixes, slot r the composition of all from r on. The prediction goes
-through slot r, then through `back`. A period costs three products of matrices, whatever W is,
-and every prediction starts from the x_k that was measured.
+Their stacks are those of `loop.preview_steps`; a piece is the affine map x → Φ_p x + Γ_p z_p of
+the model over a period p, its inputs z_p being in flight. At t_k the prediction takes x_k over the
+W = ⌊D/h⌋ periods that lie ahead and over the rest φ' of the delay, 0 ≤ φ' < h
+(`deadtime.feedback.preview`).
 """
 
 # Intrinsics take one argument less than the functions that declare them.
@@ -15,22 +11,21 @@ and every prediction starts from the x_k that was measured.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from deadtime.numerics.kernels import inner_kernel, kernel
-from deadtime.numerics.lanes import (
-    LANES,
-    first_of,
-    load,
-    load_each,
-    matrix_product,
-    own_product,
-    same,
-    store,
-    table_product,
+from deadtime.loop.preview_steps import (
+    PreviewSizes,
+    PreviewState,
+    answer_ahead,
+    enter_piece,
+    move_window,
+    predict_ahead,
 )
+from deadtime.numerics.kernels import inner_kernel, kernel
+from deadtime.numerics.lanes import LANES, KnownNumbers, lanes_of, load, store
+from deadtime.numerics.numbers import arrays_of
 from deadtime.scenarios.lane_types import LoopSizes
 
 _NEVER = np.int64(2**62)
@@ -39,7 +34,7 @@ _NEVER = np.int64(2**62)
 class KnownSignalModel(NamedTuple):
     """A law's model along signals that it knows, of each scenario its own or one for all.
 
-    length : W;  lags, maps, first, step, map : as of `kernel.Plant`, over W periods more
+    length : W;  lags, maps, first, step, map : as of `PlantLanes`, over W periods more
     tails : (maps, m (n + m)), what the prediction after W periods and the latest input are
         multiplied by, up to t_k + D and by the gain there
     """
@@ -53,63 +48,53 @@ class KnownSignalModel(NamedTuple):
     tails: np.ndarray
 
 
-class Stacks(NamedTuple):
-    """Memory of eight scenarios: the two stacks, and what holds in the period that enters.
+class PreviewLanes(NamedTuple):
+    """The previews of eight scenarios.
 
-    stack : slots of Φ (n, n) and v (n,);  back : one more;  own : the period's map, flat
-    tail : m (n + m);  row : where the rows of `own` begin
-    at, stop, coming : as of `kernel.Work`, W periods early;  acting : as there
+    stacks : PreviewState;  own : (n (n + q), lane), the map of the period that enters
+    tail : (m (n + m), lane);  answer : (m, lane)
+    at, stop, coming, acting : as of `LaneScratch`, W periods early
     """
 
-    stack: np.ndarray
-    back: np.ndarray
+    stacks: PreviewState
     own: np.ndarray
     tail: np.ndarray
-    row: np.ndarray
+    answer: np.ndarray
     at: np.ndarray
     stop: np.ndarray
     coming: np.ndarray
     acting: np.ndarray
 
-
-def stacks_of(shape: LoopSizes, model: KnownSignalModel) -> Stacks:
-    """Room for eight scenarios."""
-    n, m, wide = shape.x, shape.u, shape.model
-    slot = (n * n + n) * LANES
-    sizes = max(1, model.length) * slot, slot, n * wide * LANES, m * (n + m) * LANES
-    row = wide * LANES * np.arange(n)
-    lanes = [np.empty(LANES, np.int64) for _ in range(3)]
-    return Stacks(*map(np.empty, sizes), row, *lanes, np.empty(model.lags.size, np.int64))
+    @classmethod
+    def of(cls, shape: LoopSizes, model: KnownSignalModel) -> PreviewLanes:
+        n, m, q = shape.x, shape.u, shape.entering
+        sizes = PreviewSizes.of(n, m, q)
+        known: Any = KnownNumbers(sizes._asdict())
+        stacks = PreviewState.of(sizes, model.length, LANES)._replace(sizes=known)
+        floats = arrays_of((n * (n + q),), (m * (n + m),), (m,), lanes=(LANES,))
+        lanes = [np.empty(LANES, np.int64) for _ in range(3)]
+        return cls(stacks, *floats, *lanes, np.empty(model.lags.size, np.int64))
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def look_ahead(shape, model, ahead, start, count, period):
+def look_ahead(shape, model, ahead, ring, start, count, period):
     """The stacks at time 0, when the first W periods are in; when the next records enter.
 
     Inputs from before time 0 are 0.
     """
-    m, soon = len(shape.u), -np.int64(model.length) * LANES
+    soon = -np.int64(model.length) * LANES
     for p in range(model.lags.size):
-        ahead.acting[p] = (period + model.length - model.lags[p]) % period * m * LANES
+        ahead.acting[p] = -model.lags[p] % period
     for lane in range(LANES):
         scenario = 0 if model.first.size == 2 else start + min(lane, count - 1)
         ahead.at[lane], ahead.stop[lane] = model.first[scenario], model.first[scenario + 1]
         ahead.coming[lane] = soon + lane
-    clear(shape, ahead)
+    for i in range(3):
+        ahead.stacks.bounds[i] = 0
     for k in range(-model.length, 0):
         soon = turn(model, ahead, k, soon)
-        enter(shape, ahead, same(0.0, shape.entering), k + model.length)
+        enter(ahead, ring)
     return soon
-
-
-@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def clear(shape, ahead):
-    """Nothing in `back`."""
-    n = len(shape.x)
-    for i in range(ahead.back.size):
-        ahead.back[i] = 0.0
-    for i in range(n):
-        store(ahead.back, (i * n + i) * LANES, same(1.0, (0.0,)))
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
@@ -120,10 +105,10 @@ def turn(model, ahead, k, soon):
         record = ahead.at[lane]
         ahead.at[lane] += 1
         row = model.map[record]
-        for i in range(ahead.own.size // LANES):
-            ahead.own[i * LANES + lane] = model.maps[row, i]
-        for i in range(ahead.tail.size // LANES):
-            ahead.tail[i * LANES + lane] = model.tails[row, i]
+        for i in range(len(ahead.own)):
+            ahead.own[i, lane] = model.maps[row, i]
+        for i in range(len(ahead.tail)):
+            ahead.tail[i, lane] = model.tails[row, i]
         ahead.coming[lane] = _NEVER
         if ahead.at[lane] < ahead.stop[lane]:
             step = np.int64(model.step[ahead.at[lane]]) - model.length
@@ -135,47 +120,29 @@ def turn(model, ahead, k, soon):
 
 
 @inner_kernel
-def enter(shape, ahead, acting, slot):
-    """Put the period that enters, under its inputs, into `back`, and by itself into a slot."""
-    n = len(shape.x)
-    size = n * n * LANES
-    Phi = load_each(ahead.own, ahead.row, shape.x, shape.square)
-    zero = same(0.0, shape.x)
-    entered = own_product(ahead.own, 0, first_of(zero, acting, acting, shape.model), zero)
-    place = slot * (size + n * LANES)
-    store(ahead.stack, place, Phi)
-    store(ahead.stack, place + size, entered)
-    moved = table_product(Phi, load(ahead.back, 0, shape.square), same(0.0, shape.square))
-    v = matrix_product(Phi, load(ahead.back, size, shape.x), entered)
-    store(ahead.back, 0, moved)
-    store(ahead.back, size, v)
-
-
-@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def sum_up(shape, length, ahead):
-    """Make the maps in the slots suffixes: slot r the composition of all from r on."""
-    n = len(shape.x)
-    size = n * n * LANES
-    slot = size + n * LANES
-    for r in range(length - 2, -1, -1):
-        later = load(ahead.stack, (r + 1) * slot, shape.square)
-        v = load(ahead.stack, (r + 1) * slot + size, shape.x)
-        first = load(ahead.stack, r * slot, shape.square)
-        entered = load(ahead.stack, r * slot + size, shape.x)
-        store(ahead.stack, r * slot, table_product(later, first, same(0.0, shape.square)))
-        store(ahead.stack, r * slot + size, matrix_product(later, entered, v))
-    clear(shape, ahead)
+def enter(ahead, ring):
+    """Let the period that enters into the window, under the inputs in their ring."""
+    eight = lanes_of(ahead)
+    acting, m, q = eight.stacks.acting, eight.stacks.sizes.m, eight.stacks.sizes.acting
+    for p in range(q // m):
+        for j in range(m):
+            acting[p * m + j] = ring[ahead.acting[p], j]
+    enter_piece(eight.stacks, eight.own)
+    for p in range(q // m):
+        after = ahead.acting[p] + 1
+        ahead.acting[p] = 0 if after == ring.shape[0] else after
 
 
 @inner_kernel
-def foresee(shape, length, ahead, slot, x, latest):
-    """The input: x predicted through a slot, `back` and the tail."""
-    size = len(shape.x) * len(shape.x) * LANES
+def foresee(shape, length, ahead, k, x, latest):
+    """The input: x predicted over the W periods ahead, then by the tail."""
+    eight = lanes_of(ahead)
     if length > 0:
-        place = slot * (size + len(shape.x) * LANES)
-        v = load(ahead.stack, place + size, shape.x)
-        x = matrix_product(load(ahead.stack, place, shape.square), x, v)
-        v = load(ahead.back, size, shape.x)
-        x = matrix_product(load(ahead.back, 0, shape.square), x, v)
-    z = first_of(x, latest, latest, shape.both)
-    return own_product(ahead.tail, 0, z, same(0.0, shape.u))
+        move_window(eight.stacks, k)
+        # What is stored after it stays in registers.
+        store(ahead.stacks.x, 0, x)
+        predict_ahead(eight.stacks, k)
+    else:
+        store(ahead.stacks.x, 0, x)
+    answer_ahead(eight.stacks, eight.tail, latest, eight.answer)
+    return load(ahead.answer, 0, shape.u)

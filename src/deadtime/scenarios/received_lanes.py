@@ -15,7 +15,7 @@ from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.drawn import in_many_runs
-from deadtime.scenarios.lane_types import KINDS, Hearing, Relayed, SightLanes
+from deadtime.scenarios.lane_types import Hearing, Relayed, SightLanes
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import from_scenario, groups, lay_lags, lay_numbers, lay_rows
@@ -75,9 +75,9 @@ class HeardBlock:
         heard, row, told_mode = self._heard, np.zeros(0, np.int32), np.zeros(0, np.int32)
         if heard.modes is not None:
             if feedback is not None and feedback.context != "none":
-                row = self._rows(heard.modes, begin, count, feedback.context, feedback.ages)
+                row = self._rows(heard.modes, begin, count, feedback.apart, feedback.ages)
             if remembers:
-                told_mode = self._rows(heard.modes, begin, count, "mode", 1)
+                told_mode = self._rows(heard.modes, begin, count, 1, 1)
         all_of, sight = self.laid.scenarios, heard.sight
         lag, noise = (from_scenario(part, begin, all_of) for part in (heard.lag, heard.noise))
         if sight is not None:
@@ -86,14 +86,12 @@ class HeardBlock:
             )
         return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
 
-    def _rows(
-        self, told: np.ndarray, begin: int, count: int, context: str, ages: int
-    ) -> np.ndarray:
-        """The rows of a context in scenarios that are told these modes, laid on samples."""
+    def _rows(self, told: np.ndarray, begin: int, count: int, apart: int, ages: int) -> np.ndarray:
+        """The rows of a table in scenarios that are told these modes, laid on samples."""
         part = slice(begin, begin + count)
         size = groups(count) * told.shape[1] * LANES
-        row = self._room(("rows", context, ages), size, np.int32)
-        lay_rows(told[part], self._sampled[part], self.laid.age[part], KINDS[context], ages, row)
+        row = self._room(("rows", apart, ages), size, np.int32)
+        lay_rows(told[part], self._sampled[part], self.laid.age[part], apart, ages, row)
         return row
 
     @cached_property

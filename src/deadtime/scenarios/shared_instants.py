@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.plant.sampling import snap_all
+from deadtime.plant.discretisation import snap_all
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.cut_periods import compose, parts_of
 from deadtime.scenarios.records import Records

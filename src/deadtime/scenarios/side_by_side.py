@@ -6,10 +6,16 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 
-from deadtime.numerics.kernels import kernel
+from deadtime.feedback.table import age_after, row_at
+from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes.code import LANES
+
+# Compiled from what is written: a checker of types may have wrapped it.
+_age_after, row_of_mode = (inner_kernel(inspect.unwrap(rule)) for rule in (age_after, row_at))
 
 
 def groups(scenarios: int) -> int:
@@ -84,12 +90,12 @@ def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, state
 
 
 @kernel(eager=True, nogil=True)
-def lay_rows(told, sampled, begun, kind, ages, row):
+def lay_rows(told, sampled, begun, apart, ages, row):
     """Fill `row` with a table's rows by the modes told, −1 for none, as `feedback.table.follow`.
 
-    told, sampled : (scenario, sample), the mode that a law hears of, and the plant's
+    told, sampled : (scenario, sample), the mode that is reported to a law, and the plant's
     begun : (scenario,), how old the first mode is at time 0, samples
-    kind, ages : those of `layout.Dense`
+    apart, ages : those of the `Feedback`
     """
     scenarios, samples = told.shape
     for s in range(scenarios + -scenarios % LANES):
@@ -98,16 +104,11 @@ def lay_rows(told, sampled, begun, kind, ages, row):
         mode, age, before = -1, np.int64(begun[source]), sampled[source, 0]
         for k in range(samples):
             now, true = told[source, k], sampled[source, k]
-            if mode < 0:
+            if mode >= 0:
+                age = _age_after(mode, age, now)
+            elif k > 0:
                 # Before any is known, the age is that of the plant's mode.
-                if k > 0:
-                    age = age + 1 if true == before else 0
-                mode = now
-            else:
-                age = age + 1 if now < 0 or now == mode else 0
-                mode = mode if now < 0 else now
-            before = true
-            row[at] = max(mode, 0)
-            if kind == 2:
-                row[at] = max(mode, 0) * ages + min(age, ages - 1)
+                age = _age_after(before, age, true)
+            mode, before = mode if now < 0 else now, true
+            row[at] = row_of_mode(apart, ages, max(mode, 0), age)
             at += LANES

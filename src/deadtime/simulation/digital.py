@@ -12,17 +12,18 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Law
 from deadtime.feedback.memory import Tables
 from deadtime.feedback.table import OLDEST, follow
-from deadtime.imperfections import Disturbance
+from deadtime.imperfections import Disturbance, Sizes
+from deadtime.imperfections.actuators import InputLimits
 from deadtime.loop.belief_steps import BeliefState
 from deadtime.loop.observer_steps import ObserverState
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.ideal_run import IdealRecord
 from deadtime.simulation.imperfect import Told
-from deadtime.simulation.imperfection_arrays import Arrays, no_clip
+from deadtime.simulation.imperfection_arrays import Arrays
 from deadtime.simulation.loop_arrays import DelayLine, Grid, Rows
-from deadtime.simulation.preview_loop import Along, Foreseen
+from deadtime.simulation.preview_loop import Along, PreviewLaw
 from deadtime.simulation.sight import Sight
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
@@ -93,17 +94,17 @@ def run_table(
     remembered = 0 if memory is None else memory.start.size
     believed = 0 if belief is None else len(belief.start)
     line = DelayLine.of(grid, arrays, measured, remembered, believed)
-    clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
+    limits = arrays.limits if arrays else InputLimits.of((), Sizes.of(sampled.plant, step))
     along = Along(sampled, signal, table)
-    foreseen = Foreseen.of(tables.foresight, samples, along) if tables.foresight else None
+    preview = PreviewLaw.of(tables.foresight, samples, along) if tables.foresight else None
     state = observer = None
     if memory is not None:
         observer = ObserverState.of(memory)
         observer.z[:] = memory.start
     if belief is not None:
         state = BeliefState.of(belief, rows.F.shape[0])
-    known = memory, observer, belief, state, foreseen
-    kept, path = closed_loop(table, rows, *known, line, sight, clip, shift, x0)
+    known = memory, observer, belief, state, preview
+    kept, path = closed_loop(table, rows, *known, line, sight, limits, shift, x0)
     record = DigitalRecord(
         sampled,
         cuts,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deadtime.imperfections.actuators import limit_input
 from deadtime.loop.belief_steps import believe
 from deadtime.loop.observer_steps import observe
 from deadtime.numerics.exponential import advance
@@ -83,18 +84,11 @@ def _finite(a):
 # A call that hands over a tuple of arrays, or many of them, costs as much as 50 terms.
 @kernel(forceinline=True)
 def _apply(answer, held, at, asked, inputs, low, high, relative):
-    """Ask for the answer, or for what was asked for before, and give the plant what limits leave.
-
-    Limits follow one after the other; relative ones count from what was applied before.
-    """
+    """Ask for the answer, or for the last one again, and apply what limits leave of it."""
     for i in range(answer.size):
         u = asked[at - 1, i] if held else answer[i]
         asked[at, i] = u
-        before = inputs[at - 1, i]
-        for j in range(relative.size):
-            base = before if relative[j] else 0.0
-            u = np.minimum(np.maximum(u, base + low[j, i]), base + high[j, i])
-        inputs[at, i] = u
+        inputs[at, i] = limit_input(low, high, relative, i, u, inputs[at - 1, i])
 
 
 @kernel
@@ -135,35 +129,35 @@ def _move(Phi, Gamma, e, path, q, acting):
         path[q + 1, i] = total
 
 
-def _in_python(table, rows, memory, observer, belief, state, foreseen, *run):
+def _in_python(table, rows, memory, observer, belief, state, preview, *run):
     """`closed_loop` where it is not compiled: over lists where these will do."""
-    line, sight, clip, shift, x0 = run
-    simple = memory is None and belief is None and foreseen is None
-    if simple and is_bare(table, line, sight, clip, shift):
+    line, sight, limits, shift, x0 = run
+    simple = memory is None and belief is None and preview is None
+    if simple and is_bare(table, line, sight, limits, shift):
         return bare_loop(table, rows, line, x0)
-    known = memory, observer, belief, state, foreseen
+    known = memory, observer, belief, state, preview
     return closed_loop.function(table, rows, *known, *run)
 
 
 @kernel(plain=_in_python, large=_LONG)
 def closed_loop(
-    table, rows, memory, observer, belief, state, foreseen, line, sight, clip, shift, x0
+    table, rows, memory, observer, belief, state, preview, line, sight, limits, shift, x0
 ):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
     `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`
     and `observer` its state, `belief` a `deadtime.feedback.belief.Belief` and `state` its own,
-    `foreseen` one of its file in place of rows, or None each; the others are of
-    `deadtime.simulation`, too: `rows` and `line` of `loop_arrays`, `sight` of its file, `clip` of
-    `imperfection_arrays`; `shift` (pieces, n), or empty, is what disturbances add. Returns
-    (samples, path): how many samples were kept before |x| left the limit, and x at the start of
-    every piece that was run and at the end of the last.
+    `preview` a `PreviewLaw` in place of rows, or None each; the others are of
+    `deadtime.simulation`, too: `rows` and `line` of `loop_arrays`, `sight` of its file; `limits`
+    are `deadtime.imperfections.actuators.InputLimits`; `shift` (pieces, n), or empty, is what
+    disturbances add. Returns (samples, path): how many samples were kept before |x| left the limit,
+    and x at the start of every piece that was run and at the end of the last.
     """
     first, entry, Phi, Gamma, lag = table.first, table.entry, table.Phi, table.Gamma, table.lag
     inputs, asked, told, flat = line.inputs, line.asked, line.told, line.told.reshape(-1)
     F, G, row, measured = rows.F, rows.G, rows.row, line.measured
     piece, way = sight.piece, sight.way
-    low, high, relative = clip.low, clip.high, clip.relative
+    low, high, relative = limits
     n, m, window, past, samples = x0.size, inputs.shape[1], G.shape[2], line.past, row.size
     spare, seen = np.empty(n), np.empty(measured.shape[1])
     known = seen if memory is None else np.empty(line.estimates.shape[1])
@@ -187,8 +181,8 @@ def closed_loop(
                 for i in range(known.size):
                     known[i] = estimates[k, i]
             recent = flat[at * m - window : at * m]
-            if foreseen is not None:
-                foresee(foreseen, k, past, told, known, answer)
+            if preview is not None:
+                foresee(preview, k, past, told, known, answer)
             elif belief is not None:
                 believe(belief, state, k, past, told, measured, line.beliefs)
                 _mean_row(rows, state.weight, recent, known, answer)

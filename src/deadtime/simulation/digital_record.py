@@ -12,8 +12,8 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
+from deadtime.plant.discretisation import TOLERANCE, Cuts, snap_all
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.sampling import TOLERANCE, Cuts, snap_all
 from deadtime.simulation.slides import Slides
 
 

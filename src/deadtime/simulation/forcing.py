@@ -17,8 +17,8 @@ from deadtime.imperfections import Disturbance, Sizes, Stacked
 from deadtime.imperfections.disturbances import DrawnDisturbance
 from deadtime.numerics.covariance import accumulate, rates
 from deadtime.plant import SampledPlant
+from deadtime.plant.discretisation import Cuts
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.sampling import Cuts
 
 _SINGULAR = 1e-8  # of a piece
 

@@ -2,56 +2,25 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import (
     Heard,
     Imperfection,
-    Limiting,
     Relaying,
     Sizes,
     TimingImperfection,
 )
+from deadtime.imperfections.actuators import InputLimits
 from deadtime.imperfections.received import is_known, relayed
-from deadtime.plant.sampling import snap_all
+from deadtime.plant.discretisation import snap_all
 
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
-
-
-class Clip(NamedTuple):
-    """The limits of the inputs in their order.
-
-    low, high : (count, m)
-    relative : (count,), whether the bounds are of the change from the input applied before
-    """
-
-    low: Float[np.ndarray, "limit m"]
-    high: Float[np.ndarray, "limit m"]
-    relative: Bool[np.ndarray, " limit"]
-
-    @classmethod
-    def of(cls, pairs: Pairs, sizes: Sizes) -> Clip:
-        """The limits among them."""
-        limits = [each.limits(sizes) for each, _ in pairs if isinstance(each, Limiting)]
-        shape = len(limits), sizes.inputs
-        return cls(
-            read_only(np.reshape([limit.low for limit in limits], shape)),
-            read_only(np.reshape([limit.high for limit in limits], shape)),
-            read_only(np.array([limit.relative for limit in limits], np.bool_)),
-        )
-
-
-@functools.cache
-def no_clip(inputs: int) -> Clip:
-    """No limits at all."""
-    return Clip(*map(read_only, (*np.empty((2, 0, inputs)), np.empty(0, np.bool_))))
 
 
 class MeasurementLags(NamedTuple):
@@ -114,7 +83,7 @@ class Arrays(NamedTuple):
 
     heard: Heard
     lags: MeasurementLags | None
-    clip: Clip
+    limits: InputLimits
     commanded: bool
 
     @classmethod
@@ -122,7 +91,7 @@ class Arrays(NamedTuple):
         """The arrays of a run; everything random is drawn from the streams."""
         commanded, heard = tells_commands(predict), heard_of(pairs, sizes, samples)
         lags = MeasurementLags.of(pairs, sizes, samples)
-        return cls(heard, lags, Clip.of(pairs, sizes), commanded)
+        return cls(heard, lags, InputLimits.of([each for each, _ in pairs], sizes), commanded)
 
 
 def heard_of(pairs: Pairs, sizes: Sizes, samples: int) -> Heard:

@@ -10,7 +10,7 @@ import numpy as np
 
 from deadtime.feedback import Law
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.simulation.imperfection_arrays import Arrays
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
@@ -51,7 +51,7 @@ class DelayLine(NamedTuple):
     ) -> DelayLine:
         """A line before its run, for states or outputs, a memory and a belief of these sizes."""
         inputs, samples = grid.inputs, grid.samples
-        limited = arrays is not None and arrays.clip.relative.size
+        limited = arrays is not None and arrays.limits.relative.size
         asked = inputs.copy() if limited else inputs
         told = asked if arrays is not None and arrays.commanded else inputs
         sizes = (samples, measured), (samples if remembered else 0, remembered), (samples, believed)

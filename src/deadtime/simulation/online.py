@@ -19,7 +19,7 @@ from deadtime.feedback import Law
 from deadtime.feedback.belief import Believing
 from deadtime.feedback.law import Update, require_input
 from deadtime.feedback.table import age_after
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.simulation.digital import Drawn, RunOutcome, initial_age
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.imperfect import ImperfectLaw

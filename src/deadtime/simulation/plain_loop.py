@@ -16,16 +16,16 @@ from deadtime.plant.pieces import PieceTable
 from deadtime.simulation.loop_arrays import LIMIT, DelayLine, Rows
 
 if TYPE_CHECKING:
-    from deadtime.simulation.imperfection_arrays import Clip
+    from deadtime.imperfections.actuators import InputLimits
     from deadtime.simulation.sight import Sight
 
 
 def is_bare(
-    table: PieceTable, line: DelayLine, sight: Sight, clip: Clip, shift: np.ndarray
+    table: PieceTable, line: DelayLine, sight: Sight, limits: InputLimits, shift: np.ndarray
 ) -> bool:
     """Whether every sample is told the state there, and the plant given what the law asks for."""
     seen = not (sight.noise.size or sight.C.shape[1]) and (sight.way < 0).all()
-    given = line.told is line.inputs is line.asked and not (clip.relative.size or shift.size)
+    given = line.told is line.inputs is line.asked and not (limits.relative.size or shift.size)
     return bool(given and seen and np.array_equal(sight.piece, table.first[: sight.piece.size]))
 
 

@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.plant import SampledPlant
+from deadtime.plant.discretisation import Cuts
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.sampling import Cuts
 from deadtime.simulation.imperfection_arrays import Arrays, MeasurementLags
 
 

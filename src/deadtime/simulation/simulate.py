@@ -22,7 +22,7 @@ from deadtime.imperfections import (
     streams,
 )
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampling import TOLERANCE
+from deadtime.plant.discretisation import TOLERANCE
 from deadtime.simulation.digital import Drawn, RunOutcome, run_table
 from deadtime.simulation.ideal.ideal_run import run_ideal
 from deadtime.simulation.ideal.rule_march import run_ideal_rule

@@ -14,7 +14,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.estimation.servo import Reference
 from deadtime.feedback import Law
-from deadtime.plant.sampling import TOLERANCE
+from deadtime.plant.discretisation import TOLERANCE
 from deadtime.simulation.step_figures import step_info
 
 TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs together: the metric iae

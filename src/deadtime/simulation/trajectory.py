@@ -14,7 +14,7 @@ from deadtime.base.checks import index, number, python_control, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampling import TOLERANCE
+from deadtime.plant.discretisation import TOLERANCE
 from deadtime.plant.weight import Weight, costs, weight_of
 from deadtime.simulation.columns import numbered_columns, write_csv
 from deadtime.simulation.digital_record import DigitalRecord

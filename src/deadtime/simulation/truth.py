@@ -11,9 +11,9 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SampledPlant
+from deadtime.plant.discretisation import TOLERANCE, Cuts, snap
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.sampled_plant import EveryReading
-from deadtime.plant.sampling import TOLERANCE, Cuts, snap
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.slides import SlidePart, Slides

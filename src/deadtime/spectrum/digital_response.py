@@ -12,8 +12,8 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback, Law
 from deadtime.numerics.exponential import ROUND_OFF, balanced, discretise, discretise_all
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.discretisation import finite_discretisation
 from deadtime.plant.pieces import Period
-from deadtime.plant.sampling import finite_discretisation
 from deadtime.spectrum.lifted import Joined, aged_row, periods_of, transform
 from deadtime.spectrum.loop_units import in_units, units_of
 from deadtime.spectrum.response import LoopResponse, Samples, offsets_of

@@ -13,7 +13,7 @@ p(t) p(−t) = q(t²), squares all eigenvalues. After k steps, e_i those of λ^(
 the first because no product is larger than ρ^i, the second is Fujiwara's bound. So the two close
 like 2^−k, whatever the eigenvectors: multiple eigenvalues lose nothing. Everything is computed in
 ball arithmetic (Arb) from the numbers as stored, binary64, exponentials included; the delay is
-(N − 1) h + φ with the stored h and φ of `deadtime.plant.sampling.Window`.
+(N − 1) h + φ with the stored h and φ of `deadtime.plant.discretisation.Window`.
 
 References: M. Fujiwara, Tohoku Math. J. 10 (1916) 167–171; V. Pan, SIAM Review 39 (1997) 187–220
 (Graeffe's iteration).

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from deadtime.plant.discretisation import TOLERANCE, Cuts, snap_all
 from deadtime.plant.sampled_plant import SampledPlant
-from deadtime.plant.sampling import TOLERANCE, Cuts, snap_all
 from deadtime.switching.signal import SwitchingSignal
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import brief, count, number
 from deadtime.base.errors import ArgumentError
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.switching.constraint import (
     PerMode,
     SwitchingConstraint,

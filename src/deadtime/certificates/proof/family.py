@@ -30,7 +30,7 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.sampling import windows_of
+from deadtime.plant.discretisation import windows_of
 
 ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
 

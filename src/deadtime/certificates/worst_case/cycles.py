@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.switching import SignalClass, SwitchingSignal
 
 INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off

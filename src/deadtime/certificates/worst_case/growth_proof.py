@@ -24,8 +24,8 @@ import numpy as np
 
 from deadtime.certificates.worst_case.cycle_growth import SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.plant.discretisation import Cuts
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.sampling import Cuts
 from deadtime.spectrum import aged_row
 from deadtime.spectrum.root_enclosure import LARGEST, enclose_growth, exact_matrix, exact_period
 from deadtime.switching.grid import cuts_of

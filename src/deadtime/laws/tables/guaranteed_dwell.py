@@ -24,7 +24,7 @@ from deadtime.laws.tables.along_signal import rows_along
 from deadtime.numerics.exponential import discretise_into, product
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.sampling import snap
+from deadtime.plant.discretisation import snap
 from deadtime.switching import SwitchingSignal
 
 

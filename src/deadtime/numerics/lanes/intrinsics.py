@@ -252,24 +252,6 @@ def matrix_product(_, matrix, z, to):
 
 
 @intrinsic
-def table_product(_, left, right, to):
-    """to + L R, L (rows, n), R (n, columns) and the sum given as vectors, row by row."""
-
-    def work(code: Code, rows: Any, table: Any, sums: Any) -> list[Any]:
-        # rows·n, n·columns and rows·columns are the lengths of the three.
-        n = next(k for k in range(1, len(left) + 1) if k * k * len(to) == len(left) * len(right))
-        columns, result = len(right) // n, []
-        for place, total in enumerate(sums):
-            i, j = divmod(place, columns)
-            for k in range(n):
-                total = code.fma(rows[i * n + k], table[k * columns + j], total)
-            result.append(total)
-        return result
-
-    return make_code(to(left, right, to), work)
-
-
-@intrinsic
 def block_product(_, array, index, z, to, block):
     """to + blkdiag(S_1, S_2, …) z, the blocks (len(block), len(block)) the same for all."""
     size = len(block)

@@ -24,7 +24,7 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, regist
 from numba.np.arrayobj import populate_array
 
 from deadtime.numerics import numbers
-from deadtime.numerics.lanes.code import EIGHT, LANES, VECTOR, WORDS, Code, Lanes
+from deadtime.numerics.lanes.code import EIGHT, LANES, VECTOR, WORDS, Code, KnownNumbersType, Lanes
 from deadtime.numerics.lanes.intrinsics import exponent_of, mantissa_of
 
 _LOG2_E, _LN2_HIGH, _LN2_LOW = (
@@ -207,6 +207,32 @@ def _flattened(context: Any, builder: Any, signature: Any, arguments: Any) -> An
     size = [source.nitems]
     view = _new_view(context, builder, kind, source, size, [source.itemsize], source.itemsize)
     return impl_ret_borrowed(context, builder, kind, view)
+
+
+@infer_global(numbers.room_of)
+class _Room(AbstractTemplate):
+    key = numbers.room_of
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(args[0], *args)
+
+
+@lower_builtin(numbers.room_of, types.Array, types.Any)
+def _room(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    (kind, sizes), given = signature.args, arguments[0]
+    if not isinstance(sizes, KnownNumbersType):
+        return impl_ret_borrowed(context, builder, kind, given)
+    # On the stack, and no other array overlaps it: what is read through constant indices is
+    # never stored. `cgutils.alloca_once` would fill it with zeros.
+    count = sizes.numbers["room"]
+    with builder.goto_entry_block():
+        room = builder.alloca(ir.ArrayType(VECTOR, count))
+    size, step = ir.Constant(ir.IntType(64), count), ir.Constant(ir.IntType(64), 8 * LANES)
+    result = context.make_array(kind)(context, builder)
+    data = builder.bitcast(room, result.data.type)
+    parts = {"shape": [size], "strides": [step], "itemsize": step, "meminfo": None}
+    populate_array(result, data=data, **parts)
+    return result._getvalue()
 
 
 @intrinsic

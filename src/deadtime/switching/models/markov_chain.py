@@ -95,7 +95,7 @@ class MarkovChain(SwitchingModel):
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
         """P^r at a period of r steps; within a period of one nothing switches."""
-        from deadtime.plant.sampling import snap
+        from deadtime.plant.discretisation import snap
 
         periods = snap(positive("step", step) / self.step)
         if periods < 1.0 or not periods.is_integer():
@@ -108,13 +108,13 @@ class MarkovChain(SwitchingModel):
         return SampledChain.of_matrix(P, within=periods > 1.0)
 
     def at_samples(self, step: float) -> bool:
-        from deadtime.plant.sampling import snap
+        from deadtime.plant.discretisation import snap
 
         return snap(self.step / step).is_integer()
 
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
         """Sojourns of whole periods; every instant is a multiple of the period, to the bit."""
-        from deadtime.plant.sampling import snap
+        from deadtime.plant.discretisation import snap
 
         periods = np.ceil(snap(positive("horizon", horizon) / self.step))
         each = np.eye(self.modes, dtype=bool)
@@ -154,7 +154,7 @@ class MarkovChain(SwitchingModel):
         array([[0.9 , 0.1 ],
                [0.25, 0.75]])
         """
-        from deadtime.plant.sampling import snap, snap_all
+        from deadtime.plant.discretisation import snap, snap_all
 
         step, logs = positive("step", step), check_signals(signals)
         number = 1 + max(int(log.modes.max()) for log in logs)

@@ -59,7 +59,7 @@ def hazards(
     An atom or support end within 1e-9 h after sample k counts as at it: where survival falls
     steeply between k h and (k + 1e-9) h, it is read at the second.
     """
-    from deadtime.plant.sampling import TOLERANCE
+    from deadtime.plant.discretisation import TOLERANCE
 
     samples = np.union1d(ages, ages + 1)
     at, past = (log_survival(dist, (samples + late) * step) for late in (0.0, TOLERANCE))
@@ -102,7 +102,7 @@ def count_ages(name: str, dist: Distribution, step: float, most: int | None = No
 
 def _survival_limit(dist: Distribution, step: float) -> int:
     """The least n with P(S > n h) < 1e-6; 2⁴⁰ if there is none below."""
-    from deadtime.plant.sampling import TOLERANCE
+    from deadtime.plant.discretisation import TOLERANCE
 
     low, high = 0, 1
     while high < 2**40 and survival(dist, (high + TOLERANCE) * step) >= SURVIVAL:

@@ -1,0 +1,148 @@
+"""The prediction of a law that knows the signal, by two stacks of affine maps.
+
+At t_k the prediction goes through the pieces of the model that lie between t_k and t_k + D, each an
+affine map x → Φ x + v under the input that acts in it. From sample to sample pieces leave this
+window at its begin and enter at its end. Each that enters is kept in a slot and composed into
+`back`; once the older ones are used up, the slots of the window become suffixes, each the
+composition of all from its own on. So nothing is inverted, a sample costs a few products of
+matrices however long the delay is, and every prediction starts from the x_k that was measured.
+
+Pieces have numbers, piece q lies in slot q modulo the number of slots. Numbers are as in
+`belief_steps.py`: of one scenario, or of eight, whose pieces then enter and leave together.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.numerics.kernels import kernel
+from deadtime.numerics.numbers import arrays_of, room_of
+
+
+class PreviewSizes(NamedTuple):
+    """States, inputs, how many inputs act in a piece, and the numbers of a map."""
+
+    n: int
+    m: int
+    acting: int
+    room: int
+
+    @classmethod
+    def of(cls, n: int, m: int, acting: int) -> PreviewSizes:
+        return cls(n, m, acting, n * (n + 1))
+
+
+class PreviewState(NamedTuple):
+    """The two stacks, and room to work in.
+
+    sizes : PreviewSizes, or in batches the same as constants of compiled code
+    maps : (slots + 1, n (n + 1)), [Φ v] of the pieces in the window; the last one is `back`
+    acting : (q,), the inputs of a piece, for who lets it enter
+    x : (n,), x(t_k + D), and before what it is predicted from
+    room : (n (n + 1),)
+    bounds : how many pieces have entered, the slot of the next one, and the first in no suffix
+    """
+
+    sizes: PreviewSizes
+    maps: Float[np.ndarray, "slot c ..."]
+    acting: Float[np.ndarray, "q ..."]
+    x: Float[np.ndarray, "n ..."]
+    room: Float[np.ndarray, "r ..."]
+    bounds: Int[np.ndarray, " 3"]
+
+    @classmethod
+    def of(cls, sizes: PreviewSizes, slots: int, *lanes: int) -> PreviewState:
+        """Empty stacks with room for a window of so many pieces, of so many scenarios if any."""
+        n, _, acting, room = sizes
+        shapes = (max(1, slots) + 1, room), (acting,), (n,), (room,)
+        return cls(sizes, *arrays_of(*shapes, lanes=lanes), np.zeros(3, np.int64))
+
+
+# A part of who calls it where that is compiled, but run by Python in a run that is short.
+_step = {"nogil": True, "forceinline": True, "_nrt": False}
+
+
+@kernel(**_step)
+def enter_piece(state, move):
+    """Let the next piece enter the window, `move` being its (n, n + q) under `state.acting`."""
+    n, q, maps, bounds = state.sizes.n, state.sizes.acting, state.maps, state.bounds
+    slots, slot, acting = maps.shape[0] - 1, bounds[1], state.acting
+    bounds[0] += 1
+    bounds[1] = 0 if slot + 1 == slots else slot + 1
+    for i in range(n):
+        entered = 0.0
+        for j in range(q):
+            entered += move[i * (n + q) + n + j] * acting[j]
+        maps[slot, i * (n + 1) + n] = entered
+        for j in range(n):
+            maps[slot, i * (n + 1) + j] = move[i * (n + q) + j]
+    _follow(state.sizes, maps, state.room, slots, slot)
+
+
+@kernel(**_step)
+def move_window(state, begin):
+    """Let the window begin with a piece, no earlier than before: with new suffixes if need be."""
+    n, maps, bounds, room = state.sizes.n, state.maps, state.bounds, state.room
+    slots, back, slot = maps.shape[0] - 1, maps.shape[0] - 1, bounds[1]
+    if begin >= bounds[2]:
+        for q in range(bounds[0] - 1, begin - 1, -1):
+            after, slot = slot, slots - 1 if slot == 0 else slot - 1
+            if q < bounds[0] - 1:
+                _follow(state.sizes, maps, room, slot, after)
+        for i in range(n):
+            for j in range(n + 1):
+                maps[back, i * (n + 1) + j] = 1.0 if i == j else 0.0
+        bounds[2] = bounds[0]
+
+
+@kernel(**_step)
+def predict_ahead(state, begin):
+    """x(t_k + D) in `state.x`, from x_k there, over a window that is not empty."""
+    maps, bounds = state.maps, state.bounds
+    slots, slot = maps.shape[0] - 1, bounds[1] - (bounds[0] - begin)
+    _go_through(state.sizes, maps, slot + slots if slot < 0 else slot, state.x, state.room)
+    _go_through(state.sizes, maps, slots, state.x, state.room)
+
+
+@kernel(**_step)
+def _follow(sizes, maps, room, slot, after):
+    """Let the map of another slot follow on that of a slot."""
+    n, result = sizes.n, room_of(room, sizes)
+    for i in range(n):
+        for j in range(n + 1):
+            total = maps[after, i * (n + 1) + n] if j == n else 0.0
+            for k in range(n):
+                total += maps[after, i * (n + 1) + k] * maps[slot, k * (n + 1) + j]
+            result[i * (n + 1) + j] = total
+    for i in range(n):
+        for j in range(n + 1):
+            maps[slot, i * (n + 1) + j] = result[i * (n + 1) + j]
+
+
+@kernel(**_step)
+def _go_through(sizes, maps, slot, x, room):
+    """Let x go through the map of a slot."""
+    n, result = sizes.n, room_of(room, sizes)
+    for i in range(n):
+        total = maps[slot, i * (n + 1) + n]
+        for j in range(n):
+            total += maps[slot, i * (n + 1) + j] * x[j]
+        result[i] = total
+    for i in range(n):
+        x[i] = result[i]
+
+
+@kernel(**_step)
+def answer_ahead(state, tail, latest, answer):
+    """K x(t_k + D) + L u_{k−1}, `tail` being [K L]."""
+    n, m = state.sizes.n, state.sizes.m
+    for i in range(m):
+        total = 0.0
+        for j in range(m):
+            total += tail[i * (n + m) + n + j] * latest[j]
+        for j in range(n):
+            total += tail[i * (n + m) + j] * state.x[j]
+        answer[i] = total
