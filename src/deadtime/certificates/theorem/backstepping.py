@@ -83,7 +83,7 @@ class Backstepping(Frozen):
 
         The state obeys dP/dθ = A P + B drive, or (A + B K) P + B drive when `closed`.
         """
-        from deadtime.simulation.ideal.segment_kernel import solve_alone
+        from deadtime.simulation.ideal.collocation import solve_alone
 
         plant, delay = self.plant, self.plant.delay
         require_shape("x", x, (plant.states,), "(n,)")

@@ -1,6 +1,6 @@
 """The march under a law that is a `Forecast`: along signals that are believed in.
 
-On a segment x is solved first, as in `segment_kernel`. At each of its Gauss nodes t the prediction
+On a segment x is solved first, as in `collocation`. At each of its Gauss nodes t the prediction
 of every branch is a functional of x(t) and of the inputs in flight, carried backwards from where an
 input is first read: over an interval in which the branch stays in a system, and every input is
 either in flight or under its own feedback,
@@ -22,14 +22,14 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Forecast
 from deadtime.numerics.kernels import kernel
 from deadtime.numerics.polynomials import Nodes, gauss
-from deadtime.simulation.ideal.rereading import feedback_through_rereading
-from deadtime.simulation.ideal.segment_kernel import (
+from deadtime.simulation.ideal.collocation import (
     arrivals,
     flows,
     interpolate,
     locate,
     solve_alone,
 )
+from deadtime.simulation.ideal.rereading import feedback_through_rereading
 from deadtime.simulation.initial_input import refit
 from deadtime.simulation.loop_arrays import LIMIT
 

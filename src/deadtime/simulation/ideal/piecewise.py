@@ -41,7 +41,7 @@ class Piecewise(Frozen):
 
     def __call__(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
         """Values at times within the edges, in any order."""
-        from deadtime.simulation.ideal.segment_kernel import sample
+        from deadtime.simulation.ideal.collocation import sample
 
         nodes, edges = gauss(self.values.shape[1] - 2), self.edges
         # A time within round-off before an edge is at it.

@@ -2,7 +2,7 @@
 
     u(t) = F_c x(t) + Σ_p C_c,p y_p(t),    y_p(t) = ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ, α_p to β_p,
 
-c the row that applies on a segment [a, b]. There x is solved first, as in `segment_kernel`. Every
+c the row that applies on a segment [a, b]. There x is solved first, as in `collocation`. Every
 y_p(a) is summed afresh over the inputs sent from a − β_p to a − α_p, so that nothing drifts from
 segment to segment, and then
 
@@ -21,7 +21,7 @@ import numpy as np
 from deadtime.base.checks import read_only
 from deadtime.feedback import Functional
 from deadtime.numerics.kernels import kernel
-from deadtime.simulation.ideal.segment_kernel import (
+from deadtime.simulation.ideal.collocation import (
     add_branch,
     add_product,
     arrivals,

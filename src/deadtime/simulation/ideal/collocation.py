@@ -1,4 +1,4 @@
-"""The kernels of the ideal simulation: one segment after another.
+"""The ideal loop by collocation, one segment after another, compiled.
 
 Time is cut into segments on which everything is analytic. On a segment [a, b] in mode σ
 
