@@ -19,7 +19,7 @@ from deadtime.identification.intervals import Spread
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Window
+from deadtime.identification.parameters import SensorMatrix, Squares, Window
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
@@ -108,7 +108,7 @@ class Estimate(Frozen):
     intervals: Float[np.ndarray, "delay 2"]
     several: Bool[np.ndarray, " delay"]
     start: Start
-    disturbance: Float[np.ndarray, "mode n n"]
+    disturbance: Squares
     noise: Float[np.ndarray, " p"]
     noise_errors: Float[np.ndarray, " variance"]
     spare: Int[np.ndarray, " mode"]
@@ -203,7 +203,7 @@ class IdentifiedLog(NamedTuple):
     recording: Recording
     model: SemiMarkov | None
     why: str
-    C: Float[np.ndarray, "p n"]
+    C: SensorMatrix
     states: tuple[str, ...]
     sentences: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()

@@ -19,7 +19,7 @@ from deadtime.identification.likelihoods.likelihood import (
     maximise,
 )
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout, Window
+from deadtime.identification.parameters import Layout, Squares, Window
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum
@@ -64,7 +64,7 @@ def estimate_of_plant(
     window: Window,
     spread: Spread,
     start: Start,
-    S: Float[np.ndarray, "mode n n"],
+    S: Squares,
     spare: Int[np.ndarray, " mode"],
     recording: Recording,
     *,

@@ -34,7 +34,7 @@ from deadtime.identification.likelihoods.likelihood import (
     rooted,
     window_of,
 )
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import Layout, ModeCells, Square, Squares, Vector
 from deadtime.identification.scoring import STEPS, best_in_turn
 
 _MOST = 150  # stretches
@@ -144,15 +144,15 @@ class Regressions(NamedTuple):
     """
 
     P: Float[np.ndarray, "mode n r"]
-    S: Float[np.ndarray, "mode n n"]
+    S: Squares
     jumps: Jumps
-    cells: Int[np.ndarray, "mode m"]
+    cells: ModeCells
     weight: Float[np.ndarray, " mode"]
 
 
 def regressed(
     root: Float[np.ndarray, "z z"], n: int, total: float
-) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "n n"]]:
+) -> tuple[Float[np.ndarray, "n r"], Square]:
     """P and the residuals' covariance of weighted rows (x_{k+1}, r_k), of weight `total`."""
     y, r = root[:, :n], root[:, n:]
     unit = np.maximum(np.sqrt((r**2).sum(axis=0)), 1e-300)
@@ -170,11 +170,7 @@ def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Po
 
 
 def maximised(
-    rows: list[np.ndarray],
-    found: Posterior,
-    jumps: Jumps,
-    cells: Int[np.ndarray, "mode m"],
-    common: bool,
+    rows: list[np.ndarray], found: Posterior, jumps: Jumps, cells: ModeCells, common: bool
 ) -> Regressions:
     """The likeliest regressions given how likely each mode was; `common`: of one S for all."""
     count = found.weight.sum(axis=0)
@@ -208,11 +204,8 @@ def climbed(
 
 
 def scanned(
-    periods: Periods,
-    weight: Float[np.ndarray, "period mode"],
-    cells: Int[np.ndarray, "mode m"],
-    layout: Layout,
-) -> tuple[Int[np.ndarray, "mode m"], Float[np.ndarray, "delay cell"]]:
+    periods: Periods, weight: Float[np.ndarray, "period mode"], cells: ModeCells, layout: Layout
+) -> tuple[ModeCells, Float[np.ndarray, "delay cell"]]:
     """The likeliest cells, the modes being as likely as they are, and what others would be like.
 
     One delay after the other, the others in their cells.

@@ -38,7 +38,7 @@ from deadtime.identification.input_design import (
     within_limits,
 )
 from deadtime.identification.likelihoods.likelihood import REACH
-from deadtime.identification.parameters import Layout, cells_of
+from deadtime.identification.parameters import Inputs, Layout, Square, Squares, Vector, cells_of
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import OperatingPoint, SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -89,7 +89,7 @@ class Experiment(Frozen):
     mode: Int[np.ndarray, " T"]
     delay_errors: Mapping[str, Float[np.ndarray, " delay"]]
     clock: int
-    errors: Float[np.ndarray, " size"]
+    errors: Vector
     largest: Float[np.ndarray, " y"]
     added: bool
     sentences: tuple[str, ...]
@@ -258,7 +258,7 @@ def used_periods(
     return used
 
 
-def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Float[np.ndarray, "mode n n"]:
+def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Squares:
     """W of every mode."""
     n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
     given = as_floats("disturbance", disturbance, form)
@@ -286,9 +286,7 @@ def deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, 
     return deviation
 
 
-def one_for_all(
-    W: Float[np.ndarray, "mode n n"], mode: Int[np.ndarray, " sample"]
-) -> tuple[Float[np.ndarray, "mode n n"], bool]:
+def one_for_all(W: Squares, mode: Int[np.ndarray, " sample"]) -> tuple[Squares, bool]:
     """The mean of W over the rows, in every mode, and whether modes had another one."""
     share = np.bincount(mode, minlength=len(W)) / mode.size
     mean = np.broadcast_to(np.tensordot(share, W, 1), W.shape)
@@ -297,11 +295,8 @@ def one_for_all(
 
 
 def added_noise(
-    plant: SwitchedSystem,
-    W: Float[np.ndarray, "mode n n"],
-    step: float,
-    deviation: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "mode n n"]:
+    plant: SwitchedSystem, W: Squares, step: float, deviation: Float[np.ndarray, " n"]
+) -> Squares:
     """S of every mode: what noise adds in a period."""
     S = np.array(
         [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
@@ -317,9 +312,7 @@ def added_noise(
     return S
 
 
-def root_of(
-    W: Float[np.ndarray, "n n"], deviation: Float[np.ndarray, " n"], step: float
-) -> Float[np.ndarray, "n n"]:
+def root_of(W: Square, deviation: Float[np.ndarray, " n"], step: float) -> Square:
     """L with W = L Lᵀ, of a W that has a little in every direction."""
     floor = _FLOOR * (float(np.trace(W)) + float((deviation**2).sum()) / step)
     return np.linalg.cholesky(W + floor * np.eye(len(W)))
@@ -488,7 +481,7 @@ def design_experiment(
     return Experiment.of(plant, step, prospect, r, peers, hold * clock, averaged)
 
 
-def _require_told(prospect: Prospect, r: Float[np.ndarray, "sample m"]) -> None:
+def _require_told(prospect: Prospect, r: Inputs) -> None:
     """Refuse a plant that no inputs tell."""
     if np.isfinite(prospect.errors(r)).all():
         return

@@ -30,7 +30,7 @@ from deadtime.identification.intervals import left_of, spread_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog, Starts
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import estimate_of_sensors
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import Cells, FisherMatrix, Layout, Vector
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
@@ -49,9 +49,9 @@ class Information(NamedTuple):
     of_noise : (modes,), the least share that is left of what would be told of S's diagonal
     """
 
-    held: Float[np.ndarray, "size size"]
-    left: Float[np.ndarray, "size size"]
-    known: Float[np.ndarray, "size size"]
+    held: FisherMatrix
+    left: FisherMatrix
+    known: FisherMatrix
     told: float
     of_noise: Float[np.ndarray, " mode"]
 
@@ -125,7 +125,7 @@ class _Noise:
         return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
 
 
-def information_of(log: HiddenLog, theta: Vector, cells: Int[np.ndarray, " delay"]) -> Information:
+def information_of(log: HiddenLog, theta: Vector, cells: Cells) -> Information:
     """The information on θ at the maximum, delays within their cells."""
     noise, known = _Noise(log), log.evaluate(theta, cells).information
     weight = log.posterior(theta, cells).weight
@@ -288,11 +288,7 @@ def _start(found: Decoded) -> Start:
 
 
 def _information(
-    log: HiddenNoisyLog,
-    theta: Vector,
-    starts: Starts,
-    cells: Int[np.ndarray, " delay"],
-    known: Float[np.ndarray, "size size"],
+    log: HiddenNoisyLog, theta: Vector, starts: Starts, cells: Cells, known: FisherMatrix
 ) -> Information:
     """J of the vector, with the chain held and estimated; and that of the modes of the path."""
     jumps, size, vague = log.jumps.likelier(_SELDOM), theta.size, _vague(log)
@@ -321,6 +317,6 @@ def _information(
     return Information(held, left, known, told, np.ones(log.layout.modes))
 
 
-def _vague(log: HiddenNoisyLog) -> Float[np.ndarray, "size size"]:
+def _vague(log: HiddenNoisyLog) -> FisherMatrix:
     """Next to no information on the noise, so that one which the log does not tell may be any."""
     return np.diag(_VAGUE / log.most**2)

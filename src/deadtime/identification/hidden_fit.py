@@ -53,7 +53,7 @@ from deadtime.identification.likelihoods.likelihood import (
 )
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import first_noises
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import Layout, SensorMatrix, Square, Vector, Window
 from deadtime.identification.sampling import nodes_for, sampling_of
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import cell_range, plant_of, start_of
@@ -340,7 +340,7 @@ _SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at f
 
 
 def fitted_with_noise(
-    search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
+    search: HiddenSearch, layout: Layout, recording: Recording, C: SensorMatrix
 ) -> HiddenFit[HiddenNoisyLog]:
     """The likeliest plant and noise of a recording of y = C x, of a number of modes.
 
@@ -407,7 +407,7 @@ def _led_with_noise(
 
 
 def _best_start(
-    search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
+    search: HiddenSearch, layout: Layout, recording: Recording, C: SensorMatrix
 ) -> tuple[Begun, HiddenNoisyLog, Vector, tuple[float, float]]:
     """What leads highest in coarse steps, of those that leave all modes some rows, if any do.
 
@@ -445,8 +445,8 @@ def _starts(search: HiddenSearch, layout: Layout) -> list[Begun]:
 
 
 def _of_start(
-    start: Begun, search: HiddenSearch, recording: Recording, C: Float[np.ndarray, "p n"]
-) -> tuple[HiddenNoisyLog, Float[np.ndarray, "n n"]]:
+    start: Begun, search: HiddenSearch, recording: Recording, C: SensorMatrix
+) -> tuple[HiddenNoisyLog, Square]:
     """The likelihood, with modes that last; and what a period adds, as noise of the plant."""
     exact, theta, layout = start.log, start.theta, start.log.layout
     A, _, _ = layout.split(theta)
@@ -489,7 +489,7 @@ def _next_chain(log: HiddenNoisyLog, theta: np.ndarray, starts: Starts) -> Hidde
     return log
 
 
-def _units(W: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " entry"]:
+def _units(W: Square) -> Float[np.ndarray, " entry"]:
     """How large the entries of a triangle L, L Lᵀ = W, are; of its diagonal the logarithms are."""
     i, j = np.tril_indices(len(W))
     return np.where(i == j, 1.0, np.sqrt(np.maximum(np.diagonal(W)[i], 1e-300)))

@@ -17,11 +17,7 @@ from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
 from deadtime.identification.identify_hidden import Sensed, identify_hidden, numbers_of
-from deadtime.identification.identify_outputs import (
-    identify_outputs,
-    is_states,
-    require_logged,
-)
+from deadtime.identification.identify_outputs import identify_outputs, is_states, require_logged
 from deadtime.identification.levels import level_of
 from deadtime.identification.log.logged_states import (
     as_states,

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.experiment_information import Chain, ExactStates, NoisyStates
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import FisherMatrix, Inputs, Layout, Vector
 
 SIGMAS = 3.0  # standard deviations of the noise that limits leave room for
 _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
@@ -34,7 +34,7 @@ class Worth(NamedTuple):
     """
 
     value: float
-    by_r: Float[np.ndarray, "sample m"]
+    by_r: Inputs
     beyond: float
 
 
@@ -72,7 +72,7 @@ class Prospect(Frozen):
         """How many rows there are."""
         return self.chain.kind.size
 
-    def reach(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, "sample y"]:
+    def reach(self, r: Inputs) -> Float[np.ndarray, "sample y"]:
         """What every |state| and |input| stays below, at three standard deviations."""
         xi = self.chain.means(r)
         return np.abs(self._outputs(xi, r)) + SIGMAS * self.deviation
@@ -82,22 +82,22 @@ class Prospect(Frozen):
         own = np.einsum("kmx,kx->km", self.chain.U[self.chain.kind], xi)
         return np.hstack((xi[:, : self.layout.n], own + r))
 
-    def acting(self, r: Float[np.ndarray, "sample m"]) -> tuple[np.ndarray, np.ndarray]:
+    def acting(self, r: Inputs) -> tuple[np.ndarray, np.ndarray]:
         """ξ̄ and z̄ of every sample."""
         chain = self.chain
         xi = chain.means(r)
         z = np.einsum("kzx,kx->kz", chain.Z[chain.kind], xi)
         return xi, z + np.einsum("kzm,km->kz", chain.Y[chain.kind], r)
 
-    def information(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, "size size"]:
+    def information(self, r: Inputs) -> FisherMatrix:
         """F of inputs."""
         return self.measured.information(self.acting(r)[1])[0]
 
-    def errors(self, r: Float[np.ndarray, "sample m"]) -> Vector:
+    def errors(self, r: Inputs) -> Vector:
         """The standard error of every unknown; infinite where the inputs do not tell it."""
         return errors_of(self.information(r))
 
-    def worth(self, r: Float[np.ndarray, "sample m"], price: float = 0.0) -> Worth:
+    def worth(self, r: Inputs, price: float = 0.0) -> Worth:
         """The criterion less `price` times the squares of what is beyond limits, relative."""
         chain, n = self.chain, self.layout.n
         xi, z = self.acting(r)
@@ -134,7 +134,7 @@ class Prospect(Frozen):
         return float(value), by_F * unit[:, None] * unit
 
 
-def errors_of(F: Float[np.ndarray, "size size"]) -> Vector:
+def errors_of(F: FisherMatrix) -> Vector:
     """Roots of the diagonal of F⁻¹; infinite where F is singular."""
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
     scaled = F * unit[:, None] * unit
@@ -158,9 +158,7 @@ _PACES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)  # how often random
 _STRETCH = 20  # samples of a kick at most
 
 
-def binary_sequence(
-    count: int, limit: Float[np.ndarray, " m"], clock: int
-) -> Float[np.ndarray, "sample m"]:
+def binary_sequence(count: int, limit: Float[np.ndarray, " m"], clock: int) -> Inputs:
     """A maximum-length binary sequence of values held for `clock` samples, shifted for each input.
 
     Examples
@@ -178,7 +176,7 @@ def binary_sequence(
     return np.repeat(np.column_stack(columns), clock, axis=0)[:count] * limit
 
 
-def steps(count: int, limit: Float[np.ndarray, " m"]) -> Float[np.ndarray, "sample m"]:
+def steps(count: int, limit: Float[np.ndarray, " m"]) -> Inputs:
     """A step of every input from −limit to limit, one after the other.
 
     Examples
@@ -191,7 +189,7 @@ def steps(count: int, limit: Float[np.ndarray, " m"]) -> Float[np.ndarray, "samp
     return np.where(np.arange(count)[:, None] < at, -limit, limit)
 
 
-def within_limits(prospect: Prospect, r: Float[np.ndarray, "sample m"]) -> np.ndarray:
+def within_limits(prospect: Prospect, r: Inputs) -> np.ndarray:
     """The inputs, made smaller where they would carry the loop beyond its limits: it is linear."""
     beyond = prospect.worth(r).beyond
     return r / (1.0 + beyond)
@@ -199,7 +197,7 @@ def within_limits(prospect: Prospect, r: Float[np.ndarray, "sample m"]) -> np.nd
 
 def best_sequence(
     prospect: Prospect, limit: Float[np.ndarray, " m"], hold: int, kicks: int, seed: int
-) -> Float[np.ndarray, "sample m"]:
+) -> Inputs:
     """The inputs within ±limit, each held for `hold` samples, that are worth most of those found.
 
     First from sequences of all paces; then the best is kicked, a stretch of it turned about, and
@@ -232,7 +230,7 @@ def _held(v: np.ndarray, hold: int, count: int) -> np.ndarray:
 
 def _climb(
     prospect: Prospect, first: np.ndarray, limit: np.ndarray, hold: int, prices: tuple[float, ...]
-) -> tuple[float, Float[np.ndarray, "sample m"]]:
+) -> tuple[float, Inputs]:
     """The worth of the local maximum that a start leads to, made to keep its limits, and it."""
     from scipy.optimize import minimize
 

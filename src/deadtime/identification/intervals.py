@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.likelihoods.likelihood import Likelihood, climb_within, maximise
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import FisherMatrix, Layout, Vector, Window
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
@@ -39,18 +39,13 @@ class Spread(NamedTuple):
     spare : observations beyond those that unknowns cost, of each unknown
     """
 
-    covariance: Float[np.ndarray, "size size"]
+    covariance: FisherMatrix
     reach: Vector
     inflation: Vector
     spare: Vector
 
 
-def spread_of(
-    F: Float[np.ndarray, "size size"],
-    names: list[str],
-    known: Float[np.ndarray, "size size"],
-    spare: Vector,
-) -> Spread:
+def spread_of(F: FisherMatrix, names: list[str], known: FisherMatrix, spare: Vector) -> Spread:
     """The inverse of what is `known`, the information F less what the noise's own estimate costs.
 
     spare : observations beyond those that unknowns cost, of each unknown
@@ -68,13 +63,13 @@ def spread_of(
     return Spread(covariance, np.asarray(t.ppf(0.5 + 0.5 * LEVEL, spare)), inflation, spare)
 
 
-def inverse(F: Float[np.ndarray, "size size"]) -> Float[np.ndarray, "size size"]:
+def inverse(F: FisherMatrix) -> FisherMatrix:
     """F⁻¹, scaled so that units of the unknowns do not matter."""
     unit = 1.0 / np.sqrt(np.diagonal(F))
     return np.linalg.inv(F * unit[:, None] * unit) * unit[:, None] * unit
 
 
-def require_seen(F: Float[np.ndarray, "size size"], names: list[str]) -> None:
+def require_seen(F: FisherMatrix, names: list[str]) -> None:
     """Refuse an information that is singular, by the direction that it does not hold."""
     diagonal = np.diagonal(F)
     blind = [names[a] for a in np.flatnonzero(~(diagonal > 0.0)) if a < len(names)]

@@ -28,7 +28,7 @@ from deadtime.identification.intervals import inverse
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.log.logged_states import rest_rows
 from deadtime.identification.log.recording import Level, Recording
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import FisherMatrix, Layout, Vector
 from deadtime.plant import OperatingPoint
 
 _Log = TypeVar("_Log", bound=Likelihood)
@@ -90,10 +90,7 @@ def with_constant(
 
 
 def without_level(
-    log: _Log,
-    theta: Vector,
-    information: Float[np.ndarray, "size size"],
-    back: Float[np.ndarray, "n p"],
+    log: _Log, theta: Vector, information: FisherMatrix, back: Float[np.ndarray, "n p"]
 ) -> tuple[_Log, Int[np.ndarray, " kept"]]:
     """The likelihood without constant terms, if the log does not ask for them; and what it keeps.
 
@@ -130,7 +127,7 @@ def likelier_than_chance(rise: float, more: int) -> bool:
 def from_zero(
     layout: Layout,
     theta: Vector,
-    information: Float[np.ndarray, "size size"],
+    information: FisherMatrix,
     recording: Recording,
     back: Float[np.ndarray, "n p"],
 ) -> tuple[float, int]:

@@ -57,7 +57,7 @@ from deadtime.identification.levels import (
 from deadtime.identification.likelihoods.likelihood import climb_within, maximise
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog, SensorLikelihood
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Vector, Window
+from deadtime.identification.parameters import FisherMatrix, SensorMatrix, Square, Vector, Window
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 from deadtime.identification.start import Start, cell_range
@@ -72,9 +72,7 @@ _TOLD = 1.0  # information on a logarithm: one that is told to less than a facto
 _FEWEST = 3.0  # degrees of freedom: of fewer Student's has no variance
 
 
-def estimate_with_noise(
-    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
-) -> Estimate:
+def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
     log, begins = begun_with_noise(recording, C, exact)
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
@@ -107,7 +105,7 @@ def start_beside(
 
 
 def begun_with_noise(
-    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
+    recording: Recording, C: SensorMatrix, exact: Estimate
 ) -> tuple[NoisyLog, list[Vector]]:
     """The likelihood with noisy sensors, and vectors to climb from."""
     expect_many_calls()
@@ -220,9 +218,7 @@ def noisy_residuals(
     return np.split(white, np.cumsum([part.time.size for part in parts])[:-1])
 
 
-def first_noises(
-    W: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"], step: float
-) -> list[NoiseLevels]:
+def first_noises(W: Square, C: SensorMatrix, step: float) -> list[NoiseLevels]:
     """Two guesses: what a period adds, of W, is mostly the plant's, or mostly the sensors'."""
     floor = max(_FLOOR * float(np.trace(W)), np.finfo(float).tiny)
     W = W + floor * np.eye(len(W))
@@ -234,7 +230,7 @@ class Restricted(NamedTuple):
     """The unknowns with restricted noise, their information, and the freedom each rests on."""
 
     theta: Vector
-    information: Float[np.ndarray, "size size"]
+    information: FisherMatrix
     spare: Vector
 
 
@@ -304,7 +300,7 @@ def _noise_shares(
 
 
 def variance_errors(
-    log: SensorLikelihood, vector: Vector, covariance: Float[np.ndarray, "size size"]
+    log: SensorLikelihood, vector: Vector, covariance: FisherMatrix
 ) -> Float[np.ndarray, " variance"]:
     """Standard errors of W_aa = Σ_b L_ab², mode by mode, and of sensors' variances.
 
@@ -432,7 +428,7 @@ def _highest(found: list[Maximum]) -> Maximum:
 
 
 def estimate_in_loop(
-    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate, sure: bool
+    recording: Recording, C: SensorMatrix, exact: Estimate, sure: bool
 ) -> Estimate:
     """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
     found = over_all_cells(*begun_with_noise(recording, C, exact))

@@ -55,7 +55,7 @@ from deadtime.identification.likelihoods.switched_filter import (
     SwitchedKalmanFilter,
 )
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import Layout, Square, Squares, Vector, Window
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import matrix_logarithm, start_of
 from deadtime.identification.transition import plain_transitions
@@ -318,7 +318,7 @@ def chains_by_past(
     lag: int,
     modes: int,
     apart: int,
-) -> Float[np.ndarray, "mode n n"] | None:
+) -> Squares | None:
     """A of evenly sampled outputs; None if rows within a mode are too few, or tell no plant.
 
     deviation : about, of the sensors; step : between rows, seconds
@@ -371,7 +371,7 @@ def _past_rows(
 
 def _past_transition(
     now: Float[np.ndarray, "row p"], past: Float[np.ndarray, "row n"], shape: Embedding
-) -> Float[np.ndarray, "n n"]:
+) -> Square:
     """M, by which z_k becomes z_{k+q}."""
     M = np.eye(past.shape[1], k=-1)
     for j, row in enumerate(shape.C.argmax(axis=1)):
@@ -382,7 +382,7 @@ def _past_transition(
     return M
 
 
-def _in_chains(F: Float[np.ndarray, "n n"], shape: Embedding) -> Float[np.ndarray, "n n"]:
+def _in_chains(F: Square, shape: Embedding) -> Square:
     """F, of states that begin with outputs, in the states of the embedding."""
     powers = [np.linalg.matrix_power(F, a) for a in range(max(shape.order))]
     T = np.array([shape.C[j] @ powers[a] for j, n in enumerate(shape.order) for a in range(n)])

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.parameters import SensorMatrix, Squares
 from deadtime.identification.sampling import acting_in, fed, known_ends
 from deadtime.identification.transition import interpolation, plain_transitions
 from deadtime.plant import SwitchedSystem
@@ -76,7 +77,7 @@ def residuals_of(
     constant: Float[np.ndarray, "mode n"],
     nodes: np.ndarray,
     within: bool,
-    roots: Float[np.ndarray, "mode n n"],
+    roots: Squares,
 ) -> list[Float[np.ndarray, "sample n"]]:
     """Of every part, x_k less what x_{k−1} foretells, whitened by the roots; NaN where unknown."""
     longest, shortest = float(plant.delays.max()), float(plant.delays.min())
@@ -183,7 +184,7 @@ def forecast(
     plant: SwitchedSystem,
     constant: Float[np.ndarray, "mode n"],
     nodes: np.ndarray,
-    C: Float[np.ndarray, "p n"],
+    C: SensorMatrix,
 ) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
     """States foretold from those a sample before, and from the first known one on; NaN without."""
     states = part.output @ np.linalg.pinv(C).T

@@ -34,14 +34,18 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Cells, Layout, Vector, Window, cell_of
-from deadtime.identification.scoring import Climb, EvaluateIn, Maximum, climb, climb_cells
-from deadtime.identification.transition import (
-    interpolation,
-    nodes_of,
-    noise_tables,
-    transitions_of,
+from deadtime.identification.parameters import (
+    Cells,
+    Layout,
+    Nodes,
+    Square,
+    Squares,
+    Vector,
+    Window,
+    cell_of,
 )
+from deadtime.identification.scoring import Climb, EvaluateIn, Maximum, climb, climb_cells
+from deadtime.identification.transition import interpolation, nodes_of, noise_tables, transitions_of
 
 _BLOCK = 2_000_000  # numbers of a log that are stacked at a time
 _ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
@@ -148,7 +152,7 @@ class Sampling(Frozen, ABC):
     """
 
     step: float
-    nodes: Float[np.ndarray, " node"] = field(repr=False)
+    nodes: Nodes = field(repr=False)
 
     summed_up: ClassVar[bool]
 
@@ -187,9 +191,7 @@ class Sampling(Frozen, ABC):
         """Roots of Σ z zᵀ of every mode, for delays in a window."""
 
     @abstractmethod
-    def periods_of(
-        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
-    ) -> PeriodsOf:
+    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
         """What leads a filter from sample to sample, W = L Lᵀ, delays in given cells."""
 
     @abstractmethod
@@ -211,7 +213,7 @@ class Sampling(Frozen, ABC):
         return lambda cells: lambda theta: terms(theta, cells)
 
 
-def sampling_of(recording: Recording, nodes: Float[np.ndarray, " node"]) -> Sampling:
+def sampling_of(recording: Recording, nodes: Nodes) -> Sampling:
     """That of a recording."""
     return (EvenSampling if recording.even else UnevenSampling)(recording.step, nodes)
 
@@ -265,9 +267,7 @@ class EvenSampling(Sampling):
 
         return roots
 
-    def periods_of(
-        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
-    ) -> PeriodsOf:
+    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
         n, reads = layout.n, layout.spread(cells)
         P, by_P = (
             np.array(one) for one in list(zip(*self.maps(layout, theta, cells), strict=True))[:2]
@@ -342,9 +342,7 @@ class UnevenSampling(Sampling):
 
         return lambda reads: [root(i, own) for i, own in enumerate(reads)]
 
-    def periods_of(
-        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
-    ) -> PeriodsOf:
+    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
         A, B, delays = layout.split(theta)
         n, m, acting, modes = layout.n, layout.m, layout.acting, range(layout.modes)
         over = [transitions_of(A[i], self.nodes) for i in modes]
@@ -465,10 +463,7 @@ class ActingInputs(NamedTuple):
 
 
 def acting_in(
-    part: Part,
-    k: np.ndarray,
-    delays: Float[np.ndarray, "mode m"],
-    nodes: Float[np.ndarray, " node"],
+    part: Part, k: np.ndarray, delays: Float[np.ndarray, "mode m"], nodes: Nodes
 ) -> ActingInputs:
     """What acts in periods k of a part, each with the delays of its mode.
 
@@ -496,7 +491,7 @@ def acting_in(
     return ActingInputs(held, moved)
 
 
-def nodes_for(parts: tuple[Part, ...], A: Float[np.ndarray, "mode n n"]) -> np.ndarray:
+def nodes_for(parts: tuple[Part, ...], A: Squares) -> np.ndarray:
     """Nodes that serve plants about A over all periods of a recording."""
     longest = max(float(np.diff(part.time).max()) for part in parts)
     rate = 2.0 * float(np.abs(np.linalg.eigvals(A)).max()) + 1.0 / longest
@@ -504,10 +499,7 @@ def nodes_for(parts: tuple[Part, ...], A: Float[np.ndarray, "mode n n"]) -> np.n
 
 
 def period_weights(
-    A: Float[np.ndarray, "n n"],
-    B: Float[np.ndarray, "n acting"],
-    rest: Float[np.ndarray, " m"],
-    step: float,
+    A: Square, B: Float[np.ndarray, "n acting"], rest: Float[np.ndarray, " m"], step: float
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
     """What a period makes of x_k, u_{k−N} and u_{k−N+1}, and of 1; with its derivatives.
 
@@ -534,10 +526,7 @@ def period_weights(
 
 
 def node_weights(
-    A: Float[np.ndarray, "n n"],
-    B: Float[np.ndarray, "n acting"],
-    m: int,
-    nodes: Float[np.ndarray, " node"],
+    A: Square, B: Float[np.ndarray, "n acting"], m: int, nodes: Nodes
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
     """What periods make of states, inputs and changes of inputs by the weights of nodes.
 

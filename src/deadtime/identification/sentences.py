@@ -16,6 +16,7 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.identifiability import counts_milliseconds, reasons
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
+from deadtime.identification.parameters import SensorMatrix
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class OddReadings(NamedTuple):
     far_off: list[str]
 
 
-def odd_readings(found: Estimate, recording: Recording, C: Float[np.ndarray, "p n"]) -> OddReadings:
+def odd_readings(found: Estimate, recording: Recording, C: SensorMatrix) -> OddReadings:
     """Readings that no noise explains."""
     return OddReadings(_repeats(recording), _far_off(found, recording, C))
 
@@ -283,7 +284,7 @@ def _repeats(recording: Recording) -> list[str]:
     return said
 
 
-def _far_off(found: Estimate, recording: Recording, C: Float[np.ndarray, "p n"]) -> list[str]:
+def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str]:
     """The row that lies farthest from what the model foretells, if chance makes no such row.
 
     Errors of less than a thousandth of what a column moves by are left aside: without noise what is

@@ -35,7 +35,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.likelihoods.chain import likeliest, smooth
 from deadtime.identification.likelihoods.likelihood import log_density
 from deadtime.identification.log.recording import Part
-from deadtime.identification.parameters import Window, cell_of
+from deadtime.identification.parameters import Square, Window, cell_of
 from deadtime.identification.sampling import Sampling
 from deadtime.identification.transition import interpolation, nodes_of, transitions_of
 
@@ -158,7 +158,7 @@ class Pooled(NamedTuple):
     """
 
     P: Float[np.ndarray, "n r"]
-    S: Float[np.ndarray, "n n"]
+    S: Square
     reads: Int[np.ndarray, " m"] | Float[np.ndarray, " m"]
     sampling: Sampling
     constant: bool

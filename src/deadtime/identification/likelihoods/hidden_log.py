@@ -45,7 +45,7 @@ from deadtime.identification.likelihoods.likelihood import (
 )
 from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Cells, Vector, Window
+from deadtime.identification.parameters import Cells, Square, Squares, Vector, Window
 from deadtime.identification.sampling import Term
 from deadtime.identification.scoring import EvaluateIn, Evaluation
 
@@ -58,7 +58,7 @@ class HiddenLog(PlantLikelihood):
     """
 
     periods: Periods = field(repr=False)
-    S: Float[np.ndarray, "mode n n"]
+    S: Squares
     jumps: Jumps
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenLog:
@@ -131,7 +131,7 @@ class SingleMode(NamedTuple):
     """Unknowns of a plant of one mode, L of its noise, W = L Lᵀ, and the cells of its delays."""
 
     theta: Vector
-    L: Float[np.ndarray, "n n"]
+    L: Square
     cells: Int[np.ndarray, " m"]
 
 
@@ -181,7 +181,7 @@ class HiddenNoisyLog(SensorLikelihood):
         return np.full(vector.size, np.inf)
 
     def filtered(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+        self, vector: Vector, starts: Starts, cells: Cells | None = None
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
         """Of every part the densities of all periods, stay and change; and what samples add."""
         layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
@@ -228,9 +228,7 @@ class HiddenNoisyLog(SensorLikelihood):
         kind, Phi, Q, added = zip(*each, strict=True)
         return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
 
-    def posterior(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> Posterior:
+    def posterior(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Posterior:
         """What the log says of the modes; its weights are of all periods."""
         laid, gained = self.filtered(vector, starts, cells)
         parts = self.recording.parts
@@ -242,15 +240,11 @@ class HiddenNoisyLog(SensorLikelihood):
         """The likeliest modes of the samples of every part."""
         return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
 
-    def value(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> float:
+    def value(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> float:
         """The log likelihood."""
         return float(self.filtered(vector, starts, cells)[1].sum())
 
-    def evaluate(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> Evaluation:
+    def evaluate(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Evaluation:
         size = vector.size
         with np.errstate(all="ignore"):
             now = self.filtered(vector, starts, cells)[1]
