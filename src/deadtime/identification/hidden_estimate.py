@@ -26,7 +26,7 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.exact_estimate import estimate_of_plant
 from deadtime.identification.expectation_maximisation import scanned
 from deadtime.identification.hidden_fit import HiddenFit, Log
-from deadtime.identification.intervals import left_of, spread_of
+from deadtime.identification.intervals import Peak, left_of, spread_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog, Starts
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import estimate_of_sensors
@@ -247,10 +247,10 @@ def estimated(found: Decoded[HiddenLog]) -> ModesTold:
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
-    peak = log, best, found.fit.window, spread, _start(found)
+    peak = Peak(log=log, best=best, window=found.fit.window, spread=spread, start=_start(found))
     S = log.S * (counts / spare)[:, None, None]
     free = np.maximum(spare * told.of_noise, 1.0).astype(np.int64)
-    estimate = estimate_of_plant(*peak, S, free, record, told=log.periods.usable)
+    estimate = estimate_of_plant(peak, S, free, record, told=log.periods.usable)
     return ModesTold(estimate, posterior.node, told.widening)
 
 
@@ -271,8 +271,8 @@ def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
     best = Maximum(theta, now._replace(information=told.held), np.zeros(theta.size, bool))
     posterior = log.posterior(theta, starts)
     rows = np.maximum(np.vstack(posterior.node).sum(axis=0), 1.0).astype(np.int64)
-    peak = log, best, window, spread, _start(found)
-    estimate = estimate_of_sensors(*peak, theta, path, rows)
+    peak = Peak(log=log, best=best, window=window, spread=spread, start=_start(found))
+    estimate = estimate_of_sensors(peak, theta, path, rows)
     return ModesTold(estimate, posterior.node, told.widening)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
-from deadtime.identification.intervals import profile
 from deadtime.identification.likelihoods.noisy_log import following
 from deadtime.identification.log.recording import Part
 from deadtime.identification.residuals import LAGS, autocorrelation, forecast, with_inputs
@@ -73,14 +72,14 @@ def draw_likelihood(axes: Axes, fit: Findings) -> None:
     from scipy.interpolate import PchipInterpolator
 
     found, layout = fit._found, fit._found.log.layout
-    places = np.arange(layout.size)[layout.at_delays].tolist()
+    places = layout.delay_places.tolist()
     names = delay_names(fit._recording, found)
     for row, (place, name) in enumerate(zip(places, names, strict=True)):
         D = float(found.best.theta[place])
         reach = 1.7 * np.abs(found.intervals[row] - D).max()
         points = _POINTS if fit.noise.any() else _MANY
         delays = np.clip(np.linspace(D - reach, D + reach, points), *found.window)
-        falls = [profile(found.log, found.best, found.window, place, float(d)) for d in delays]
+        falls = [found.profile(place, float(d)) for d in delays]
         if points < _MANY and (np.diff(delays) > 0.0).all():
             curve, delays = (
                 PchipInterpolator(delays, falls),

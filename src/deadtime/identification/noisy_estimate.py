@@ -39,9 +39,8 @@ from jaxtyping import Float, Int
 from deadtime.identification.delay_scan import largest_maximum
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import (
+    Peak,
     Spread,
-    delay_intervals,
-    ends_over_peaks,
     inverse,
     plausible_fall,
     require_seen,
@@ -58,7 +57,6 @@ from deadtime.identification.likelihoods.likelihood import climb_within, maximis
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog, SensorLikelihood
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import FisherMatrix, SensorMatrix, Square, Vector, Window
-from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 from deadtime.identification.start import Start, cell_range
 from deadtime.numerics.kernels import expect_many_calls
@@ -126,25 +124,18 @@ def estimated_of(
     spare: Int[np.ndarray, " mode"] | None = None,
 ) -> Estimate:
     """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
-    recording, layout = log.recording, log.layout
     beyond = max(log.measured(log.starts(*window)) - log.free.size, 1)
-    lag = recording.lag(window[1])
-    some = replace(log, recording=recording.stretches(_ENOUGH, lag))
+    some = replace(log, recording=log.recording.stretches(_ENOUGH, log.recording.lag(window[1])))
     spread, theta = _spread(log, some, best, window, float(beyond))
-    peak = log, best, window, spread, start
-    own = np.full(layout.modes, beyond) if spare is None else spare
+    peak = Peak(log=log, best=best, window=window, spread=spread, start=start)
+    own = np.full(log.layout.modes, beyond) if spare is None else spare
     if log.embedding is None:
-        ends = ends_over_peaks(log, best, spread, start)
-        return estimate_of_sensors(*peak, theta, log, own, ends=ends)
-    return estimate_of_sensors(*peak, theta, log, own, of_outputs=log)
+        return estimate_of_sensors(peak, theta, log, own, ends=peak.ends_over_peaks())
+    return estimate_of_sensors(peak, theta, log, own, of_outputs=log)
 
 
 def estimate_of_sensors(
-    log: SensorLikelihood,
-    best: Maximum,
-    window: Window,
-    spread: Spread,
-    start: Start,
+    peak: Peak,
     theta: Vector,
     along: NoisyLog,
     spare: Int[np.ndarray, " mode"],
@@ -152,29 +143,24 @@ def estimate_of_sensors(
     ends: Float[np.ndarray, "unknown 2"] | None = None,
     of_outputs: NoisyLog | None = None,
 ) -> Estimate:
-    """What there is to say of a maximum with noisy sensors, its noise restricted in `theta`.
+    """The estimate at a peak with noisy sensors, its noise restricted in `theta`.
 
     along : the likelihood with modes known, those of the likeliest path if they were hidden
     """
-    intervals, several = delay_intervals(log, best, window, spread, start)
-    layout, noise, white = log.layout, log.noise(theta), noisy_residuals(along, theta, window)
-    plant = layout.plant(theta[: layout.size])
-    spent = None if of_outputs is None else 2 * layout.n * len(log.C)
-    return Estimate(
-        log=log,
-        best=best._replace(theta=theta),
-        window=window,
-        plant=plant,
-        spread=spread,
-        intervals=intervals,
-        several=several,
-        start=start,
+    log, layout = peak.log, peak.log.layout
+    assert isinstance(log, SensorLikelihood)
+    noise, white = log.noise(theta), noisy_residuals(along, theta, peak.window)
+    return Estimate.at(
+        peak,
+        layout.plant(theta[: layout.size]),
+        along.recording,
+        white,
+        None if of_outputs is None else 2 * layout.n * len(log.C),
+        best=peak.best._replace(theta=theta),
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
-        noise_errors=variance_errors(log, theta, spread.covariance),
+        noise_errors=variance_errors(log, theta, peak.spread.covariance),
         spare=spare,
-        tests=judge_residuals(white, along.recording, plant.longest_delay, spent),
-        white=tuple(white),
         ends=ends,
         of_outputs=of_outputs,
     )
@@ -258,7 +244,7 @@ def restricted(
         return Evaluation(found.value + more, found.score + gradient, found.information)
 
     low, high = log.limits
-    still = np.concatenate((np.arange(size)[log.layout.at_delays], noise[~told]))
+    still = np.concatenate((log.layout.delay_places, noise[~told]))
     low[still], high[still] = best.theta[still], best.theta[still]
     after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
     value = after.found.value - float(gradient @ (after.theta - best.theta))

@@ -133,7 +133,7 @@ def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
     vectors = others_of(log, found.best.theta)
     if not vectors:
         return found, []
-    place = np.arange(layout.size)[layout.at_delays]
+    place = layout.delay_places
     error = np.sqrt(np.diagonal(spread.covariance))
     fall = 0.5 * (spread.reach**2 * spread.inflation)[place].max()
     top = maximise(log, found.best.theta, window=found.window)[0]  # its noise is restricted

@@ -97,6 +97,11 @@ class Layout:
         return values[self.of_delay - self.of_delay.min()]
 
     @property
+    def delay_places(self) -> Int[np.ndarray, " delay"]:
+        """The places of all delays."""
+        return np.arange(self.size)[self.at_delays]
+
+    @property
     def at_delays(self) -> slice:
         """Where the delays lie."""
         return slice(self.size - self.delays, self.size)
