@@ -1,7 +1,4 @@
-"""An estimate as it is worked on, before it is handed over.
-
-What an identification found of modes that were not logged.
-"""
+"""An estimate with all that it rests on, before it is handed over; and modes that were hidden."""
 
 from __future__ import annotations
 

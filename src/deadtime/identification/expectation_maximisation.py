@@ -1,7 +1,8 @@
-"""Expectation–maximisation over linear regressions: a cell for each delay, and no plant yet.
+"""Expectation–maximisation where modes are hidden: over linear regressions, then over the plant.
 
-With the cell N of every delay given, each mode is a regression x_{k+1} = P_i r_k + e, of which the
-maximum with weights is known; P and S are free, and so is the chain. Cells are found by scan.
+**Regressions.** With the cell N of every delay given, each mode is a regression x_{k+1} = P_i r_k +
+e, of which the maximum with weights is known; P and S are free, and so is the chain. Cells are
+found by scan.
 
 It begins at regressions over short stretches of the log. Modes last, so most stretches of a few
 dozen periods have one mode. Each has a regression of its own, whatever the modes are; the cells in
@@ -9,12 +10,10 @@ which these fit best together are those of the delays. Then as many stretches as
 drawn, each from those that the ones before explain badly (the seeding of k-means++: Arthur and
 Vassilvitskii, SODA 2007).
 
-Expectation–maximisation over the plant: matrices, delays at any fraction of a period, noise.
-
-Each step maximises, over A, B and D and with S that of the weighted residuals, the likelihood that
-periods would have if their modes were known, weighted by how likely they are. That never lowers the
-likelihood of the log (Dempster, Laird and Rubin, J. Royal Statistical Society B 39(1), 1977).
-"""
+**The plant**, with delays at any fraction of a period. Each step maximises, over A, B and D and
+with S that of the weighted residuals, the likelihood that periods would have if their modes were
+known, weighted by how likely they are. That never lowers the likelihood of the log (Dempster, Laird
+and Rubin, J. Royal Statistical Society B 39(1), 1977)."""
 
 from __future__ import annotations
 
@@ -162,7 +161,7 @@ def regressed(
 
 
 def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
-    """What the log says of the modes under regressions."""
+    """The modes that a log tells under regressions."""
     each = zip(rows, model.P, model.S, strict=True)
     return periods.posterior(
         np.column_stack([log_density(z, *one) for z, *one in each]), model.jumps

@@ -1,9 +1,4 @@
-"""Experiment: inputs to send to a plant, and how well their log will tell it.
-
-What `design_experiment` is given, checked: modes of rows, periods that count, noise, the law.
-
-`design_experiment`: what to send to a plant so that its log tells the delays best.
-"""
+"""`design_experiment`: inputs whose log tells a plant's delays best, as an `Experiment`."""
 
 from __future__ import annotations
 
@@ -106,7 +101,7 @@ class Experiment(Frozen):
         clock: int,
         averaged: bool,
     ) -> Experiment:
-        """What there is to hand over of inputs r, and of others beside them.
+        """The result of a search: inputs r, and others beside them.
 
         averaged : whether modes have a noise of their own each, and its mean was counted with
         """
@@ -187,7 +182,7 @@ def _sentences(
     clock: int,
     largest: np.ndarray,
 ) -> tuple[str, ...]:
-    """What to expect, beside what is usual; and where the promise is weaker."""
+    """Errors to expect, beside those of usual inputs; and where the promise is weaker."""
     names = layout.names()[layout.at_delays]
     held = "" if clock == 1 else f", each value held for {clock} periods"
     said = []
@@ -494,7 +489,7 @@ def _require_told(prospect: Prospect, r: Inputs) -> None:
 def _room(
     prospect: Prospect, limit: Float[np.ndarray, " m"], state_limit: ArrayLike | None
 ) -> Float[np.ndarray, "sample y"]:
-    """What means of states and inputs may reach: their limits less that of the noise."""
+    """Limits of the means of states and inputs: theirs less that of the noise."""
     n, m = prospect.layout.n, prospect.layout.m
     largest = np.full(n + m, np.inf)
     if state_limit is not None:

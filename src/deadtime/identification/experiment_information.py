@@ -1,16 +1,16 @@
-"""The plant, period by period, under an input sequence and maybe a law: means and covariances.
+"""The information that the log of an experiment will have, period by period.
 
-With what is in flight, ξ_k = (x_k, u_{k−1}, …, u_{k−L}), the input u_k = U_k ξ_k + r_k and what
-acts in period k, z_k = (x_k, u_{k−N}, u_{k−N+1}) with N of every input in the mode of the period,
+**The loop.** With what is in flight, ξ_k = (x_k, u_{k−1}, …, u_{k−L}), the input u_k = U_k ξ_k +
+r_k and what acts in period k, z_k = (x_k, u_{k−N}, u_{k−N+1}) with N of every input in the mode of
+the period,
 
     ξ_{k+1} = M_k ξ_k + E_k r_k + (w_k, 0),    z_k = Z_k ξ_k + Y_k r_k,    w_k ~ N(0, S_σ),
 
 so that means are linear in r and covariances do not depend on it. A law is told y_k = x_k + v_k, so
 that v_k, the sensors' noise, enters by it as r_k does.
 
-Information of a log, of states that are measured with noise or without.
-
-Without noise S_σ, what noise adds in a period, is not tied to the unknowns θ: then
+**The information.** Without noise of sensors S_σ, what noise adds in a period, is not tied to the
+unknowns θ: then
 
     F = Σ_k E[(∂P z_k)ᵀ S⁻¹ (∂P z_k)],    x_{k+1} = P_σ(θ) z_k + w_k,
 
@@ -106,7 +106,7 @@ class Chain(NamedTuple):
     def back(
         self, of_xi: Float[np.ndarray, "sample xi"]
     ) -> tuple[Inputs, Float[np.ndarray, "sample xi"]]:
-        """What r_k moves of Σ of_xi · ξ̄, by way of the samples after it; and λ_{k+1}."""
+        """The derivative of Σ of_xi · ξ̄ by r_k, by way of the samples after it; and λ_{k+1}."""
         after = np.zeros(of_xi.shape)
         M = [one.T for one in self.M]
         for k in range(len(of_xi) - 2, -1, -1):
@@ -145,7 +145,7 @@ class Chain(NamedTuple):
 def rows_along(
     table: Feedback | None, mode: Int[np.ndarray, " sample"], n: int, m: int, past: int
 ) -> GainRows:
-    """What a law adds to r at every sample, from the modes at samples."""
+    """The rows that a law adds to r at every sample, from the modes at samples."""
     if table is None:
         return GainRows(np.zeros((1, m, n + past * m)), np.zeros(mode.size, np.int64))
     ages = ages_along(mode, 0)

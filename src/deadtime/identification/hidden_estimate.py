@@ -1,12 +1,11 @@
-"""What not knowing the modes costs: the information of the log, in place of that of known modes.
+"""Estimates of plants whose modes were hidden, with intervals that count that in.
 
-The score in all unknowns, θ, S and P, is that of Fisher's identity, and the observed information is
-minus its derivative, by central differences: what Louis' formula gives (J. Royal Statistical
-Society B 44(2), 1982). S and P are estimated, too, so that of θ there remains Schur's complement
+The information is that of the log, in place of that of known modes. With exact states the score in
+all unknowns, θ, S and P, is that of Fisher's identity, and the observed information is minus its
+derivative, by central differences: what Louis' formula gives (J. Royal Statistical Society B 44(2),
+1982). S and P are estimated, too, so that of θ there remains Schur's complement
 
     J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: S as L M Lᵀ about M = I, P by the logarithms of its odds.
-
-Estimates of plants whose modes were hidden, with intervals that count that in.
 
 With noisy sensors, of the vector θ of plant and noise and the odds η of the chain, J is minus the
 second differences of the log likelihood; J_θθ − J_θη J_ηη⁻¹ J_ηθ is left, at most what the filter
@@ -277,7 +276,7 @@ def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
 
 
 def _start(found: Decoded) -> Start:
-    """What other cells of the delays would be like: other peaks may lie far from those found."""
+    """A scan of the delays' other cells: peaks may lie far from those found."""
     fit, theta = found.fit, found.theta[: found.log.layout.size]
     whole, cells, layout = fit.grid.over(*fit.grid.bounds), fit.grid.cells(fit.on_grid), fit.layout
     periods, weight = whole.periods, whole.posterior(fit.on_grid, cells).weight

@@ -1,16 +1,13 @@
-"""How many modes: fits of several numbers, and Bayes' information criterion.
+"""Fits of plants with a number of hidden modes, and Bayes' information criterion of that number.
 
     BIC = −2 log L + q log N,    q unknowns: those of the plant, S of every mode, the chain's odds
 
 N: the periods that are usable whatever the delays are; they are the same for all numbers.
 
-The maximum of a log whose modes are hidden and whose sensors are noisy, of one number of modes.
-
-It begins at each of the regressions that starts without noise lead to, with two guesses of how much
-of what a period adds is the sensors'; what leads highest in coarse steps, with modes that change at
-samples and last at first, goes on. Plant and noise are climbed with the chain held, and the chain
-is set to the jumps that are expected then, in turn.
-"""
+With noisy sensors a fit begins at each of the regressions that starts without noise lead to, with
+two guesses of how much of what a period adds is the sensors'; what leads highest in coarse steps,
+with modes that change at samples and last at first, goes on. Plant and noise are climbed with the
+chain held, and the chain is set to the jumps that are expected then, in turn."""
 
 from __future__ import annotations
 
@@ -409,7 +406,7 @@ def _led_with_noise(
 def _best_start(
     search: HiddenSearch, layout: Layout, recording: Recording, C: SensorMatrix
 ) -> tuple[Begun, HiddenNoisyLog, Vector, tuple[float, float]]:
-    """What leads highest in coarse steps, of those that leave all modes some rows, if any do.
+    """The start that leads highest in coarse steps, of those that leave all modes rows, if any do.
 
     And its likelihood, its vector, and the window of its delays.
     """
@@ -479,7 +476,7 @@ def _climbed(
 
 
 def _next_chain(log: HiddenNoisyLog, theta: np.ndarray, starts: Starts) -> HiddenNoisyLog:
-    """The same with the likeliest chain, the plant held."""
+    """A likelihood with the likeliest chain, the plant held."""
     before = -np.inf
     for _ in range(_CHAIN):
         found = log.posterior(theta, starts)

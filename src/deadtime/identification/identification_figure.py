@@ -50,7 +50,7 @@ def plot_identification(fit: Findings) -> Figure:
 
 
 def shown(fit: Findings) -> Part:
-    """What figures show of the log: its beginning."""
+    """The beginning of the log, which figures show."""
     return fit._recording.parts[0].rows(slice(_SHOWN))
 
 
@@ -129,7 +129,7 @@ def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
 
 
 def _about_level(fit: Findings, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same about the level of the recording; smoothed where states were not logged."""
+    """States about the level of the recording; smoothed where they were not logged."""
     if (log := fit._found.of_outputs) is None:
         logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
         layout = found.log.layout

@@ -83,12 +83,12 @@ class Findings(Frozen):
 
     @property
     def offset(self) -> Float[np.ndarray, "mode n"]:
-        """What each mode adds to dx/dt at the operating point; 0 where all modes rest there."""
+        """The constant that each mode adds to dx/dt at the operating point; 0 if all rest there."""
         return np.zeros(self.plant.A.shape[:2]) if self._rest is None else self._rest.offset
 
     @property
     def C(self) -> SensorMatrix:
-        """What the log's columns are of the states; the identity where they are the states."""
+        """The map from states to the log's columns; the identity where these are the states."""
         return self._C
 
     @property
@@ -114,7 +114,7 @@ class Findings(Frozen):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What `interval` knows by name: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
+        """Names that `interval` knows: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
 
         From outputs alone those entries that the choice of states fixes are left out.
         """

@@ -166,7 +166,7 @@ def identify(
 
 
 class _Options(NamedTuple):
-    """What is asked: see `identify`. numbers : of hidden modes; bounds : of delays, s."""
+    """The options of `identify`. numbers : of hidden modes; bounds : of delays, s."""
 
     C: ArrayLike | None
     numbers: tuple[int, ...] | None
@@ -180,7 +180,6 @@ class _Options(NamedTuple):
 
 
 def _identified(recording: Recording, asked: _Options) -> Identification:
-    """What a recording tells."""
     C, numbers, order, zeros, per_mode, noise, (low, high), within, progress = asked
     bounds = max(low, _SHORTEST * recording.step), high
     about = recording.about(level_of(recording))

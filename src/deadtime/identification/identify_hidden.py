@@ -210,7 +210,7 @@ class TriedNumbers(Generic[Log]):
 
 
 def of_numbers(number: int, tried: TriedNumbers, left_out: Sequence[int]) -> tuple[str, ...]:
-    """What there is to say of the number of modes; of those left out the path leaves out a mode."""
+    """Sentences on the number of modes; of those left out the path leaves out a mode."""
     numbers, refused = tried.numbers, tried.refused
     bic = {one.layout.modes: one.bic for one in tried.fits}
     table = ", ".join(f"{bic[one]:.1f} with {one}" for one in sorted(bic) if one in numbers)

@@ -1,10 +1,8 @@
-"""How much a log will tell of a plant, before it is logged: Fisher's information of the inputs.
+"""Input sequences and how much their log will tell: the usual ones, and the best that is found.
 
-F is a constant and a quadratic form of the means z̄ of what acts in every period, which are linear
-in the inputs: `exact_states`, `noisy_states`. The errors of unbiased estimates are no less than F⁻¹
-(Cramér and Rao), which maximum likelihood reaches as logs grow.
-
-Input sequences: the usual ones, and the one that a search finds to tell most.
+Fisher's information F is a constant and a quadratic form of the means z̄ of what acts in every
+period, which are linear in the inputs (`experiment_information`). The errors of unbiased estimates
+are no less than F⁻¹ (Cramér and Rao), which maximum likelihood reaches as logs grow.
 
 The criterion is smooth in the inputs and has many local maxima, most of them with nearly all inputs
 at their limits. It is climbed by a quasi-Newton method with bounds (L-BFGS-B), its exact gradient
@@ -28,7 +26,7 @@ _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of 
 
 
 class Worth(NamedTuple):
-    """What inputs are worth, its derivatives by them, and how far they carry the loop out.
+    """The worth of inputs, its derivatives by them, and how far they carry the loop out.
 
     value : of the criterion; by_r : (T, m); beyond : the largest excess over a limit, of it
     """
@@ -64,7 +62,6 @@ class Prospect(Frozen):
         return cls(chain, layout, measured, criterion, room, chain.deviations())
 
     def within(self, room: Float[np.ndarray, "sample y"]) -> Prospect:
-        """The same with limits."""
         return replace(self, room=room)
 
     @property
@@ -73,7 +70,7 @@ class Prospect(Frozen):
         return self.chain.kind.size
 
     def reach(self, r: Inputs) -> Float[np.ndarray, "sample y"]:
-        """What every |state| and |input| stays below, at three standard deviations."""
+        """Bounds of every |state| and |input|, at three standard deviations."""
         xi = self.chain.means(r)
         return np.abs(self._outputs(xi, r)) + SIGMAS * self.deviation
 
@@ -118,7 +115,7 @@ class Prospect(Frozen):
         return Worth(value, by_r + chain.back(of_xi)[0], float(excess.max()))
 
     def _criterion(self, F: np.ndarray) -> tuple[float, np.ndarray]:
-        """What F is worth, and its derivative by F; −∞ where an unknown is not told."""
+        """The worth of F, and its derivative by F; −∞ where an unknown is not told."""
         unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
         scaled = F * unit[:, None] * unit
         first = self.layout.size - self.layout.delays

@@ -1,4 +1,4 @@
-"""The estimate with noisy sensors: noise of the plant, noise of the sensors, and what both leave.
+"""Estimates with noisy sensors, in open and in closed loop.
 
 The likeliest noise is too small, as a variance is that is divided by N where N − p are left: the p
 unknowns θ of the plant have followed the noise. With θ integrated out (Laplace), what is left is
@@ -9,9 +9,8 @@ the likelihood of the noise η alone, over which Harville maximises:
 The gradient g of the second term hardly moves with η, the logarithms of deviations: of one
 regression it is p whatever η, so log L + gᵀη is maximised instead, which gives N − p exactly.
 
-Closed loops: inputs that are hardly more than a function of what was measured.
-
-With sensors of noise v, y_k = x_k + v_k, and one state, a period is
+**Closed loops**, in which inputs are hardly more than a function of what was measured. With sensors
+of noise v, y_k = x_k + v_k, and one state, a period is
 
     y_{k+1} = Φ y_k + Γ₁ u_{k−N} + Γ₂ u_{k−N+1} + ε_k,    ε_k = w_k + v_{k+1} − Φ v_k.
 
@@ -123,7 +122,7 @@ def estimated_of(
     start: Start,
     spare: Int[np.ndarray, " mode"] | None = None,
 ) -> Estimate:
-    """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
+    """The estimate at a maximum; `spare` periods of each mode, of measurements if None."""
     beyond = max(log.measured(log.starts(*window)) - log.free.size, 1)
     some = replace(log, recording=log.recording.stretches(_ENOUGH, log.recording.lag(window[1])))
     spread, theta = _spread(log, some, best, window, float(beyond))
@@ -382,7 +381,7 @@ def _in_cells(
 def _anew(
     log: NoisyLog, tops: list[Maximum], row: int, every: Int[np.ndarray, " cell"]
 ) -> list[Maximum]:
-    """The same of a whole log, where a part of it leaves a cell plausible."""
+    """The likeliest vectors of a whole log in cells that a part of it leaves plausible."""
     evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
     fall = values.max() - values
     near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))

@@ -1,6 +1,7 @@
-"""Other delays that explain the same samples, where inputs act on all states of an output.
+"""The maxima of outputs alone: where climbs begin, and other delays for the same samples.
 
-An input u that stays for a period from t = 0 on makes, with a delay D,
+**Other delays** explain the same samples where inputs act on all states of an output. An input u
+that stays for a period from t = 0 on makes, with a delay D,
 
     y(k h) = C (G(k h − D) − G(k h − D − h)) b,    G(t) = ∫₀ᵗ e^{As} ds,  0 before t = 0,
 
@@ -16,11 +17,9 @@ D' = D − 2 β: b' = (−β, 1), the zero on the other side. So a zero at z is 
 
 Delays whose pulse comes close, with the likeliest b', are sought on a grid of three cells.
 
-Where climbs to the likeliest plant of outputs begin; with zeros there are several maxima.
-
-First derivatives of outputs are found by a smoother that knows no plant, and taken as measured.
-Each output is the first of a chain of integrators, the last of which is driven by white noise: the
-spline whose stiffness is likeliest (Wahba, J. Royal Statistical Society B 40(3), 1978).
+**Beginnings.** Derivatives of outputs are found by a smoother that knows no plant, and taken as
+measured. Each output is the first of a chain of integrators, the last of which is driven by white
+noise: the spline whose stiffness is likeliest (Wahba, J. Royal Statistical Society B 40(3), 1978).
 
 What outputs are is told by what they were, too: A of their chains, whatever the delays. With x the
 states of `Embedding`, stand-ins for them are outputs that are q periods apart,
@@ -297,7 +296,7 @@ def guess_of(
 
 
 def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[NoiseLevels, ...]:
-    """What moves outputs is mostly noise of the plant, or mostly of the sensors."""
+    """Two guesses: outputs are moved mostly by noise of the plant, or of the sensors."""
     moves = [np.diff(states, axis=0) for states in found.states]
     moves = np.mean(np.vstack(moves) ** 2, axis=0) / step
     deviation = np.maximum(found.deviation, 1e-4 * (shape.C @ shape.size))

@@ -150,7 +150,7 @@ class Layout:
         return result
 
     def names(self) -> list[str]:
-        """What each unknown is called.
+        """Names of the unknowns.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""What a model leaves of a log, and whether that looks like chance."""
+"""Residuals of a model, and tests of whether they look like chance."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def one_step(
     k: np.ndarray,
     states: np.ndarray,
 ) -> Float[np.ndarray, "period n"]:
-    """What the plant makes of states (periods, n) at the samples k of a part, a period later."""
+    """States of the plant a period after states (periods, n) at the samples k of a part."""
     result = np.empty((k.size, plant.states))
     Phi_at, W_at = plain_transitions(plant.A, nodes)
     for start in range(0, k.size, _BLOCK):

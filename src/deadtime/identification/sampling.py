@@ -174,7 +174,7 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def reads(self, layout: Layout, theta: Vector, cells: Cells) -> np.ndarray:
-        """What tells which inputs act in each mode, (modes, m): cells of delays, or delays."""
+        """Cells of delays, or delays, that tell which inputs act in each mode, (modes, m)."""
 
     @abstractmethod
     def rows(
@@ -184,7 +184,7 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
-        """What each mode makes of r_k."""
+        """P of each mode, with its derivatives."""
 
     @abstractmethod
     def roots_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> Roots:
@@ -192,7 +192,7 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
-        """What leads a filter from sample to sample, W = L Lᵀ, delays in given cells."""
+        """The periods that lead a filter from sample to sample, W = L Lᵀ, delays in given cells."""
 
     @abstractmethod
     def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
@@ -456,7 +456,7 @@ def acting_evenly(
 
 
 class ActingInputs(NamedTuple):
-    """What acts in periods: `held` (periods, nodes, m), W's weights; `moved`, those of −∂/∂D."""
+    """Weights of what acts in periods: `held` (periods, nodes, m), of W; `moved`, of −∂/∂D."""
 
     held: Float[np.ndarray, "period node m"]
     moved: Float[np.ndarray, "period node m"]
@@ -465,7 +465,7 @@ class ActingInputs(NamedTuple):
 def acting_in(
     part: Part, k: np.ndarray, delays: Float[np.ndarray, "mode m"], nodes: Nodes
 ) -> ActingInputs:
-    """What acts in periods k of a part, each with the delays of its mode.
+    """The inputs that act in periods k of a part, each with the delays of its mode.
 
     Before the part's first row its first inputs act: such periods are used where it rests there.
     """
@@ -501,7 +501,7 @@ def nodes_for(parts: tuple[Part, ...], A: Squares) -> np.ndarray:
 def period_weights(
     A: Square, B: Float[np.ndarray, "n acting"], rest: Float[np.ndarray, " m"], step: float
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
-    """What a period makes of x_k, u_{k−N} and u_{k−N+1}, and of 1; with its derivatives.
+    """P of a period over x_k, u_{k−N}, u_{k−N+1} and 1, with its derivatives.
 
     rest : s_j = N h − D_j, how long the newer input acts, seconds. Derivatives are by A, B, and D.
     """
@@ -528,7 +528,7 @@ def period_weights(
 def node_weights(
     A: Square, B: Float[np.ndarray, "n acting"], m: int, nodes: Nodes
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
-    """What periods make of states, inputs and changes of inputs by the weights of nodes.
+    """P over states, inputs and changes of inputs by the weights of nodes.
 
     With its derivatives by A, B and D; columns are those of `UnevenSampling.rows`.
     """

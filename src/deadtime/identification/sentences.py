@@ -1,7 +1,4 @@
-"""What an estimate says, in words.
-
-The verdict: whether a law stands every delay, and every plant drawn, that a log allows.
-"""
+"""Sentences on an estimate, and the verdict: whether a law tolerates all that a log allows."""
 
 from __future__ import annotations
 
@@ -163,7 +160,7 @@ def _digits(D: float, width: float) -> int:
 
 
 def _beyond(right: float, high: float, margin: float) -> str:
-    """What to do where the interval ends where the search did: nothing longer was tried."""
+    """Advice where the interval ends where the search did: nothing longer was tried."""
     if right < high - margin:
         return ""
     return f"; if it may be longer than {high:.4g} s, widen delay=(low, high), --delay LOW HIGH"
@@ -174,7 +171,7 @@ def _values(found: Estimate) -> np.ndarray:
 
 
 def delay_names(recording: Recording, found: Estimate) -> list[str]:
-    """What each delay is called in sentences."""
+    """Names of delays, as subjects of sentences."""
     layout = found.log.layout
     if layout.delays == 1:
         return ["The delay"]
@@ -313,7 +310,7 @@ def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str
 
 
 def _states(found: Estimate, recording: Recording) -> list[str]:
-    """What states are, where there are more of them than outputs."""
+    """Sentences on states, where there are more of them than outputs."""
     shape = found.of_outputs and found.of_outputs.embedding
     if shape is None:
         return []
@@ -350,7 +347,6 @@ def _larger(found: Estimate) -> str:
 
 
 def _last_cause(found: Estimate) -> str:
-    """What else may leave residuals that are not white."""
     if found.noise.any():
         return "noise is not white."
     return "sensors are noisy (noise=True)."
@@ -376,7 +372,7 @@ MOST_INPUTS = 4  # of a box whose corners are all looked at
 
 @runtime_checkable
 class Margin(Protocol):
-    """What a law tolerates: a `margins.DelayMargin`."""
+    """A margin of a law's delay, as `margins.DelayMargin` is."""
 
     @property
     def lower(self) -> float | None: ...
@@ -391,7 +387,7 @@ class Margin(Protocol):
 
 
 def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> str:
-    """What `Identification.verdict` says, of a law that acts every `step` seconds."""
+    """The text of `Identification.verdict`, of a law that acts every `step` seconds."""
     from deadtime.margins import drawn_stability
     from deadtime.margins.drawn_plants import has_rates
 
@@ -468,7 +464,7 @@ def _end(enough: bool, others: bool = False) -> str:
 def failure_of(
     plant: SwitchedSystem, interval: Float[np.ndarray, "mode m 2"], law: Law, step: float
 ) -> str:
-    """What a law does not stand, in words; "" if nothing: of each input alone, and of corners.
+    """The failure of a law, in words; "" if none: of each input alone, and of corners.
 
     In a mode that is held its own delays alone act, so that corners are taken in all modes at once.
     """

@@ -93,7 +93,7 @@ def _sums_of(
 
 
 class _CommonPeriods(NamedTuple):
-    """The same periods for all cells, as Σ z zᵀ of every mode, z of `stacked`."""
+    """Periods that are shared by all cells, as Σ z zᵀ of every mode, z of `stacked`."""
 
     gram: list[Float[np.ndarray, "z z"]]
     periods: Int[np.ndarray, " mode"]

@@ -1,19 +1,20 @@
-"""The likelihood of a log whose modes are hidden, in the unknowns of the plant.
+"""Likelihoods of logs whose modes are hidden, states being exact or sensors noisy.
+
+With exact states, in the unknowns of the plant,
 
     log L(θ, S, P) = log Σ_σ p(σ) Π_k N(x_{k+1} − P_σ(θ) r_k; 0, S_σ),
     ∂ log L = Σ_k Σ_i γ_k(i) ∂ log N_i,k,    γ: how likely the mode is, given all of the log
 
 The second is Fisher's identity. Steps are scaled by the information that the log would hold if the
-modes were known with these weights; what not knowing them takes from it is in `information`.
+modes were known with these weights; what not knowing them takes from it is in `hidden_estimate`.
 
-The likelihood of a log whose modes are hidden and whose sensors are noisy.
-
-Exact, it is a sum over all paths, each with Kalman's filter of its own. Here all filters that lead
-to a mode are mixed after every sample (`kalman_kernel`), so that the modes' filters give densities
-b_k of what every period leads to, and log L = log Σ_σ p(σ) Π b_k(σ_k, σ_{k+1}) as of exact states.
-A period within which the mode changes from i to j does what a share f of i and the rest of j do, f
-uniform, to first order in the period: with x_i and x_j where either alone would lead, its mean is
-(x_i + x_j)/2, and its covariance that of i and j, halved and added, and (x_i − x_j)(x_i − x_j)ᵀ/12.
+With noisy sensors the exact likelihood is a sum over all paths, each with Kalman's filter of its
+own. Here all filters that lead to a mode are mixed after every sample (`kalman_kernel`), so that
+the modes' filters give densities b_k of what every period leads to, and log L = log Σ_σ p(σ) Π
+b_k(σ_k, σ_{k+1}) as of exact states. A period within which the mode changes from i to j does what a
+share f of i and the rest of j do, f uniform, to first order in the period: with x_i and x_j where
+either alone would lead, its mean is (x_i + x_j)/2, and its covariance that of i and j, halved and
+added, and (x_i − x_j)(x_i − x_j)ᵀ/12.
 
 Derivatives are forward differences; the information is that of every sample's own score,
 
@@ -87,7 +88,7 @@ class HiddenLog(PlantLikelihood):
         return np.column_stack([log_density(z, own.P, S) for z, own, S in each])
 
     def posterior(self, theta: Vector, cells: Cells) -> Posterior:
-        """What the log says of the modes."""
+        """The modes that the log tells."""
         return self.periods.posterior(self.densities(theta, cells), self.jumps)
 
     def path(self, theta: Vector, cells: Cells) -> list[Int[np.ndarray, " sample"]]:
@@ -229,7 +230,7 @@ class HiddenNoisyLog(SensorLikelihood):
         return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
 
     def posterior(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Posterior:
-        """What the log says of the modes; its weights are of all periods."""
+        """The modes that the log tells; weights are of all periods."""
         laid, gained = self.filtered(vector, starts, cells)
         parts = self.recording.parts
         every = [np.arange(part.time.size - 1) for part in parts]

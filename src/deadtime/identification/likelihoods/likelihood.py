@@ -183,7 +183,7 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Squares]:
 def add_score(
     term: Term, e: np.ndarray, L: np.ndarray, score: Vector, information: np.ndarray
 ) -> None:
-    """What residuals e (rows, n) of covariance L Lᵀ tell of P, in place."""
+    """Add the score and information of residuals e (rows, n) of covariance L Lᵀ, in place."""
     place, r = term.place, term.root[:, len(L) :]
     white = np.linalg.solve(L, e.T)
     moved = np.linalg.solve(L, term.by_P @ r.T).reshape(len(place), -1)

@@ -1,4 +1,4 @@
-"""Maximum likelihood where measurements are noisy: the innovations of Kalman's filter.
+"""The likelihood of noisy measurements, of all states or of outputs alone: Kalman's innovations.
 
     dx = (A x + Σ b_j u_j(t − D_j)) dt + dβ,    E dβ dβᵀ = W dt,
     y_k = C x_k + v_k,    v ~ N(0, V)
@@ -11,10 +11,8 @@ foretell, and the variance s of that,
 
 The filter carries ∂e and ∂s along with e and s (`switched_filter`).
 
-States from outputs alone: of every output itself, and what follows from it.
-
-From y = C x with fewer outputs than states, A and B are known only up to a change of states. It is
-fixed by `order`, how many states n_j each output y_j has, in one chain:
+**Outputs alone.** From y = C x with fewer outputs than states, A and B are known only up to a
+change of states. It is fixed by `order`, how many states n_j each output y_j has, in one chain:
 
     x_j,1 = y_j,    dx_j,k/dt = x_j,k+1 + (b u)_j,k,    k < n_j,
 
@@ -29,8 +27,6 @@ all of A is free in the others, where of B the inputs' weights in y_j' alone are
 
 W is diagonal, but for the last states of all chains, whose forces may be correlated: with a
 deviation of each sensor no more numbers than what outputs tell, n p + p (p + 1)/2.
-
-How a plant from outputs alone follows a log: its states, and what it foretells.
 """
 
 from __future__ import annotations
@@ -249,7 +245,7 @@ class SensorLikelihood(Likelihood):
         return NoiseLevels(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
 
     def unit(self, vector: Vector) -> Vector:
-        """What unknowns of the noise are of: 1, but of L the deviation of their row."""
+        """Units of the noise's unknowns: 1, but of L the deviation of their row."""
         unit, (i, j) = np.ones(self.size), self.places
         row = np.sqrt(np.diagonal(self.noise(vector).W))[i]
         unit[self.layout.size : self.layout.size + i.size] = np.where(i == j, 1.0, row)
