@@ -43,14 +43,11 @@ _WIDE = 4.0  # times the covariance of a stretch: its regression rests on few pe
 _LEAST = 1e-6  # of the covariance of one regression for all: of no noise, too, starts differ
 _SWEEPS = 3  # over the delays, in a scan
 
-
-class PeriodRuns(NamedTuple):
-    """Runs of usable periods that follow each other: (stretches, length), places of rows."""
-
-    rows: Int[np.ndarray, "stretch period"]
+# Runs of usable periods that follow each other, as places of rows.
+Runs = Int[np.ndarray, "stretch period"]
 
 
-def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> PeriodRuns | None:
+def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs | None:
     """Half overlapping, some at most, spread over the log; None if there are less than modes.
 
     Short ones have periods for little more than a regression, and more often one mode.
@@ -67,10 +64,10 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Perio
     if len(places) < layout.modes:
         return None
     chosen = np.linspace(0, len(places) - 1, min(len(places), _MOST)).round().astype(int)
-    return PeriodRuns(np.array(places)[chosen, None] + np.arange(length))
+    return np.array(places)[chosen, None] + np.arange(length)
 
 
-def first_cells(periods: Periods, stretches: PeriodRuns, layout: Layout) -> Int[np.ndarray, " m"]:
+def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
     begin = (None,) * layout.m
     found = best_in_turn(
@@ -80,14 +77,14 @@ def first_cells(periods: Periods, stretches: PeriodRuns, layout: Layout) -> Int[
 
 
 def _together(
-    periods: Periods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
+    periods: Periods, stretches: Runs, cells: tuple[int | None, ...], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
     z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
     n = layout.n
     known = np.array([c is not None for c in cells])
     keep = np.concatenate((np.ones(2 * n, bool), known, known, np.ones(int(layout.constant), bool)))
-    return float(-_own_covariances(z[:, keep][stretches.rows], n)[1].sum())
+    return float(-_own_covariances(z[:, keep][stretches], n)[1].sum())
 
 
 def _own_covariances(
@@ -106,7 +103,7 @@ def _own_covariances(
 
 def drawn_start(
     periods: Periods,
-    stretches: PeriodRuns,
+    stretches: Runs,
     cells: Int[np.ndarray, " m"],
     layout: Layout,
     rng: np.random.Generator,
@@ -116,7 +113,7 @@ def drawn_start(
     How many of all are drawn from is drawn, too: in noisy modes few fit well, in short ones few do.
     """
     n, modes = layout.n, layout.modes
-    z = periods.rows(cells)[stretches.rows]
+    z = periods.rows(cells)[stretches]
     S, size = _own_covariances(z, n)
     pure = np.flatnonzero(size <= np.quantile(size, rng.choice(_PURE)))
     flat = z.reshape(-1, z.shape[2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING
 
@@ -33,7 +33,7 @@ from deadtime.identification.input_design import (
     within_limits,
 )
 from deadtime.identification.likelihoods.likelihood import REACH
-from deadtime.identification.parameters import Inputs, Layout, Square, Squares, Vector, cells_of
+from deadtime.identification.parameters import Layout, Square, Squares, Vector, cells_of
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import OperatingPoint, SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -462,11 +462,14 @@ def design_experiment(
     else:
         measured = ExactStates.of(chain, used, layout.size)
     prospect = Prospect.of(chain, layout, measured, criterion)
-    room = _room(prospect, limit, state_limit)
-    prospect = prospect.within(room)
+    prospect = replace(prospect, room=_room(prospect, limit, state_limit))
     seed, effort = count("seed", seed, 0), count("effort", effort, 0)
     r = best_sequence(prospect, limit, count("hold", hold), effort, seed)
-    _require_told(prospect, r)
+    if not np.isfinite(prospect.errors(r)).all():
+        raise ArgumentError(
+            "horizon must leave inputs that tell all unknowns apart, got none such: lengthen it, "
+            "hold values for fewer periods, or leave out an input that does nothing."
+        )
     usual = {
         clock: within_limits(prospect, binary_sequence(samples, limit, hold * clock))
         for clock in CLOCKS
@@ -474,16 +477,6 @@ def design_experiment(
     clock = min(usual, key=lambda clock: prospect.errors(usual[clock])[layout.at_delays].prod())
     peers = {"prbs": usual[clock], "step": within_limits(prospect, steps(samples, limit))}
     return Experiment.of(plant, step, prospect, r, peers, hold * clock, averaged)
-
-
-def _require_told(prospect: Prospect, r: Inputs) -> None:
-    """Refuse a plant that no inputs tell."""
-    if np.isfinite(prospect.errors(r)).all():
-        return
-    raise ArgumentError(
-        "horizon must leave inputs that tell all unknowns apart, got none such: lengthen it, hold "
-        "values for fewer periods, or leave out an input that does nothing."
-    )
 
 
 def _room(

@@ -135,7 +135,7 @@ def search_of(recording: Recording, layout: Layout, bounds: Window, within: bool
 
 def _periods_on_a_grid(grid: Recording, one: Layout, bounds: Window, within: bool) -> Periods:
     """Those of even rows, with one regression for all modes."""
-    cell_range(grid.step, bounds, one.m)
+    cell_range(grid.step, bounds, one.m)  # refuses more cells than a scan has room for
     sampling = sampling_of(grid, np.zeros(0))
     periods = Periods.of(sampling, grid.parts, bounds, None, one.constant)
     stretches = stretches_of(periods, one)
@@ -291,13 +291,15 @@ def _best_regressions(
     The first steps take modes to change at samples, with one covariance: no mode can vanish then
     in a few periods that it explains too well, nor in those that change it.
     """
-    lengths = [stretches_of(periods, layout, short) for short in (False, True)]
-    if lengths[0] is None:
+    runs = stretches_of(periods, layout)
+    if runs is None:
         return [], 0, 0
-    cells, short = first_cells(periods, lengths[0], layout), []
+    brief = stretches_of(periods, layout, short=True)
+    lengths = runs, runs if brief is None else brief
+    cells, short = first_cells(periods, runs, layout), []
     starts, whole = 1 if layout.modes == 1 else _STARTS, replace(periods, pooled=None)
     for turn in range(starts):
-        start = drawn_start(periods, lengths[turn % 2] or lengths[0], cells, layout, rng)
+        start = drawn_start(periods, lengths[turn % 2], cells, layout, rng)
         if (one := climbed(whole, start, _SHORT, 1.0, True, 0.1)) is not None:
             short.append(one)
     short.sort(key=lambda one: -one[1].value)

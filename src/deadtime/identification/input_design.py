@@ -11,7 +11,7 @@ from one sweep backwards through the log, from several starts; the best is kept.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -61,9 +61,6 @@ class Prospect(Frozen):
         room = np.full((chain.kind.size, layout.n + layout.m), np.inf)
         return cls(chain, layout, measured, criterion, room, chain.deviations())
 
-    def within(self, room: Float[np.ndarray, "sample y"]) -> Prospect:
-        return replace(self, room=room)
-
     @property
     def samples(self) -> int:
         """How many rows there are."""
@@ -75,7 +72,6 @@ class Prospect(Frozen):
         return np.abs(self._outputs(xi, r)) + SIGMAS * self.deviation
 
     def _outputs(self, xi: np.ndarray, r: np.ndarray) -> Float[np.ndarray, "sample y"]:
-        """The means of states and inputs."""
         own = np.einsum("kmx,kx->km", self.chain.U[self.chain.kind], xi)
         return np.hstack((xi[:, : self.layout.n], own + r))
 
@@ -221,7 +217,6 @@ def best_sequence(
 
 
 def _held(v: np.ndarray, hold: int, count: int) -> np.ndarray:
-    """Values, each for `hold` samples."""
     return np.repeat(v, hold, axis=0)[:count]
 
 

@@ -113,8 +113,8 @@ class UsablePeriods(NamedTuple):
         """How many each mode has, or the sum of their weights."""
         if self.weight is not None:
             return self.weight.sum(axis=0).tolist()
-        each = zip(self.parts, self.k, strict=True)
-        return sum(np.bincount(part.mode[k], minlength=modes) for part, k in each).tolist()
+        own = [part.mode[k] for part, k in zip(self.parts, self.k, strict=True)]
+        return np.bincount(np.concatenate(own), minlength=modes).tolist()
 
     def blocks(self, mode: int, most: int) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
         """Of a mode, block by block, its periods and the roots of their weights."""
@@ -507,6 +507,7 @@ def period_weights(
     """
     (n, acting), m = B.shape, rest.size
     over, width = transitions_of(A, np.append(rest, step)), n + m + acting
+    # Columns: x, u_{k−N} of every input, u_{k−N+1} of every input, 1; by_P is by A and B, then D.
     P, by_P = np.zeros((n, width)), np.zeros((n * n + n * acting + m, n, width))
     P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
     for j in range(m):

@@ -62,13 +62,9 @@ def sentences_of(
             "has no such mode."
         )
     said += _states(found, recording)
-    if recording.logged and not _uses_switches(found):
+    if recording.logged and not found.log.within:
         said.append("The mode is taken to change at samples only.")
     return (*said, *([why] if why else []))
-
-
-def _uses_switches(found: Estimate) -> bool:
-    return found.log.within
 
 
 def _delays(found: Estimate, recording: Recording) -> list[str]:
@@ -118,7 +114,6 @@ def _cut(found: Estimate, recording: Recording) -> Bool[np.ndarray, " delay"]:
 
 
 def _open(found: Estimate) -> Bool[np.ndarray, " delay"]:
-    """Which delays the log hardly tells."""
     low, high = found.log.bounds
     return found.several | (np.diff(found.intervals)[:, 0] > _WIDE * (high - low))
 
@@ -241,11 +236,12 @@ def _tests(found: Estimate, recording: Recording, odd: OddReadings) -> list[str]
     if tests.white and tests.unrelated and not said:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
+        cause = "noise is not white." if found.noise.any() else "sensors are noisy (noise=True)."
         said.append(
             f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
             f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing"
             f"{_larger(found)}, the plant is not linear, or "
-            f"{_last_cause(found)}"
+            f"{cause}"
         )
     if not tests.unrelated:
         name, (low, high) = recording.inputs[tests.input], _bounds(found, recording)
@@ -344,12 +340,6 @@ def _larger(found: Estimate) -> str:
     more = tuple(count + 1 for count in shape.order)
     text = f"{more[0]}" if len(more) == 1 else f"up to {more}"
     return f" (raise order, --order, to {text})"
-
-
-def _last_cause(found: Estimate) -> str:
-    if found.noise.any():
-        return "noise is not white."
-    return "sensors are noisy (noise=True)."
 
 
 def _period(found: Estimate, recording: Recording) -> list[str]:

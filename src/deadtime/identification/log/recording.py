@@ -228,7 +228,6 @@ def _part(
     column: str | None,
     labels: dict[str, int],
 ) -> Part:
-    """One log as arrays."""
     clock = next((name for name in TIMES if name in table.frame.columns), None)
     if clock is None:
         raise ArgumentError(

@@ -117,7 +117,6 @@ def _sizes(part: Part, output: bool, place: int) -> Float[np.ndarray, " row"]:
 
 
 def _each(columns: tuple[Sequence[str], Sequence[str]]) -> list[tuple[str, bool, int]]:
-    """Every column by its name, and where it is."""
     outputs, inputs = columns
     each = [(name, True, place) for place, name in enumerate(outputs)]
     return each + [(name, False, place) for place, name in enumerate(inputs)]
@@ -262,7 +261,6 @@ def _delays(rows: _Rows) -> list[int]:
 
 
 def _rows(one: RowStretch, lags: int, scaled: Scaled | None) -> _Rows:
-    """The periods of a stretch of which all is known."""
     output, entered = one.part.output.copy(), one.part.input.copy()
     if scaled is not None:
         column = output if scaled.output else entered
