@@ -107,7 +107,7 @@ class UsablePeriods(NamedTuple):
 
     parts: tuple[Part, ...]
     k: Sequence[Int[np.ndarray, " period"]]
-    weight: Float[np.ndarray, "period mode"] | None = None
+    weight: Float[np.ndarray, "every mode"] | None = None
 
     def counts(self, modes: int) -> list[float]:
         """How many each mode has, or the sum of their weights."""

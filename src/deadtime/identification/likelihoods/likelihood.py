@@ -233,7 +233,7 @@ class ExactLog(PlantLikelihood):
     """
 
     usable: tuple[Int[np.ndarray, " period"], ...] | None = field(default=None, repr=False)
-    weight: Float[np.ndarray, "period mode"] | None = field(default=None, repr=False)
+    weight: Float[np.ndarray, "every mode"] | None = field(default=None, repr=False)
 
     def terms_in(self, low: float, high: float) -> TermsIn:
         """The regressions for delays between two, seconds, in cells of theirs."""
