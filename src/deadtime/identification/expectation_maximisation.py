@@ -13,7 +13,8 @@ Vassilvitskii, SODA 2007).
 **The plant**, with delays at any fraction of a period. Each step maximises, over A, B and D and
 with S that of the weighted residuals, the likelihood that periods would have if their modes were
 known, weighted by how likely they are. That never lowers the likelihood of the log (Dempster, Laird
-and Rubin, J. Royal Statistical Society B 39(1), 1977)."""
+and Rubin, J. Royal Statistical Society B 39(1), 1977).
+"""
 
 from __future__ import annotations
 

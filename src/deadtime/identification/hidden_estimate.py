@@ -70,11 +70,6 @@ class _Noise:
         self.L = np.linalg.cholesky(log.S)
         self.jumps = log.jumps.likelier(_NEVER)
 
-    @property
-    def size(self) -> int:
-        """How many unknowns there are."""
-        return len(self.L) * self.i.size + len(self.jumps)
-
     def at(self, eta: np.ndarray) -> HiddenLog:
         """The likelihood with other S and P."""
         cut = len(self.L) * self.i.size

@@ -7,7 +7,8 @@ N: the periods that are usable whatever the delays are; they are the same for al
 With noisy sensors a fit begins at each of the regressions that starts without noise lead to, with
 two guesses of how much of what a period adds is the sensors'; what leads highest in coarse steps,
 with modes that change at samples and last at first, goes on. Plant and noise are climbed with the
-chain held, and the chain is set to the jumps that are expected then, in turn."""
+chain held, and the chain is set to the jumps that are expected then, in turn.
+"""
 
 from __future__ import annotations
 

@@ -12,7 +12,8 @@ every mode rests at,
     A_i x₀ + B_i u₀ = A_i x̄ + B_i ū − c̃_i    for all i,
 
 of all that do the nearest to (x̄, ū) in deviations of the log: where modes share no such point,
-what is left over is an offset of each."""
+what is left over is an offset of each.
+"""
 
 from __future__ import annotations
 
