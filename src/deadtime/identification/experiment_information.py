@@ -187,7 +187,7 @@ def chain_of(
         Z[c, :n, :n] = np.eye(n)
         for j in range(m):
             for place, lag in ((n + j, cells[i, j]), (n + m + j, cells[i, j] - 1)):
-                if lag > 0:
+                if lag > 0:  # ξ has u_{k−1}, u_{k−2}, … behind x; u_k itself is U ξ + r
                     Z[c, place, n + (lag - 1) * m + j] = 1.0
                 else:
                     Z[c, place], Y[c, place, j] = U[j], 1.0

@@ -146,19 +146,18 @@ def estimate_of_sensors(
 
     along : the likelihood with modes known, those of the likeliest path if they were hidden
     """
-    log, layout = peak.log, peak.log.layout
-    assert isinstance(log, SensorLikelihood)
-    noise, white = log.noise(theta), noisy_residuals(along, theta, peak.window)
+    layout, noise = along.layout, along.noise(theta)
+    white = noisy_residuals(along, theta, peak.window)
     return Estimate.at(
         peak,
         layout.plant(theta[: layout.size]),
         along.recording,
         white,
-        None if of_outputs is None else 2 * layout.n * len(log.C),
+        None if of_outputs is None else 2 * layout.n * len(along.C),
         best=peak.best._replace(theta=theta),
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
-        noise_errors=variance_errors(log, theta, peak.spread.covariance),
+        noise_errors=variance_errors(along, theta, peak.spread.covariance),
         spare=spare,
         ends=ends,
         of_outputs=of_outputs,

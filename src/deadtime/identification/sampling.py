@@ -367,7 +367,7 @@ class UnevenSampling(Sampling):
                 steady, by_A, pushed = forced[i]
                 added[own] = np.tensordot(held, steady, ((1, 2), (0, 2)))
                 by_added[own, : n * n] = np.tensordot(held, by_A, ((1, 2), (0, 3)))
-                for j in range(acting):
+                for j in range(acting):  # places as in `Layout.of_mode`: A, B by rows, then D
                     by_B = np.tensordot(held[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
                     by_added[own[:, None], n * n + np.arange(n) * acting + j] = by_B
                 for j in range(m):

@@ -42,6 +42,7 @@ def transitions_of(A: Square, times: Float[np.ndarray, " time"]) -> TransitionMa
 
     n = len(A)
     size = 2 * n
+    # [[A, I], [0, 0]] twice on the diagonal; above it the direction E_ab, one a matrix.
     joint = np.zeros((times.size, n * n, 2 * size, 2 * size))
     for place in (0, size):
         joint[..., place : place + n, place : place + n] = A
@@ -118,6 +119,7 @@ def noise_tables(
     n, count = len(A), times.size
     joint, noise = np.zeros((n * n, 2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     a, b = np.divmod(np.arange(n * n), n)
+    # Noise enters the second half alone, so that the corner beside it is what E_ab carries over.
     joint[:, :n, :n] = joint[:, n:, n:] = A
     joint[np.arange(n * n), a, n + b] = 1.0
     noise[n:, n:] = L @ L.T
