@@ -19,7 +19,7 @@ from deadtime.identification.likelihoods.likelihood import (
 )
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout, Squares, Window
-from deadtime.identification.residuals import residuals_of
+from deadtime.identification.residuals import FittedModel
 from deadtime.identification.sampling import nodes_for
 from deadtime.identification.start import start_of
 from deadtime.identification.transition import continuous, intensity_errors
@@ -70,8 +70,8 @@ def estimate_of_plant(
     """
     log, theta = peak.log, peak.best.theta
     plant, constant = log.layout.plant(theta), log.layout.constant_of(theta)
-    roots = np.linalg.cholesky(S)
-    white = residuals_of(recording, plant, constant, log.nodes, log.within, roots)
+    model = FittedModel(plant, constant, log.nodes)
+    white = model.residuals(recording, log.within, np.linalg.cholesky(S))
     for one, k in zip(white, told or (), strict=told is not None):
         one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan
     W = continuous(plant.A, S, recording.step)

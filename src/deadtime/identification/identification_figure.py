@@ -12,7 +12,7 @@ from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.likelihoods.noisy_log import following
 from deadtime.identification.log.recording import Part
-from deadtime.identification.residuals import LAGS, autocorrelation, forecast, with_inputs
+from deadtime.identification.residuals import LAGS, FittedModel, autocorrelation, with_inputs
 from deadtime.identification.sentences import delay_names
 
 if TYPE_CHECKING:
@@ -134,7 +134,8 @@ def _about_level(fit: Findings, part: Part) -> tuple[np.ndarray, np.ndarray, np.
         logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
         layout = found.log.layout
         constant = layout.constant_of(found.best.theta[: layout.size])
-        return logged, *forecast(part, fit.plant, constant, fit._found.log.nodes, fit.C)
+        model = FittedModel(fit.plant, constant, found.log.nodes)
+        return logged, *model.forecast(part, fit.C)
     found = following(log, fit._found.best.theta, part, fit._found.window)
     measured = fit.C.any(axis=0)
     logged = np.where(measured, part.output @ fit.C, found.states)
