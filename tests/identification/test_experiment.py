@@ -1,5 +1,6 @@
 """What an experiment promises: its information by a second method, its limits, its optimum."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,7 @@ def test_the_gradient_of_the_search_is_the_derivative(criterion):
         dt.SwitchedSystem(TRUE.A, TRUE.B, TRUE.D), np.full((3, 2, 2), -0.1), allow_unstable=True
     )
     promise = promised(criterion, law)
-    promise = promise.within(0.2 + np.abs(promise.reach(0.5 * R)) / 2.0)
+    promise = replace(promise, room=0.2 + np.abs(promise.reach(0.5 * R)) / 2.0)
     way = np.random.default_rng(2).standard_normal(R.shape)
     ends = [promise.worth(R + s * way, 30.0).value for s in (1e-6, -1e-6)]
     assert promise.worth(R).beyond > 0.1

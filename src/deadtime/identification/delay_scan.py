@@ -103,7 +103,7 @@ def _gram(
 
 
 def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "mode part r r"]:
-    """What of b the newer of two inputs adds in a period, at every part of it.
+    """The share of b that the newer of two inputs adds in a period, at every part of it.
 
     An input that arrives a part f of the period h late acts on the rest of it, W((1 − f) h) b =
     W(h) K b. K is close to 1 − f, which stands for it where b has rows that are 0.
@@ -242,7 +242,7 @@ def _elsewhere(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
 
 
 def of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
-    """The same plant, as if all that it cannot foretell were noise of the sensors.
+    """A vector's plant, as if all that it cannot foretell were noise of the sensors.
 
     A climb does not come back by itself from a sensor without noise.
     """

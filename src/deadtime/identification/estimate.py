@@ -1,13 +1,10 @@
-"""An estimate as it is worked on, before it is handed over.
-
-What an identification found of modes that were not logged.
-"""
+"""An estimate with all that it rests on, before it is handed over; and modes that were hidden."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,14 +12,11 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.identification.intervals import Spread
-from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.intervals import Peak
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Window
-from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.scoring import Maximum
-from deadtime.identification.start import Start
+from deadtime.identification.parameters import SensorMatrix, Squares
+from deadtime.identification.residuals import ResidualTests, judge_residuals
 from deadtime.plant import SwitchedSystem
 from deadtime.switching.models.semi_markov import SemiMarkov
 
@@ -84,31 +78,25 @@ _OWN = 0.5  # of a variance: an error beyond which it may be none
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Estimate(Frozen):
+class Estimate(Peak):
     """The likeliest plant under one description of the noise.
 
-    log, best, window : the likelihood, where it is largest, and the delays that it was sought in;
-    with noisy sensors the unknowns are those of the restricted likelihood, its value the largest
-    spread : of all unknowns; intervals : (delays, 2), seconds
-    several : (delays,), whether an interval holds other peaks; start : the first guess
+    With noisy sensors the unknowns are those of the restricted likelihood, its value the largest.
+
+    intervals : (delays, 2), seconds; several : (delays,), whether an interval holds other peaks
     disturbance : (modes, n, n), W of each mode, x² per second
     noise : (p,), standard deviations of the sensors
     noise_errors : standard errors of W's diagonal, mode by mode, then of the sensors' variances
     spare : (modes,), how many periods each W rests on beyond those that the matrices cost
-    ends : (unknowns, 2), of intervals of A and B where delays are open; None elsewhere
     white : of every log, the whitened residuals, NaN where there are none
+    ends : (unknowns, 2), of intervals of A and B where delays are open; None elsewhere
     of_outputs : the likelihood, where states were found from outputs alone
     """
 
-    log: Likelihood
-    best: Maximum
-    window: Window
     plant: SwitchedSystem
-    spread: Spread
     intervals: Float[np.ndarray, "delay 2"]
     several: Bool[np.ndarray, " delay"]
-    start: Start
-    disturbance: Float[np.ndarray, "mode n n"]
+    disturbance: Squares
     noise: Float[np.ndarray, " p"]
     noise_errors: Float[np.ndarray, " variance"]
     spare: Int[np.ndarray, " mode"]
@@ -116,6 +104,25 @@ class Estimate(Frozen):
     white: tuple[Float[np.ndarray, "sample p"], ...]
     ends: Float[np.ndarray, "unknown 2"] | None = None
     of_outputs: NoisyLog | None = None
+
+    @classmethod
+    def at(
+        cls,
+        peak: Peak,
+        plant: SwitchedSystem,
+        recording: Recording,
+        white: list[Float[np.ndarray, "sample p"]],
+        spent: int | None = None,
+        **others: Any,
+    ) -> Estimate:
+        """The estimate at a peak, from what its plant leaves of a recording; see `judge_residuals`.
+
+        others : its other fields, `best` among them where the noise is restricted
+        """
+        intervals, several = peak.delay_intervals()
+        tests = judge_residuals(white, recording, plant.longest_delay, spent)
+        own = {"plant": plant, "intervals": intervals, "several": several, "tests": tests}
+        return cls(**{**vars(peak), **own, **others}, white=tuple(white))
 
     @cached_property
     def places(self) -> dict[str, int]:
@@ -203,7 +210,7 @@ class IdentifiedLog(NamedTuple):
     recording: Recording
     model: SemiMarkov | None
     why: str
-    C: Float[np.ndarray, "p n"]
+    C: SensorMatrix
     states: tuple[str, ...]
     sentences: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()

@@ -10,20 +10,18 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.identifiability import reasons
-from deadtime.identification.intervals import Spread, delay_intervals, ends_over_peaks, spread_of
+from deadtime.identification.intervals import Peak, spread_of
 from deadtime.identification.levels import without_level
 from deadtime.identification.likelihoods.likelihood import (
     ExactLog,
-    PlantLikelihood,
     concentrated,
     maximise,
 )
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout, Window
-from deadtime.identification.residuals import judge_residuals, residuals_of
+from deadtime.identification.parameters import Layout, Squares, Window
+from deadtime.identification.residuals import FittedModel
 from deadtime.identification.sampling import nodes_for
-from deadtime.identification.scoring import Maximum
-from deadtime.identification.start import Start, start_of
+from deadtime.identification.start import start_of
 from deadtime.identification.transition import continuous, intensity_errors
 
 
@@ -51,52 +49,40 @@ def estimate_exactly(
         why = [reasons(recording, j, bounds[1] - bounds[0]) for j in range(layout.m)]
         said = dict.fromkeys(sentence for sentences in why for sentence in sentences)
         raise ArgumentError(" ".join((str(error), *said))) from None
-    peak = log, best, window, spread, start
+    peak = Peak(log=log, best=best, window=window, spread=spread, start=start)
     S = covariances * (counts / spare)[:, None, None]
-    return estimate_of_plant(
-        *peak, S, spare, recording, ends=ends_over_peaks(log, best, spread, start)
-    )
+    return estimate_of_plant(peak, S, spare, recording, ends=peak.ends_over_peaks())
 
 
 def estimate_of_plant(
-    log: PlantLikelihood,
-    best: Maximum,
-    window: Window,
-    spread: Spread,
-    start: Start,
-    S: Float[np.ndarray, "mode n n"],
+    peak: Peak,
+    S: Squares,
     spare: Int[np.ndarray, " mode"],
     recording: Recording,
     *,
     told: Sequence[np.ndarray] | None = None,
     ends: Float[np.ndarray, "unknown 2"] | None = None,
 ) -> Estimate:
-    """Estimate and intervals of a maximum, states being exact, with S what a period adds.
+    """Estimate and intervals at a peak, states being exact, with S what a period adds.
 
     spare : periods of every mode that S rests on; told : of every part the periods whose mode is
     told, by default all
     """
-    intervals, several = delay_intervals(log, best, window, spread, start)
-    plant, constant = log.layout.plant(best.theta), log.layout.constant_of(best.theta)
-    roots = np.linalg.cholesky(S)
-    white = residuals_of(recording, plant, constant, log.nodes, log.within, roots)
+    log, theta = peak.log, peak.best.theta
+    plant, constant = log.layout.plant(theta), log.layout.constant_of(theta)
+    model = FittedModel(plant, constant, log.nodes)
+    white = model.residuals(recording, log.within, np.linalg.cholesky(S))
     for one, k in zip(white, told or (), strict=told is not None):
         one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan
     W = continuous(plant.A, S, recording.step)
-    return Estimate(
-        log=log,
-        best=best,
-        window=window,
-        plant=plant,
-        spread=spread,
-        intervals=intervals,
-        several=several,
-        start=start,
+    return Estimate.at(
+        peak,
+        plant,
+        recording,
+        white,
         disturbance=W,
         noise=np.zeros(log.layout.n),
         noise_errors=intensity_errors(plant.A, W, recording.step, spare),
         spare=spare,
-        tests=judge_residuals(white, recording, plant.longest_delay),
-        white=tuple(white),
         ends=ends,
     )

@@ -1,7 +1,8 @@
-"""Expectation–maximisation over linear regressions: a cell for each delay, and no plant yet.
+"""Expectation–maximisation where modes are hidden: over linear regressions, then over the plant.
 
-With the cell N of every delay given, each mode is a regression x_{k+1} = P_i r_k + e, of which the
-maximum with weights is known; P and S are free, and so is the chain. Cells are found by scan.
+**Regressions.** With the cell N of every delay given, each mode is a regression x_{k+1} = P_i r_k +
+e, of which the maximum with weights is known; P and S are free, and so is the chain. Cells are
+found by scan.
 
 It begins at regressions over short stretches of the log. Modes last, so most stretches of a few
 dozen periods have one mode. Each has a regression of its own, whatever the modes are; the cells in
@@ -9,11 +10,10 @@ which these fit best together are those of the delays. Then as many stretches as
 drawn, each from those that the ones before explain badly (the seeding of k-means++: Arthur and
 Vassilvitskii, SODA 2007).
 
-Expectation–maximisation over the plant: matrices, delays at any fraction of a period, noise.
-
-Each step maximises, over A, B and D and with S that of the weighted residuals, the likelihood that
-periods would have if their modes were known, weighted by how likely they are. That never lowers the
-likelihood of the log (Dempster, Laird and Rubin, J. Royal Statistical Society B 39(1), 1977).
+**The plant**, with delays at any fraction of a period. Each step maximises, over A, B and D and
+with S that of the weighted residuals, the likelihood that periods would have if their modes were
+known, weighted by how likely they are. That never lowers the likelihood of the log (Dempster, Laird
+and Rubin, J. Royal Statistical Society B 39(1), 1977).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from deadtime.identification.likelihoods.likelihood import (
     rooted,
     window_of,
 )
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import Layout, ModeCells, Square, Squares, Vector
 from deadtime.identification.scoring import STEPS, best_in_turn
 
 _MOST = 150  # stretches
@@ -44,14 +44,11 @@ _WIDE = 4.0  # times the covariance of a stretch: its regression rests on few pe
 _LEAST = 1e-6  # of the covariance of one regression for all: of no noise, too, starts differ
 _SWEEPS = 3  # over the delays, in a scan
 
-
-class PeriodRuns(NamedTuple):
-    """Runs of usable periods that follow each other: (stretches, length), places of rows."""
-
-    rows: Int[np.ndarray, "stretch period"]
+# Runs of usable periods that follow each other, as places of rows.
+Runs = Int[np.ndarray, "stretch period"]
 
 
-def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> PeriodRuns | None:
+def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs | None:
     """Half overlapping, some at most, spread over the log; None if there are less than modes.
 
     Short ones have periods for little more than a regression, and more often one mode.
@@ -68,10 +65,10 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Perio
     if len(places) < layout.modes:
         return None
     chosen = np.linspace(0, len(places) - 1, min(len(places), _MOST)).round().astype(int)
-    return PeriodRuns(np.array(places)[chosen, None] + np.arange(length))
+    return np.array(places)[chosen, None] + np.arange(length)
 
 
-def first_cells(periods: Periods, stretches: PeriodRuns, layout: Layout) -> Int[np.ndarray, " m"]:
+def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
     begin = (None,) * layout.m
     found = best_in_turn(
@@ -81,14 +78,14 @@ def first_cells(periods: Periods, stretches: PeriodRuns, layout: Layout) -> Int[
 
 
 def _together(
-    periods: Periods, stretches: PeriodRuns, cells: tuple[int | None, ...], layout: Layout
+    periods: Periods, stretches: Runs, cells: tuple[int | None, ...], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
     z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
     n = layout.n
     known = np.array([c is not None for c in cells])
     keep = np.concatenate((np.ones(2 * n, bool), known, known, np.ones(int(layout.constant), bool)))
-    return float(-_own_covariances(z[:, keep][stretches.rows], n)[1].sum())
+    return float(-_own_covariances(z[:, keep][stretches], n)[1].sum())
 
 
 def _own_covariances(
@@ -107,7 +104,7 @@ def _own_covariances(
 
 def drawn_start(
     periods: Periods,
-    stretches: PeriodRuns,
+    stretches: Runs,
     cells: Int[np.ndarray, " m"],
     layout: Layout,
     rng: np.random.Generator,
@@ -117,7 +114,7 @@ def drawn_start(
     How many of all are drawn from is drawn, too: in noisy modes few fit well, in short ones few do.
     """
     n, modes = layout.n, layout.modes
-    z = periods.rows(cells)[stretches.rows]
+    z = periods.rows(cells)[stretches]
     S, size = _own_covariances(z, n)
     pure = np.flatnonzero(size <= np.quantile(size, rng.choice(_PURE)))
     flat = z.reshape(-1, z.shape[2])
@@ -144,15 +141,15 @@ class Regressions(NamedTuple):
     """
 
     P: Float[np.ndarray, "mode n r"]
-    S: Float[np.ndarray, "mode n n"]
+    S: Squares
     jumps: Jumps
-    cells: Int[np.ndarray, "mode m"]
+    cells: ModeCells
     weight: Float[np.ndarray, " mode"]
 
 
 def regressed(
     root: Float[np.ndarray, "z z"], n: int, total: float
-) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "n n"]]:
+) -> tuple[Float[np.ndarray, "n r"], Square]:
     """P and the residuals' covariance of weighted rows (x_{k+1}, r_k), of weight `total`."""
     y, r = root[:, :n], root[:, n:]
     unit = np.maximum(np.sqrt((r**2).sum(axis=0)), 1e-300)
@@ -162,7 +159,7 @@ def regressed(
 
 
 def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
-    """What the log says of the modes under regressions."""
+    """The modes that a log tells under regressions."""
     each = zip(rows, model.P, model.S, strict=True)
     return periods.posterior(
         np.column_stack([log_density(z, *one) for z, *one in each]), model.jumps
@@ -170,11 +167,7 @@ def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Po
 
 
 def maximised(
-    rows: list[np.ndarray],
-    found: Posterior,
-    jumps: Jumps,
-    cells: Int[np.ndarray, "mode m"],
-    common: bool,
+    rows: list[np.ndarray], found: Posterior, jumps: Jumps, cells: ModeCells, common: bool
 ) -> Regressions:
     """The likeliest regressions given how likely each mode was; `common`: of one S for all."""
     count = found.weight.sum(axis=0)
@@ -208,11 +201,8 @@ def climbed(
 
 
 def scanned(
-    periods: Periods,
-    weight: Float[np.ndarray, "period mode"],
-    cells: Int[np.ndarray, "mode m"],
-    layout: Layout,
-) -> tuple[Int[np.ndarray, "mode m"], Float[np.ndarray, "delay cell"]]:
+    periods: Periods, weight: Float[np.ndarray, "period mode"], cells: ModeCells, layout: Layout
+) -> tuple[ModeCells, Float[np.ndarray, "delay cell"]]:
     """The likeliest cells, the modes being as likely as they are, and what others would be like.
 
     One delay after the other, the others in their cells.

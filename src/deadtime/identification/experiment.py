@@ -1,14 +1,9 @@
-"""Experiment: inputs to send to a plant, and how well their log will tell it.
-
-What `design_experiment` is given, checked: modes of rows, periods that count, noise, the law.
-
-`design_experiment`: what to send to a plant so that its log tells the delays best.
-"""
+"""`design_experiment`: inputs whose log tells a plant's delays best, as an `Experiment`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING
 
@@ -38,7 +33,7 @@ from deadtime.identification.input_design import (
     within_limits,
 )
 from deadtime.identification.likelihoods.likelihood import REACH
-from deadtime.identification.parameters import Layout, cells_of
+from deadtime.identification.parameters import Layout, Square, Squares, Vector, cells_of
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import OperatingPoint, SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -89,7 +84,7 @@ class Experiment(Frozen):
     mode: Int[np.ndarray, " T"]
     delay_errors: Mapping[str, Float[np.ndarray, " delay"]]
     clock: int
-    errors: Float[np.ndarray, " size"]
+    errors: Vector
     largest: Float[np.ndarray, " y"]
     added: bool
     sentences: tuple[str, ...]
@@ -106,7 +101,7 @@ class Experiment(Frozen):
         clock: int,
         averaged: bool,
     ) -> Experiment:
-        """What there is to hand over of inputs r, and of others beside them.
+        """The result of a search: inputs r, and others beside them.
 
         averaged : whether modes have a noise of their own each, and its mean was counted with
         """
@@ -187,7 +182,7 @@ def _sentences(
     clock: int,
     largest: np.ndarray,
 ) -> tuple[str, ...]:
-    """What to expect, beside what is usual; and where the promise is weaker."""
+    """Errors to expect, beside those of usual inputs; and where the promise is weaker."""
     names = layout.names()[layout.at_delays]
     held = "" if clock == 1 else f", each value held for {clock} periods"
     said = []
@@ -258,7 +253,7 @@ def used_periods(
     return used
 
 
-def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Float[np.ndarray, "mode n n"]:
+def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Squares:
     """W of every mode."""
     n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
     given = as_floats("disturbance", disturbance, form)
@@ -286,9 +281,7 @@ def deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, 
     return deviation
 
 
-def one_for_all(
-    W: Float[np.ndarray, "mode n n"], mode: Int[np.ndarray, " sample"]
-) -> tuple[Float[np.ndarray, "mode n n"], bool]:
+def one_for_all(W: Squares, mode: Int[np.ndarray, " sample"]) -> tuple[Squares, bool]:
     """The mean of W over the rows, in every mode, and whether modes had another one."""
     share = np.bincount(mode, minlength=len(W)) / mode.size
     mean = np.broadcast_to(np.tensordot(share, W, 1), W.shape)
@@ -297,11 +290,8 @@ def one_for_all(
 
 
 def added_noise(
-    plant: SwitchedSystem,
-    W: Float[np.ndarray, "mode n n"],
-    step: float,
-    deviation: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "mode n n"]:
+    plant: SwitchedSystem, W: Squares, step: float, deviation: Float[np.ndarray, " n"]
+) -> Squares:
     """S of every mode: what noise adds in a period."""
     S = np.array(
         [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
@@ -317,9 +307,7 @@ def added_noise(
     return S
 
 
-def root_of(
-    W: Float[np.ndarray, "n n"], deviation: Float[np.ndarray, " n"], step: float
-) -> Float[np.ndarray, "n n"]:
+def root_of(W: Square, deviation: Float[np.ndarray, " n"], step: float) -> Square:
     """L with W = L Lᵀ, of a W that has a little in every direction."""
     floor = _FLOOR * (float(np.trace(W)) + float((deviation**2).sum()) / step)
     return np.linalg.cholesky(W + floor * np.eye(len(W)))
@@ -474,11 +462,14 @@ def design_experiment(
     else:
         measured = ExactStates.of(chain, used, layout.size)
     prospect = Prospect.of(chain, layout, measured, criterion)
-    room = _room(prospect, limit, state_limit)
-    prospect = prospect.within(room)
+    prospect = replace(prospect, room=_room(prospect, limit, state_limit))
     seed, effort = count("seed", seed, 0), count("effort", effort, 0)
     r = best_sequence(prospect, limit, count("hold", hold), effort, seed)
-    _require_told(prospect, r)
+    if not np.isfinite(prospect.errors(r)).all():
+        raise ArgumentError(
+            "horizon must leave inputs that tell all unknowns apart, got none such: lengthen it, "
+            "hold values for fewer periods, or leave out an input that does nothing."
+        )
     usual = {
         clock: within_limits(prospect, binary_sequence(samples, limit, hold * clock))
         for clock in CLOCKS
@@ -488,20 +479,10 @@ def design_experiment(
     return Experiment.of(plant, step, prospect, r, peers, hold * clock, averaged)
 
 
-def _require_told(prospect: Prospect, r: Float[np.ndarray, "sample m"]) -> None:
-    """Refuse a plant that no inputs tell."""
-    if np.isfinite(prospect.errors(r)).all():
-        return
-    raise ArgumentError(
-        "horizon must leave inputs that tell all unknowns apart, got none such: lengthen it, hold "
-        "values for fewer periods, or leave out an input that does nothing."
-    )
-
-
 def _room(
     prospect: Prospect, limit: Float[np.ndarray, " m"], state_limit: ArrayLike | None
 ) -> Float[np.ndarray, "sample y"]:
-    """What means of states and inputs may reach: their limits less that of the noise."""
+    """Limits of the means of states and inputs: theirs less that of the noise."""
     n, m = prospect.layout.n, prospect.layout.m
     largest = np.full(n + m, np.inf)
     if state_limit is not None:

@@ -1,16 +1,16 @@
-"""The plant, period by period, under an input sequence and maybe a law: means and covariances.
+"""The information that the log of an experiment will have, period by period.
 
-With what is in flight, ξ_k = (x_k, u_{k−1}, …, u_{k−L}), the input u_k = U_k ξ_k + r_k and what
-acts in period k, z_k = (x_k, u_{k−N}, u_{k−N+1}) with N of every input in the mode of the period,
+**The loop.** With what is in flight, ξ_k = (x_k, u_{k−1}, …, u_{k−L}), the input u_k = U_k ξ_k +
+r_k and what acts in period k, z_k = (x_k, u_{k−N}, u_{k−N+1}) with N of every input in the mode of
+the period,
 
     ξ_{k+1} = M_k ξ_k + E_k r_k + (w_k, 0),    z_k = Z_k ξ_k + Y_k r_k,    w_k ~ N(0, S_σ),
 
 so that means are linear in r and covariances do not depend on it. A law is told y_k = x_k + v_k, so
 that v_k, the sensors' noise, enters by it as r_k does.
 
-Information of a log, of states that are measured with noise or without.
-
-Without noise S_σ, what noise adds in a period, is not tied to the unknowns θ: then
+**The information.** Without noise of sensors S_σ, what noise adds in a period, is not tied to the
+unknowns θ: then
 
     F = Σ_k E[(∂P z_k)ᵀ S⁻¹ (∂P z_k)],    x_{k+1} = P_σ(θ) z_k + w_k,
 
@@ -47,7 +47,14 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback
 from deadtime.feedback.table import ages_along
 from deadtime.identification.intervals import left_of
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import (
+    FisherMatrix,
+    Inputs,
+    Layout,
+    ModeCells,
+    Square,
+    Squares,
+)
 from deadtime.identification.sampling import period_weights
 from deadtime.identification.transition import noise_tables
 from deadtime.plant import SwitchedSystem
@@ -75,7 +82,7 @@ class Chain(NamedTuple):
     U: Float[np.ndarray, "kind m xi"]
     kind: Int[np.ndarray, " sample"]
     mode: Int[np.ndarray, " sample"]
-    S: Float[np.ndarray, "mode n n"]
+    S: Squares
     V: Float[np.ndarray, " n"]
     P: Float[np.ndarray, "mode n z"]
     by_P: list[Float[np.ndarray, "own n z"]]
@@ -87,7 +94,7 @@ class Chain(NamedTuple):
         """How many states there are."""
         return self.S.shape[1]
 
-    def means(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, "sample xi"]:
+    def means(self, r: Inputs) -> Float[np.ndarray, "sample xi"]:
         """ξ̄ of every sample, from rest."""
         result = np.zeros((len(r), self.M.shape[1]))
         added = np.einsum("kxm,km->kx", self.E[self.kind], r)
@@ -98,8 +105,8 @@ class Chain(NamedTuple):
 
     def back(
         self, of_xi: Float[np.ndarray, "sample xi"]
-    ) -> tuple[Float[np.ndarray, "sample m"], Float[np.ndarray, "sample xi"]]:
-        """What r_k moves of Σ of_xi · ξ̄, by way of the samples after it; and λ_{k+1}."""
+    ) -> tuple[Inputs, Float[np.ndarray, "sample xi"]]:
+        """The derivative of Σ of_xi · ξ̄ by r_k, by way of the samples after it; and λ_{k+1}."""
         after = np.zeros(of_xi.shape)
         M = [one.T for one in self.M]
         for k in range(len(of_xi) - 2, -1, -1):
@@ -138,7 +145,7 @@ class Chain(NamedTuple):
 def rows_along(
     table: Feedback | None, mode: Int[np.ndarray, " sample"], n: int, m: int, past: int
 ) -> GainRows:
-    """What a law adds to r at every sample, from the modes at samples."""
+    """The rows that a law adds to r at every sample, from the modes at samples."""
     if table is None:
         return GainRows(np.zeros((1, m, n + past * m)), np.zeros(mode.size, np.int64))
     ages = ages_along(mode, 0)
@@ -156,8 +163,8 @@ def chain_of(
     plant: SwitchedSystem,
     step: float,
     mode: Int[np.ndarray, " sample"],
-    S: Float[np.ndarray, "mode n n"],
-    cells: Int[np.ndarray, "mode m"],
+    S: Squares,
+    cells: ModeCells,
     layout: Layout,
     table: Feedback | None,
     V: Float[np.ndarray, " n"] | None = None,
@@ -180,7 +187,7 @@ def chain_of(
         Z[c, :n, :n] = np.eye(n)
         for j in range(m):
             for place, lag in ((n + j, cells[i, j]), (n + m + j, cells[i, j] - 1)):
-                if lag > 0:
+                if lag > 0:  # ξ has u_{k−1}, u_{k−2}, … behind x; u_k itself is U ξ + r
                     Z[c, place, n + (lag - 1) * m + j] = 1.0
                 else:
                     Z[c, place], Y[c, place, j] = U[j], 1.0
@@ -250,9 +257,7 @@ class ExactStates(Frozen):
                 random[chain.mode[k]] += Z @ now @ Z.T
         return cls(white, chain.place, rows, random, size)
 
-    def information(
-        self, z: Float[np.ndarray, "sample z"]
-    ) -> tuple[Float[np.ndarray, "size size"], Pullback]:
+    def information(self, z: Float[np.ndarray, "sample z"]) -> tuple[FisherMatrix, Pullback]:
         """F, and the map from a derivative by F to one by z̄."""
         F = np.zeros((self.size, self.size))
         every = list(zip(self.white, self.place, self.rows, strict=True))
@@ -277,18 +282,12 @@ class NoiseTables(NamedTuple):
     the logarithms of the sensors' standard deviations.
     """
 
-    Q: Float[np.ndarray, "mode n n"]
+    Q: Squares
     wide: Int[np.ndarray, " q"]
     of_Q: Float[np.ndarray, "mode q n n"]
 
     @classmethod
-    def of(
-        cls,
-        layout: Layout,
-        A: Float[np.ndarray, "mode n n"],
-        L: Float[np.ndarray, "n n"],
-        step: float,
-    ) -> NoiseTables:
+    def of(cls, layout: Layout, A: Squares, L: Square, step: float) -> NoiseTables:
         """Those of periods of `step` seconds, with one W for all modes."""
         n, square = layout.n, layout.n**2
         triangle = n * (n + 1) // 2
@@ -307,9 +306,9 @@ class FilterSample(NamedTuple):
     At a beginning the gain is I, and there is no innovation: S = 0, S⁻¹ = 0.
     """
 
-    K: Float[np.ndarray, "n n"]
-    S: Float[np.ndarray, "n n"]
-    inverse: Float[np.ndarray, "n n"]
+    K: Square
+    S: Square
+    inverse: Square
     by_K: Float[np.ndarray, "q n n"]
     by_S: Float[np.ndarray, "q n n"]
 
@@ -328,7 +327,7 @@ class NoisyStates(Frozen):
     by_P: list[Float[np.ndarray, "own n z"]]
     place: list[Int[np.ndarray, " own"]]
     rows: list[Int[np.ndarray, " row"]]
-    constant: Float[np.ndarray, "size size"]
+    constant: FisherMatrix
 
     @classmethod
     def of(
@@ -359,9 +358,7 @@ class NoisyStates(Frozen):
         rows = [np.flatnonzero(used & (chain.mode == i)) for i in range(len(chain.S))]
         return cls(white, carried, chain.by_P, chain.place, rows, left_of(F, np.arange(size)))
 
-    def information(
-        self, z: Float[np.ndarray, "sample z"]
-    ) -> tuple[Float[np.ndarray, "size size"], Pullback]:
+    def information(self, z: Float[np.ndarray, "sample z"]) -> tuple[FisherMatrix, Pullback]:
         """F, and the map from a derivative by F to one by z̄."""
         size = len(self.constant)
         every = list(zip(self.by_P, self.place, self.rows, strict=True))
@@ -449,7 +446,7 @@ class _Joint(NamedTuple):
         covariance[at, at] += V
         return self._replace(covariance=covariance)
 
-    def after(self, k: int, one: FilterSample, carried: Float[np.ndarray, "n n"]) -> _Joint:
+    def after(self, k: int, one: FilterSample, carried: Square) -> _Joint:
         """That of the next sample."""
         n, use, i, kind = self.chain.n, self.use, self.chain.mode[k], self.chain.kind[k]
         Z, M = self.chain.Z[kind][:, :use], self.chain.M[kind][:use, :use]

@@ -1,12 +1,11 @@
-"""What not knowing the modes costs: the information of the log, in place of that of known modes.
+"""Estimates of plants whose modes were hidden, with intervals that count that in.
 
-The score in all unknowns, θ, S and P, is that of Fisher's identity, and the observed information is
-minus its derivative, by central differences: what Louis' formula gives (J. Royal Statistical
-Society B 44(2), 1982). S and P are estimated, too, so that of θ there remains Schur's complement
+The information is that of the log, in place of that of known modes. With exact states the score in
+all unknowns, θ, S and P, is that of Fisher's identity, and the observed information is minus its
+derivative, by central differences: what Louis' formula gives (J. Royal Statistical Society B 44(2),
+1982). S and P are estimated, too, so that of θ there remains Schur's complement
 
     J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: S as L M Lᵀ about M = I, P by the logarithms of its odds.
-
-Estimates of plants whose modes were hidden, with intervals that count that in.
 
 With noisy sensors, of the vector θ of plant and noise and the odds η of the chain, J is minus the
 second differences of the log likelihood; J_θθ − J_θη J_ηη⁻¹ J_ηθ is left, at most what the filter
@@ -26,11 +25,11 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.exact_estimate import estimate_of_plant
 from deadtime.identification.expectation_maximisation import scanned
 from deadtime.identification.hidden_fit import HiddenFit, Log
-from deadtime.identification.intervals import left_of, spread_of
+from deadtime.identification.intervals import Peak, left_of, spread_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog, Starts
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import estimate_of_sensors
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import Cells, FisherMatrix, Layout, Vector
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
@@ -49,9 +48,9 @@ class Information(NamedTuple):
     of_noise : (modes,), the least share that is left of what would be told of S's diagonal
     """
 
-    held: Float[np.ndarray, "size size"]
-    left: Float[np.ndarray, "size size"]
-    known: Float[np.ndarray, "size size"]
+    held: FisherMatrix
+    left: FisherMatrix
+    known: FisherMatrix
     told: float
     of_noise: Float[np.ndarray, " mode"]
 
@@ -70,11 +69,6 @@ class _Noise:
         self.i, self.j = np.tril_indices(n)
         self.L = np.linalg.cholesky(log.S)
         self.jumps = log.jumps.likelier(_NEVER)
-
-    @property
-    def size(self) -> int:
-        """How many unknowns there are."""
-        return len(self.L) * self.i.size + len(self.jumps)
 
     def at(self, eta: np.ndarray) -> HiddenLog:
         """The likelihood with other S and P."""
@@ -125,7 +119,7 @@ class _Noise:
         return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
 
 
-def information_of(log: HiddenLog, theta: Vector, cells: Int[np.ndarray, " delay"]) -> Information:
+def information_of(log: HiddenLog, theta: Vector, cells: Cells) -> Information:
     """The information on θ at the maximum, delays within their cells."""
     noise, known = _Noise(log), log.evaluate(theta, cells).information
     weight = log.posterior(theta, cells).weight
@@ -247,10 +241,10 @@ def estimated(found: Decoded[HiddenLog]) -> ModesTold:
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
-    peak = log, best, found.fit.window, spread, _start(found)
+    peak = Peak(log=log, best=best, window=found.fit.window, spread=spread, start=_start(found))
     S = log.S * (counts / spare)[:, None, None]
     free = np.maximum(spare * told.of_noise, 1.0).astype(np.int64)
-    estimate = estimate_of_plant(*peak, S, free, record, told=log.periods.usable)
+    estimate = estimate_of_plant(peak, S, free, record, told=log.periods.usable)
     return ModesTold(estimate, posterior.node, told.widening)
 
 
@@ -271,13 +265,13 @@ def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
     best = Maximum(theta, now._replace(information=told.held), np.zeros(theta.size, bool))
     posterior = log.posterior(theta, starts)
     rows = np.maximum(np.vstack(posterior.node).sum(axis=0), 1.0).astype(np.int64)
-    peak = log, best, window, spread, _start(found)
-    estimate = estimate_of_sensors(*peak, theta, path, rows)
+    peak = Peak(log=log, best=best, window=window, spread=spread, start=_start(found))
+    estimate = estimate_of_sensors(peak, theta, path, rows)
     return ModesTold(estimate, posterior.node, told.widening)
 
 
 def _start(found: Decoded) -> Start:
-    """What other cells of the delays would be like: other peaks may lie far from those found."""
+    """A scan of the delays' other cells: peaks may lie far from those found."""
     fit, theta = found.fit, found.theta[: found.log.layout.size]
     whole, cells, layout = fit.grid.over(*fit.grid.bounds), fit.grid.cells(fit.on_grid), fit.layout
     periods, weight = whole.periods, whole.posterior(fit.on_grid, cells).weight
@@ -288,11 +282,7 @@ def _start(found: Decoded) -> Start:
 
 
 def _information(
-    log: HiddenNoisyLog,
-    theta: Vector,
-    starts: Starts,
-    cells: Int[np.ndarray, " delay"],
-    known: Float[np.ndarray, "size size"],
+    log: HiddenNoisyLog, theta: Vector, starts: Starts, cells: Cells, known: FisherMatrix
 ) -> Information:
     """J of the vector, with the chain held and estimated; and that of the modes of the path."""
     jumps, size, vague = log.jumps.likelier(_SELDOM), theta.size, _vague(log)
@@ -321,6 +311,6 @@ def _information(
     return Information(held, left, known, told, np.ones(log.layout.modes))
 
 
-def _vague(log: HiddenNoisyLog) -> Float[np.ndarray, "size size"]:
+def _vague(log: HiddenNoisyLog) -> FisherMatrix:
     """Next to no information on the noise, so that one which the log does not tell may be any."""
     return np.diag(_VAGUE / log.most**2)

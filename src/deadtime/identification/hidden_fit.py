@@ -1,15 +1,13 @@
-"""How many modes: fits of several numbers, and Bayes' information criterion.
+"""Fits of plants with a number of hidden modes, and Bayes' information criterion of that number.
 
     BIC = −2 log L + q log N,    q unknowns: those of the plant, S of every mode, the chain's odds
 
 N: the periods that are usable whatever the delays are; they are the same for all numbers.
 
-The maximum of a log whose modes are hidden and whose sensors are noisy, of one number of modes.
-
-It begins at each of the regressions that starts without noise lead to, with two guesses of how much
-of what a period adds is the sensors'; what leads highest in coarse steps, with modes that change at
-samples and last at first, goes on. Plant and noise are climbed with the chain held, and the chain
-is set to the jumps that are expected then, in turn.
+With noisy sensors a fit begins at each of the regressions that starts without noise lead to, with
+two guesses of how much of what a period adds is the sensors'; what leads highest in coarse steps,
+with modes that change at samples and last at first, goes on. Plant and noise are climbed with the
+chain held, and the chain is set to the jumps that are expected then, in turn.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ from deadtime.identification.likelihoods.likelihood import (
 )
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import first_noises
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import Layout, SensorMatrix, Square, Vector, Window
 from deadtime.identification.sampling import nodes_for, sampling_of
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import cell_range, plant_of, start_of
@@ -138,7 +136,7 @@ def search_of(recording: Recording, layout: Layout, bounds: Window, within: bool
 
 def _periods_on_a_grid(grid: Recording, one: Layout, bounds: Window, within: bool) -> Periods:
     """Those of even rows, with one regression for all modes."""
-    cell_range(grid.step, bounds, one.m)
+    cell_range(grid.step, bounds, one.m)  # refuses more cells than a scan has room for
     sampling = sampling_of(grid, np.zeros(0))
     periods = Periods.of(sampling, grid.parts, bounds, None, one.constant)
     stretches = stretches_of(periods, one)
@@ -294,13 +292,15 @@ def _best_regressions(
     The first steps take modes to change at samples, with one covariance: no mode can vanish then
     in a few periods that it explains too well, nor in those that change it.
     """
-    lengths = [stretches_of(periods, layout, short) for short in (False, True)]
-    if lengths[0] is None:
+    runs = stretches_of(periods, layout)
+    if runs is None:
         return [], 0, 0
-    cells, short = first_cells(periods, lengths[0], layout), []
+    brief = stretches_of(periods, layout, short=True)
+    lengths = runs, runs if brief is None else brief
+    cells, short = first_cells(periods, runs, layout), []
     starts, whole = 1 if layout.modes == 1 else _STARTS, replace(periods, pooled=None)
     for turn in range(starts):
-        start = drawn_start(periods, lengths[turn % 2] or lengths[0], cells, layout, rng)
+        start = drawn_start(periods, lengths[turn % 2], cells, layout, rng)
         if (one := climbed(whole, start, _SHORT, 1.0, True, 0.1)) is not None:
             short.append(one)
     short.sort(key=lambda one: -one[1].value)
@@ -340,7 +340,7 @@ _SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at f
 
 
 def fitted_with_noise(
-    search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
+    search: HiddenSearch, layout: Layout, recording: Recording, C: SensorMatrix
 ) -> HiddenFit[HiddenNoisyLog]:
     """The likeliest plant and noise of a recording of y = C x, of a number of modes.
 
@@ -407,9 +407,9 @@ def _led_with_noise(
 
 
 def _best_start(
-    search: HiddenSearch, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
+    search: HiddenSearch, layout: Layout, recording: Recording, C: SensorMatrix
 ) -> tuple[Begun, HiddenNoisyLog, Vector, tuple[float, float]]:
-    """What leads highest in coarse steps, of those that leave all modes some rows, if any do.
+    """The start that leads highest in coarse steps, of those that leave all modes rows, if any do.
 
     And its likelihood, its vector, and the window of its delays.
     """
@@ -445,8 +445,8 @@ def _starts(search: HiddenSearch, layout: Layout) -> list[Begun]:
 
 
 def _of_start(
-    start: Begun, search: HiddenSearch, recording: Recording, C: Float[np.ndarray, "p n"]
-) -> tuple[HiddenNoisyLog, Float[np.ndarray, "n n"]]:
+    start: Begun, search: HiddenSearch, recording: Recording, C: SensorMatrix
+) -> tuple[HiddenNoisyLog, Square]:
     """The likelihood, with modes that last; and what a period adds, as noise of the plant."""
     exact, theta, layout = start.log, start.theta, start.log.layout
     A, _, _ = layout.split(theta)
@@ -479,7 +479,7 @@ def _climbed(
 
 
 def _next_chain(log: HiddenNoisyLog, theta: np.ndarray, starts: Starts) -> HiddenNoisyLog:
-    """The same with the likeliest chain, the plant held."""
+    """A likelihood with the likeliest chain, the plant held."""
     before = -np.inf
     for _ in range(_CHAIN):
         found = log.posterior(theta, starts)
@@ -489,7 +489,7 @@ def _next_chain(log: HiddenNoisyLog, theta: np.ndarray, starts: Starts) -> Hidde
     return log
 
 
-def _units(W: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " entry"]:
+def _units(W: Square) -> Float[np.ndarray, " entry"]:
     """How large the entries of a triangle L, L Lᵀ = W, are; of its diagonal the logarithms are."""
     i, j = np.tril_indices(len(W))
     return np.where(i == j, 1.0, np.sqrt(np.maximum(np.diagonal(W)[i], 1e-300)))

@@ -61,7 +61,7 @@ class Identification(Findings):
 
     @classmethod
     def of(cls, answer: IdentifiedLog) -> Identification:
-        """What there is to hand over of an answer."""
+        """The result of an estimate with its log."""
         from deadtime.identification.problem_text import filter_noise
 
         found, recording, model, why, C, states, said, doubts, modes = answer

@@ -10,10 +10,9 @@ import numpy as np
 
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
-from deadtime.identification.intervals import profile
 from deadtime.identification.likelihoods.noisy_log import following
 from deadtime.identification.log.recording import Part
-from deadtime.identification.residuals import LAGS, autocorrelation, forecast, with_inputs
+from deadtime.identification.residuals import LAGS, FittedModel, autocorrelation, with_inputs
 from deadtime.identification.sentences import delay_names
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def plot_identification(fit: Findings) -> Figure:
 
 
 def shown(fit: Findings) -> Part:
-    """What figures show of the log: its beginning."""
+    """The beginning of the log, which figures show."""
     return fit._recording.parts[0].rows(slice(_SHOWN))
 
 
@@ -73,14 +72,14 @@ def draw_likelihood(axes: Axes, fit: Findings) -> None:
     from scipy.interpolate import PchipInterpolator
 
     found, layout = fit._found, fit._found.log.layout
-    places = np.arange(layout.size)[layout.at_delays].tolist()
+    places = layout.delay_places.tolist()
     names = delay_names(fit._recording, found)
     for row, (place, name) in enumerate(zip(places, names, strict=True)):
         D = float(found.best.theta[place])
         reach = 1.7 * np.abs(found.intervals[row] - D).max()
         points = _POINTS if fit.noise.any() else _MANY
         delays = np.clip(np.linspace(D - reach, D + reach, points), *found.window)
-        falls = [profile(found.log, found.best, found.window, place, float(d)) for d in delays]
+        falls = [found.profile(place, float(d)) for d in delays]
         if points < _MANY and (np.diff(delays) > 0.0).all():
             curve, delays = (
                 PchipInterpolator(delays, falls),
@@ -130,12 +129,13 @@ def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
 
 
 def _about_level(fit: Findings, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same about the level of the recording; smoothed where states were not logged."""
+    """States about the level of the recording; smoothed where they were not logged."""
     if (log := fit._found.of_outputs) is None:
         logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
         layout = found.log.layout
         constant = layout.constant_of(found.best.theta[: layout.size])
-        return logged, *forecast(part, fit.plant, constant, fit._found.log.nodes, fit.C)
+        model = FittedModel(fit.plant, constant, found.log.nodes)
+        return logged, *model.forecast(part, fit.C)
     found = following(log, fit._found.best.theta, part, fit._found.window)
     measured = fit.C.any(axis=0)
     logged = np.where(measured, part.output @ fit.C, found.states)

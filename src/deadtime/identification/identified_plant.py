@@ -12,6 +12,7 @@ from deadtime.identification.estimate import Estimate, HiddenModes
 from deadtime.identification.levels import Rest
 from deadtime.identification.likelihoods.noisy_log import largest_of
 from deadtime.identification.log.recording import Recording
+from deadtime.identification.parameters import SensorMatrix, Squares
 from deadtime.identification.residuals import ResidualTests
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
@@ -26,7 +27,7 @@ class Findings(Frozen):
     plant: SwitchedSystem
     delay_interval: Float[np.ndarray, "mode m 2"]
     step: float
-    disturbance: Float[np.ndarray, "mode n n"]
+    disturbance: Squares
     noise: Float[np.ndarray, " p"]
     model: SwitchingModel | None
     tests: ResidualTests
@@ -38,7 +39,7 @@ class Findings(Frozen):
     sentences: tuple[str, ...]
     _found: Estimate = field(repr=False)
     _recording: Recording = field(repr=False)
-    _C: Float[np.ndarray, "p n"] = field(repr=False)
+    _C: SensorMatrix = field(repr=False)
     hidden: HiddenModes | None = None
     doubts: tuple[str, ...] = ()
     _rest: Rest | None = field(default=None, repr=False)
@@ -82,12 +83,12 @@ class Findings(Frozen):
 
     @property
     def offset(self) -> Float[np.ndarray, "mode n"]:
-        """What each mode adds to dx/dt at the operating point; 0 where all modes rest there."""
+        """The constant that each mode adds to dx/dt at the operating point; 0 if all rest there."""
         return np.zeros(self.plant.A.shape[:2]) if self._rest is None else self._rest.offset
 
     @property
-    def C(self) -> Float[np.ndarray, "p n"]:
-        """What the log's columns are of the states; the identity where they are the states."""
+    def C(self) -> SensorMatrix:
+        """The map from states to the log's columns; the identity where these are the states."""
         return self._C
 
     @property
@@ -113,7 +114,7 @@ class Findings(Frozen):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What `interval` knows by name: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
+        """Names that `interval` knows: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
 
         From outputs alone those entries that the choice of states fixes are left out.
         """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,11 +17,7 @@ from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
 from deadtime.identification.identify_hidden import Sensed, identify_hidden, numbers_of
-from deadtime.identification.identify_outputs import (
-    identify_outputs,
-    is_states,
-    require_logged,
-)
+from deadtime.identification.identify_outputs import identify_outputs, is_states, require_logged
 from deadtime.identification.levels import level_of
 from deadtime.identification.log.logged_states import (
     as_states,
@@ -39,7 +35,7 @@ from deadtime.identification.noisy_estimate import (
     estimate_with_noise,
     exact_holds,
 )
-from deadtime.identification.parameters import Layout, Window
+from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
 
 if TYPE_CHECKING:
@@ -159,65 +155,48 @@ def identify(
         require_logged(C, noise, numbers is not None)
         if is_states(order, recording.outputs):  # the same model as of states that are logged
             order = None
-    asked = _Options(
-        C, numbers, order, zeros, per_mode, noise, (low, high), switches == "anywhere", progress
-    )
-    fit = _identified(resting(recording, rest), asked)
+    within = switches == "anywhere"
+
+    def identified(recording: Recording) -> Identification:
+        bounds = max(low, _SHORTEST * recording.step), high
+        about = recording.about(level_of(recording))
+        if order is not None:
+            of = about, order, zeros, per_mode, bounds, within, progress
+            return Identification.of(identify_outputs(*of))
+        sensors = sensors_of(C, recording)
+        count = sensors.shape[1]
+        named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
+        require_sizes(recording)
+        require_states(as_states(recording, sensors), named)
+        layout = Layout(len(recording.modes), count, len(recording.inputs), per_mode, constant=True)
+        direct = as_states(about, sensors)
+        said: tuple[str, ...] = ()
+        if numbers is not None:
+            noisy = True if C is not None else noise
+            sensed = Sensed(direct, about, sensors, named, noisy)
+            hidden, said = identify_hidden(sensed, numbers, layout, bounds, within, progress)
+            if hidden is not None:
+                return Identification.of(hidden)
+        progress(f"looking for the delay between {low:g} and {high:g} s")
+        found = estimate_exactly(direct, layout, bounds, within)
+        sure = C is not None or bool(noise)
+        if noise is not False and fed_back(recording).any():
+            progress("taking sensors for noisy, as inputs follow them")
+            found = estimate_in_loop(about, sensors, found, sure)
+        elif sure or (noise is None and (not found.tests.white or alternates(list(found.white)))):
+            progress("taking sensors for noisy")
+            noisy = estimate_with_noise(about, sensors, found)
+            found = found if not sure and exact_holds(found, noisy) else noisy
+        model, why = fit_switching(recording)
+        answer = IdentifiedLog(found, found.log.recording, model, why, sensors, named)
+        fit = Identification.of(answer)
+        return replace(fit, sentences=(*said, *fit.sentences))
+
+    fit = identified(resting(recording, rest))
     if rest is None and disproved(fit._recording, fit._found.white, fit.plant.longest_delay):
         progress("looking again, as inputs before the log were others than its first")
-        fit = _identified(resting(recording, False), asked)
+        fit = identified(resting(recording, False))
     return fit
-
-
-class _Options(NamedTuple):
-    """What is asked: see `identify`. numbers : of hidden modes; bounds : of delays, s."""
-
-    C: ArrayLike | None
-    numbers: tuple[int, ...] | None
-    order: int | Sequence[int] | None
-    zeros: bool | None
-    per_mode: bool
-    noise: bool | None
-    bounds: Window
-    within: bool
-    progress: Callable[[str], None]
-
-
-def _identified(recording: Recording, asked: _Options) -> Identification:
-    """What a recording tells."""
-    C, numbers, order, zeros, per_mode, noise, (low, high), within, progress = asked
-    bounds = max(low, _SHORTEST * recording.step), high
-    about = recording.about(level_of(recording))
-    if order is not None:
-        of = about, order, zeros, per_mode, bounds, within, progress
-        return Identification.of(identify_outputs(*of))
-    sensors = sensors_of(C, recording)
-    count = sensors.shape[1]
-    named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
-    require_sizes(recording)
-    require_states(as_states(recording, sensors), named)
-    layout = Layout(len(recording.modes), count, len(recording.inputs), per_mode, constant=True)
-    direct = as_states(about, sensors)
-    said: tuple[str, ...] = ()
-    if numbers is not None:
-        noisy = True if C is not None else noise
-        sensed = Sensed(direct, about, sensors, named, noisy)
-        hidden, said = identify_hidden(sensed, numbers, layout, bounds, within, progress)
-        if hidden is not None:
-            return Identification.of(hidden)
-    progress(f"looking for the delay between {low:g} and {high:g} s")
-    found = estimate_exactly(direct, layout, bounds, within)
-    sure = C is not None or bool(noise)
-    if noise is not False and fed_back(recording).any():
-        progress("taking sensors for noisy, as inputs follow them")
-        found = estimate_in_loop(about, sensors, found, sure)
-    elif sure or (noise is None and (not found.tests.white or alternates(list(found.white)))):
-        progress("taking sensors for noisy")
-        noisy = estimate_with_noise(about, sensors, found)
-        found = found if not sure and exact_holds(found, noisy) else noisy
-    model, why = fit_switching(recording)
-    fit = Identification.of(IdentifiedLog(found, found.log.recording, model, why, sensors, named))
-    return replace(fit, sentences=(*said, *fit.sentences))
 
 
 def require_switches(switches: object) -> None:

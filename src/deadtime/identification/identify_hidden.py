@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
@@ -33,7 +32,7 @@ from deadtime.identification.hidden_fit import (
 from deadtime.identification.log.logged_states import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import estimate_with_noise, exact_holds
-from deadtime.identification.parameters import Layout, Window
+from deadtime.identification.parameters import Layout, SensorMatrix, Window
 from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.switching.models.semi_markov import SemiMarkov
@@ -53,7 +52,7 @@ class Sensed(NamedTuple):
 
     states: Recording
     outputs: Recording
-    C: Float[np.ndarray, "p n"]
+    C: SensorMatrix
     named: tuple[str, ...]
     noise: bool | None
 
@@ -211,7 +210,7 @@ class TriedNumbers(Generic[Log]):
 
 
 def of_numbers(number: int, tried: TriedNumbers, left_out: Sequence[int]) -> tuple[str, ...]:
-    """What there is to say of the number of modes; of those left out the path leaves out a mode."""
+    """Sentences on the number of modes; of those left out the path leaves out a mode."""
     numbers, refused = tried.numbers, tried.refused
     bic = {one.layout.modes: one.bic for one in tried.fits}
     table = ", ".join(f"{bic[one]:.1f} with {one}" for one in sorted(bic) if one in numbers)

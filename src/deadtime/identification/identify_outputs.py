@@ -1,9 +1,7 @@
-"""The likeliest plant of outputs alone, from where a scan of delays leads; which states it has.
+"""`identify` from outputs alone: the likeliest plant, and which states it has.
 
-Of long logs that is done on stretches: they tell where the maximum is. Uneven ones are scanned on a
-grid.
-
-`identify` from outputs alone.
+It is sought from where a scan of delays leads. Of long logs that is done on stretches: they tell
+where the maximum is. Uneven ones are scanned on a grid.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ _WIDE = 0.2  # of an input's weight: a standard error that comes with poles that
 
 
 class OutputsRequest(NamedTuple):
-    """What is asked of a log; zeros None: where the log asks for them.
+    """A request of a plant; zeros None: where the log asks for them.
 
     progress : told what is begun
     """
@@ -140,7 +138,7 @@ def worthier(simple: Chosen, wider: Chosen) -> Chosen:
 
 
 def _with_zeros(simple: Chosen, guess: Guess) -> Chosen:
-    """The same plant, or one with zeros, if that is likelier than chance makes it."""
+    """A plant, or one with zeros beside it, if that is likelier than chance makes it."""
     log = replace(simple.log, embedding=replace(simple.shape, zeros=True))
     wider = simple.adding(Chosen(log, *_begun(log, guess, simple.best.theta)))
     own = worthier(simple, wider)
@@ -157,12 +155,11 @@ def _begun(log: NoisyLog, guess: Guess, *more: np.ndarray) -> tuple[Maximum, Sca
 def _searched(
     log: NoisyLog, begins: Sequence[np.ndarray], climbed: Sequence[np.ndarray]
 ) -> tuple[Maximum, Scanned]:
-    """The same from some beginnings: see `largest_maximum`."""
     return largest_maximum(log, begins, climbed, lambda theta: others_of(log, theta))
 
 
 def zeros_in_doubt(chosen: Chosen, inputs: tuple[str, ...]) -> list[str]:
-    """What delays would be the other way round, where both ways are plausible.
+    """Sentences on the delays of the other way round, where both ways are plausible.
 
     A zero looks like a delay, so that its likelihood may rise by chance at any of many delays: it
     is beyond doubt at Bonferroni's level of all cells that were looked at.
@@ -354,7 +351,7 @@ def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
 def state_names(
     outputs: tuple[str, ...], order: tuple[int, ...], numbered: bool
 ) -> tuple[str, ...]:
-    """What states are called: outputs and primes for their derivatives, or numbers.
+    """Names of states: outputs and primes for their derivatives, or numbers.
 
     Examples
     --------

@@ -1,6 +1,4 @@
-"""How well a log knows each unknown, from its information.
-
-Intervals of delays: from the information, at a kink from the profile, and over other peaks.
+"""Intervals: from the information, at a kink from the profile, and over all plausible peaks.
 
 Where several delays are plausible, intervals of A and B go over all of them. One about the
 likeliest delay takes that one for granted. Of many delays that noise makes about as likely, the
@@ -17,19 +15,25 @@ Laplace's approximation of what the log says where before it all delays were as 
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
 from deadtime.identification.likelihoods.likelihood import Likelihood, climb_within, maximise
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import FisherMatrix, Layout, Vector, Window
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
 LEVEL = 0.95
 _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
+_PROFILE = 3.841458820694124  # χ² of one degree of freedom at 95 %
+_CELL_GAIN = 1e-3  # of log likelihood, that a cell's maximum may be short of
+_WORTH = 1e-5  # of log likelihood, which falls by 1.9 or more to the end of an interval
+_NEAR = 4.0  # standard errors: a kink so close bends the likelihood within the interval
 
 
 class Spread(NamedTuple):
@@ -39,18 +43,13 @@ class Spread(NamedTuple):
     spare : observations beyond those that unknowns cost, of each unknown
     """
 
-    covariance: Float[np.ndarray, "size size"]
+    covariance: FisherMatrix
     reach: Vector
     inflation: Vector
     spare: Vector
 
 
-def spread_of(
-    F: Float[np.ndarray, "size size"],
-    names: list[str],
-    known: Float[np.ndarray, "size size"],
-    spare: Vector,
-) -> Spread:
+def spread_of(F: FisherMatrix, names: list[str], known: FisherMatrix, spare: Vector) -> Spread:
     """The inverse of what is `known`, the information F less what the noise's own estimate costs.
 
     spare : observations beyond those that unknowns cost, of each unknown
@@ -68,13 +67,13 @@ def spread_of(
     return Spread(covariance, np.asarray(t.ppf(0.5 + 0.5 * LEVEL, spare)), inflation, spare)
 
 
-def inverse(F: Float[np.ndarray, "size size"]) -> Float[np.ndarray, "size size"]:
+def inverse(F: FisherMatrix) -> FisherMatrix:
     """F⁻¹, scaled so that units of the unknowns do not matter."""
     unit = 1.0 / np.sqrt(np.diagonal(F))
     return np.linalg.inv(F * unit[:, None] * unit) * unit[:, None] * unit
 
 
-def require_seen(F: Float[np.ndarray, "size size"], names: list[str]) -> None:
+def require_seen(F: FisherMatrix, names: list[str]) -> None:
     """Refuse an information that is singular, by the direction that it does not hold."""
     diagonal = np.diagonal(F)
     blind = [names[a] for a in np.flatnonzero(~(diagonal > 0.0)) if a < len(names)]
@@ -113,35 +112,153 @@ def left_of(
     return left / unit[of, None] / unit[of]
 
 
-_PROFILE = 3.841458820694124  # χ² of one degree of freedom at 95 %
-_CELL_GAIN = 1e-3  # of log likelihood, that a cell's maximum may be short of
-_WORTH = 1e-5  # of log likelihood, which falls by 1.9 or more to the end of an interval
-_NEAR = 4.0  # standard errors: a kink so close bends the likelihood within the interval
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Peak(Frozen):
+    """Where a likelihood is largest, how well a log knows that, and where it is nearly as large.
 
+    log, best, window : the likelihood, where it is largest, and the delays that it was sought in
+    spread : of all unknowns; start : the first guess, with what tells other peaks
+    """
 
-def over_other_peaks(
-    log: Likelihood, interval: np.ndarray, start: Start, row: int, inflation: float
-) -> np.ndarray:
-    """An interval and all beyond it up to the last cell that a fresh rise makes plausible."""
-    h, curve = log.recording.step, start.scanned[row]
-    fall = plausible_fall(log.layout, start.weights, curve.size, inflation)
-    ends = interval.copy()
-    first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
-    last = max(int(np.ceil(interval[1] / h - 1e-9)) - start.first, 0)
-    top = int(curve.argmax())  # a neighbour is the same peak: cells of uneven rows are rough
-    first, last = first - (top == first - 1), last + (top == last + 1)
-    below, above = curve[: first + 1][::-1], curve[last:]
-    if (found := fresh_rise(below, curve.max() - fall)) is not None:
-        ends[0] = min(ends[0], (start.first + first - found - 1) * h)
-    if (found := fresh_rise(above, curve.max() - fall)) is not None:
-        ends[1] = max(ends[1], (start.first + last + found) * h)
-    if start.vectors is not None:  # then the curve is a profile, and no place is left out of it
-        near = start.first + np.flatnonzero(curve >= curve.max() - 0.5 * inflation * _PROFILE)
-        if near[0] * h < interval[0] - h:
-            ends[0] = min(ends[0], (near[0] - 1) * h)
-        if (near[-1] - 1) * h > interval[1] + h:
-            ends[1] = max(ends[1], near[-1] * h)
-    return np.clip(ends, *log.bounds)
+    log: Likelihood
+    best: Maximum
+    window: Window
+    spread: Spread
+    start: Start
+
+    def delay_intervals(self) -> tuple[Float[np.ndarray, "delay 2"], Bool[np.ndarray, " delay"]]:
+        """The interval of each delay, seconds, within the range that is searched.
+
+        And whether it goes on beyond delays that are less likely than its end: to another peak.
+        """
+        log, spread, place = self.log, self.spread, self.log.layout.delay_places
+        error = np.sqrt(np.diagonal(spread.covariance))[place]
+        result, several = np.empty((place.size, 2)), np.zeros(place.size, bool)
+        for row, (a, own) in enumerate(zip(place.tolist(), error.tolist(), strict=True)):
+            D, reach = float(self.best.theta[a]), float(spread.reach[a])
+            if log.profiled and log.sampling.to_kink(D) < _NEAR * own:
+                result[row] = [self._profile_end(a, own * sign) for sign in (-1, 1)]
+            else:
+                result[row] = D - reach * own, D + reach * own
+            result[row] = np.clip(result[row], *log.bounds)
+            wider = self._over_other_peaks(result[row], row, float(spread.inflation[a]))
+            several[row], result[row] = (wider != result[row]).any(), wider
+        return result, several
+
+    def profile(self, place: int, delay: float) -> float:
+        """The log likelihood with one delay held, less the largest one."""
+        theta, fixed = self.best.theta.copy(), np.zeros(self.best.theta.size, bool)
+        theta[place], fixed[place] = delay, True
+        held, _ = maximise(self.log, theta, fixed, self.window, _WORTH)
+        return held.found.value - self.best.found.value
+
+    def _profile_end(self, place: int, step: float) -> float:
+        """Where the profile has fallen as far as at an interval's end; the range's end at most.
+
+        Where it has not at the window's end, all is maximised anew in a window twice as wide.
+        """
+        from scipy.optimize import brentq
+
+        reach, bounds = float(self.spread.reach[place]), self.log.bounds
+        D = float(self.best.theta[place])
+        fall, top = 0.5 * reach**2 * float(self.spread.inflation[place]), self
+
+        def left(shift: float) -> float:
+            return top.profile(place, D + shift) + fall
+
+        inner, outer = 0.0, reach * step
+        while True:
+            low, high = top.window
+            end = min(max(D + outer, low), high)
+            if left(end - D) < 0.0:
+                if left(inner) < 0.0:  # in a wider window the top may lie elsewhere
+                    return D + inner
+                found = brentq(left, inner, end - D, xtol=1e-3 * abs(step))
+                return D + float(found)  # pyright: ignore[reportArgumentType]
+            inner = end - D
+            if end == D + outer:
+                outer = 1.5 * outer
+            elif end in bounds:
+                return end
+            else:
+                half = 0.5 * (high - low)
+                window = max(bounds[0], low - half), min(bounds[1], high + half)
+                best, _ = maximise(self.log, self.best.theta, window=window)
+                top = replace(top, best=best, window=window)
+
+    def _over_other_peaks(self, interval: np.ndarray, row: int, inflation: float) -> np.ndarray:
+        """An interval and all beyond it up to the last cell that a fresh rise makes plausible."""
+        log, start = self.log, self.start
+        h, curve = log.recording.step, start.scanned[row]
+        fall = plausible_fall(log.layout, start.weights, curve.size, inflation)
+        ends = interval.copy()
+        first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
+        last = max(int(np.ceil(interval[1] / h - 1e-9)) - start.first, 0)
+        top = int(curve.argmax())  # a neighbour is the same peak: cells of uneven rows are rough
+        first, last = first - (top == first - 1), last + (top == last + 1)
+        below, above = curve[: first + 1][::-1], curve[last:]
+        if (found := fresh_rise(below, curve.max() - fall)) is not None:
+            ends[0] = min(ends[0], (start.first + first - found - 1) * h)
+        if (found := fresh_rise(above, curve.max() - fall)) is not None:
+            ends[1] = max(ends[1], (start.first + last + found) * h)
+        if start.vectors is not None:  # then the curve is a profile, and no place is left out of it
+            near = start.first + np.flatnonzero(curve >= curve.max() - 0.5 * inflation * _PROFILE)
+            if near[0] * h < interval[0] - h:
+                ends[0] = min(ends[0], (near[0] - 1) * h)
+            if (near[-1] - 1) * h > interval[1] + h:
+                ends[1] = max(ends[1], near[-1] * h)
+        return np.clip(ends, *log.bounds)
+
+    def ends_over_peaks(self) -> Float[np.ndarray, "unknown 2"] | None:
+        """Ends of intervals of A and B over all plausible cells of a delay.
+
+        None where no delay has several peaks. Of several delays that have, the others stay in their
+        cells, and intervals are joined.
+        """
+        layout, start, found = self.log.layout, self.start, []
+        for row, (place, curve) in enumerate(zip(layout.delay_places, start.scanned, strict=True)):
+            inflation = float(self.spread.inflation[place])
+            level = curve.max() - plausible_fall(layout, start.weights, curve.size, inflation)
+            top = int(curve.argmax())
+            if any(fresh_rise(side, level) is not None for side in (curve[top::-1], curve[top:])):
+                near = np.flatnonzero(curve >= level)
+                begins = None if start.vectors is None else start.vectors[row][near]
+                found.append(self._mixed(row, start.first + near, begins))
+        if not found:
+            return None
+        return np.column_stack((np.min(found, axis=0)[:, 0], np.max(found, axis=0)[:, 1]))
+
+    def _mixed(
+        self, row: int, cells: np.ndarray, begins: np.ndarray | None
+    ) -> Float[np.ndarray, "size 2"]:
+        """The ends of all intervals over cells of one delay."""
+        log, best, h = self.log, self.best, self.log.recording.step
+        size, place = log.layout.size, log.layout.delay_places
+        inflation, spare = self.spread.inflation[:size], self.spread.spare[:size]
+        evaluate_in, centre, width, weight = log.evaluate_in(*log.bounds), [], [], []
+        for k, cell in enumerate(cells):
+            own, theta = log.cells(best.theta), best.theta.copy()
+            own[row], theta[place[row]] = cell, (cell - 0.5) * h
+            theta = theta if begins is None else begins[k]
+            found = climb_within(log, evaluate_in(own), theta, own, _CELL_GAIN)
+            if not np.isfinite(found.found.value):
+                continue
+            F = found.found.information.copy()
+            F[place[row], place[row]] += 12.0 / h**2
+            told = log.told(found.theta, F)
+            try:
+                covariance = inverse(F[np.ix_(told, told)])[:size, :size]
+            except np.linalg.LinAlgError:
+                continue
+            variance = np.diagonal(covariance) * inflation
+            if not (np.isfinite(variance).all() and (variance > 0.0).all()):
+                continue
+            centre.append(found.theta[:size])
+            width.append(np.sqrt(variance))
+            value = found.found.value / float(inflation[place[row]])
+            weight.append(value + 0.5 * np.linalg.slogdet(covariance)[1])
+        weight = np.exp(np.array(weight) - np.max(weight))
+        return mixture_ends(np.array(centre), np.array(width), weight / weight.sum(), spare)
 
 
 def plausible_fall(layout: Layout, weights: int, cells: int, inflation: float) -> float:
@@ -161,67 +278,6 @@ def fresh_rise(outwards: np.ndarray, level: float) -> int | None:
     least = np.minimum.accumulate(outwards)
     found = np.flatnonzero((outwards > least) & (outwards >= level))
     return int(found[-1]) if found.size else None
-
-
-def ends_over_peaks(
-    log: Likelihood, best: Maximum, spread: Spread, start: Start
-) -> Float[np.ndarray, "unknown 2"] | None:
-    """Of entries of A and B, the ends of intervals over all cells of a delay that are plausible.
-
-    None where no delay has several peaks. Of several delays that have, the others stay in their
-    cells, and intervals are joined.
-    """
-    place = np.arange(log.layout.size)[log.layout.at_delays]
-    found = []
-    for row, curve in enumerate(start.scanned):
-        given = log.layout, start.weights, curve.size, float(spread.inflation[place[row]])
-        level = curve.max() - plausible_fall(*given)
-        top = int(curve.argmax())
-        if any(fresh_rise(side, level) is not None for side in (curve[top::-1], curve[top:])):
-            near = np.flatnonzero(curve >= level)
-            begins = None if start.vectors is None else start.vectors[row][near]
-            found.append(_mixed(log, best, spread, row, start.first + near, begins))
-    if not found:
-        return None
-    return np.column_stack((np.min(found, axis=0)[:, 0], np.max(found, axis=0)[:, 1]))
-
-
-def _mixed(
-    log: Likelihood,
-    best: Maximum,
-    spread: Spread,
-    row: int,
-    cells: np.ndarray,
-    begins: np.ndarray | None,
-) -> Float[np.ndarray, "size 2"]:
-    """The ends of all intervals over cells of one delay."""
-    evaluate_in, h = log.evaluate_in(*log.bounds), log.recording.step
-    size, place = log.layout.size, np.arange(log.layout.size)[log.layout.at_delays]
-    inflation, centre, width, weight = spread.inflation[:size], [], [], []
-    for k, cell in enumerate(cells):
-        own, theta = log.cells(best.theta), best.theta.copy()
-        own[row], theta[place[row]] = cell, (cell - 0.5) * h
-        theta = theta if begins is None else begins[k]
-        found = climb_within(log, evaluate_in(own), theta, own, _CELL_GAIN)
-        if not np.isfinite(found.found.value):
-            continue
-        F = found.found.information.copy()
-        F[place[row], place[row]] += 12.0 / h**2
-        told = log.told(found.theta, F)
-        try:
-            covariance = inverse(F[np.ix_(told, told)])[:size, :size]
-        except np.linalg.LinAlgError:
-            continue
-        variance = np.diagonal(covariance) * inflation
-        if not (np.isfinite(variance).all() and (variance > 0.0).all()):
-            continue
-        centre.append(found.theta[:size])
-        width.append(np.sqrt(variance))
-        value = found.found.value / float(inflation[place[row]])
-        weight.append(value + 0.5 * np.linalg.slogdet(covariance)[1])
-    weight = np.exp(np.array(weight) - np.max(weight))
-    spare = spread.spare[:size]
-    return mixture_ends(np.array(centre), np.array(width), weight / weight.sum(), spare)
 
 
 def mixture_ends(
@@ -250,73 +306,3 @@ def mixture_ends(
             low, high = np.where(above, low, middle), np.where(above, middle, high)
         ends.append(0.5 * (low + high))
     return np.column_stack(ends)
-
-
-def delay_intervals(
-    log: Likelihood, best: Maximum, window: Window, spread: Spread, start: Start
-) -> tuple[Float[np.ndarray, "delay 2"], Bool[np.ndarray, " delay"]]:
-    """The interval of each delay, seconds, within the range that is searched.
-
-    And whether it goes on beyond delays that are less likely than its end: to another peak.
-    """
-    place = np.arange(log.layout.size)[log.layout.at_delays]
-    error = np.sqrt(np.diagonal(spread.covariance))[place]
-    result, several = np.empty((place.size, 2)), np.zeros(place.size, bool)
-    for row, (a, own) in enumerate(zip(place.tolist(), error.tolist(), strict=True)):
-        D, reach = float(best.theta[a]), float(spread.reach[a])
-        near = log.sampling.to_kink(D) < _NEAR * own
-        if near and log.profiled:
-            result[row] = [_profile_end(log, best, window, spread, a, own * s) for s in (-1, 1)]
-        else:
-            result[row] = D - reach * own, D + reach * own
-        result[row] = np.clip(result[row], *log.bounds)
-        wider = over_other_peaks(log, result[row], start, row, float(spread.inflation[a]))
-        several[row], result[row] = (wider != result[row]).any(), wider
-    return result, several
-
-
-def profile(log: Likelihood, best: Maximum, window: Window, place: int, delay: float) -> float:
-    """The log likelihood with one delay held, less the largest one."""
-    theta, fixed = best.theta.copy(), np.zeros(best.theta.size, bool)
-    theta[place], fixed[place] = delay, True
-    return maximise(log, theta, fixed, window, _WORTH)[0].found.value - best.found.value
-
-
-def _profile_end(
-    log: Likelihood, best: Maximum, window: Window, spread: Spread, place: int, step: float
-) -> float:
-    """Where the profile has fallen as far as at an interval's end; the range's end at most.
-
-    Where it has not at the window's end, all is maximised anew in a window twice as wide.
-    """
-    from scipy.optimize import brentq
-
-    reach = float(spread.reach[place])
-    D, fall = float(best.theta[place]), 0.5 * reach**2 * float(spread.inflation[place])
-    top = best
-
-    def left(shift: float) -> float:
-        return profile(log, top, window, place, D + shift) + fall
-
-    inner, outer = 0.0, reach * step
-    while True:
-        end = min(max(D + outer, window[0]), window[1])
-        if left(end - D) < 0.0:
-            if left(inner) < 0.0:  # in a wider window the top may lie elsewhere
-                return D + inner
-            found = brentq(left, inner, end - D, xtol=1e-3 * abs(step))
-            return D + float(found)  # pyright: ignore[reportArgumentType]
-        inner = end - D
-        if end == D + outer:
-            outer = 1.5 * outer
-        elif end in log.bounds:
-            return end
-        else:
-            window = widened(window, log.bounds)
-            top = maximise(log, best.theta, window=window)[0]
-
-
-def widened(window: Window, bounds: Window) -> Window:
-    """A window twice as wide, within bounds."""
-    half = 0.5 * (window[1] - window[0])
-    return max(bounds[0], window[0] - half), min(bounds[1], window[1] + half)

@@ -2,8 +2,8 @@
 
     dx/dt = A_σ (x − x₀) + B_σ (u(t − D) − u₀) = A_σ x + B_σ u(t − D) + c_σ
 
-A log is taken about a level of its own, (x̄, ū), where it rests or its mean, and there each mode has
-a constant term c̃ of its own. About 0 that is c = c̃ − A x̄ − B ū. Where 0 lies within what was
+A log is taken about a level of its own, (x̄, ū), where it rests or its mean, and there each mode
+has a constant term c̃ of its own. About 0 that is c = c̃ − A x̄ − B ū. Where 0 lies within what was
 logged and all c are 0 as far as the log tells (Wald's test), the log is about 0 and terms are left
 out. Far from 0 that would be no test: c = 0 ties the states to the inputs of the level, so that a
 log which cannot contradict it would have its matrices from it. Else an operating point is what
@@ -11,8 +11,8 @@ every mode rests at,
 
     A_i x₀ + B_i u₀ = A_i x̄ + B_i ū − c̃_i    for all i,
 
-of all that do the nearest to (x̄, ū) in deviations of the log: where modes share no such point, what
-is left over is an offset of each.
+of all that do the nearest to (x̄, ū) in deviations of the log: where modes share no such point,
+what is left over is an offset of each.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from deadtime.identification.intervals import inverse
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.log.logged_states import rest_rows
 from deadtime.identification.log.recording import Level, Recording
-from deadtime.identification.parameters import Layout, Vector
+from deadtime.identification.parameters import FisherMatrix, Layout, Vector
 from deadtime.plant import OperatingPoint
 
 _Log = TypeVar("_Log", bound=Likelihood)
@@ -90,10 +90,7 @@ def with_constant(
 
 
 def without_level(
-    log: _Log,
-    theta: Vector,
-    information: Float[np.ndarray, "size size"],
-    back: Float[np.ndarray, "n p"],
+    log: _Log, theta: Vector, information: FisherMatrix, back: Float[np.ndarray, "n p"]
 ) -> tuple[_Log, Int[np.ndarray, " kept"]]:
     """The likelihood without constant terms, if the log does not ask for them; and what it keeps.
 
@@ -130,7 +127,7 @@ def likelier_than_chance(rise: float, more: int) -> bool:
 def from_zero(
     layout: Layout,
     theta: Vector,
-    information: Float[np.ndarray, "size size"],
+    information: FisherMatrix,
     recording: Recording,
     back: Float[np.ndarray, "n p"],
 ) -> tuple[float, int]:

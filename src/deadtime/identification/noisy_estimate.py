@@ -1,4 +1,4 @@
-"""The estimate with noisy sensors: noise of the plant, noise of the sensors, and what both leave.
+"""Estimates with noisy sensors, in open and in closed loop.
 
 The likeliest noise is too small, as a variance is that is divided by N where N − p are left: the p
 unknowns θ of the plant have followed the noise. With θ integrated out (Laplace), what is left is
@@ -9,9 +9,8 @@ the likelihood of the noise η alone, over which Harville maximises:
 The gradient g of the second term hardly moves with η, the logarithms of deviations: of one
 regression it is p whatever η, so log L + gᵀη is maximised instead, which gives N − p exactly.
 
-Closed loops: inputs that are hardly more than a function of what was measured.
-
-With sensors of noise v, y_k = x_k + v_k, and one state, a period is
+**Closed loops**, in which inputs are hardly more than a function of what was measured. With sensors
+of noise v, y_k = x_k + v_k, and one state, a period is
 
     y_{k+1} = Φ y_k + Γ₁ u_{k−N} + Γ₂ u_{k−N+1} + ε_k,    ε_k = w_k + v_{k+1} − Φ v_k.
 
@@ -39,9 +38,8 @@ from jaxtyping import Float, Int
 from deadtime.identification.delay_scan import largest_maximum
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import (
+    Peak,
     Spread,
-    delay_intervals,
-    ends_over_peaks,
     inverse,
     plausible_fall,
     require_seen,
@@ -57,8 +55,7 @@ from deadtime.identification.levels import (
 from deadtime.identification.likelihoods.likelihood import climb_within, maximise
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog, SensorLikelihood
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Vector, Window
-from deadtime.identification.residuals import judge_residuals
+from deadtime.identification.parameters import FisherMatrix, SensorMatrix, Square, Vector, Window
 from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 from deadtime.identification.start import Start, cell_range
 from deadtime.numerics.kernels import expect_many_calls
@@ -72,9 +69,7 @@ _TOLD = 1.0  # information on a logarithm: one that is told to less than a facto
 _FEWEST = 3.0  # degrees of freedom: of fewer Student's has no variance
 
 
-def estimate_with_noise(
-    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
-) -> Estimate:
+def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
     log, begins = begun_with_noise(recording, C, exact)
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
@@ -107,7 +102,7 @@ def start_beside(
 
 
 def begun_with_noise(
-    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate
+    recording: Recording, C: SensorMatrix, exact: Estimate
 ) -> tuple[NoisyLog, list[Vector]]:
     """The likelihood with noisy sensors, and vectors to climb from."""
     expect_many_calls()
@@ -127,26 +122,19 @@ def estimated_of(
     start: Start,
     spare: Int[np.ndarray, " mode"] | None = None,
 ) -> Estimate:
-    """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
-    recording, layout = log.recording, log.layout
+    """The estimate at a maximum; `spare` periods of each mode, of measurements if None."""
     beyond = max(log.measured(log.starts(*window)) - log.free.size, 1)
-    lag = recording.lag(window[1])
-    some = replace(log, recording=recording.stretches(_ENOUGH, lag))
+    some = replace(log, recording=log.recording.stretches(_ENOUGH, log.recording.lag(window[1])))
     spread, theta = _spread(log, some, best, window, float(beyond))
-    peak = log, best, window, spread, start
-    own = np.full(layout.modes, beyond) if spare is None else spare
+    peak = Peak(log=log, best=best, window=window, spread=spread, start=start)
+    own = np.full(log.layout.modes, beyond) if spare is None else spare
     if log.embedding is None:
-        ends = ends_over_peaks(log, best, spread, start)
-        return estimate_of_sensors(*peak, theta, log, own, ends=ends)
-    return estimate_of_sensors(*peak, theta, log, own, of_outputs=log)
+        return estimate_of_sensors(peak, theta, log, own, ends=peak.ends_over_peaks())
+    return estimate_of_sensors(peak, theta, log, own, of_outputs=log)
 
 
 def estimate_of_sensors(
-    log: SensorLikelihood,
-    best: Maximum,
-    window: Window,
-    spread: Spread,
-    start: Start,
+    peak: Peak,
     theta: Vector,
     along: NoisyLog,
     spare: Int[np.ndarray, " mode"],
@@ -154,29 +142,23 @@ def estimate_of_sensors(
     ends: Float[np.ndarray, "unknown 2"] | None = None,
     of_outputs: NoisyLog | None = None,
 ) -> Estimate:
-    """What there is to say of a maximum with noisy sensors, its noise restricted in `theta`.
+    """The estimate at a peak with noisy sensors, its noise restricted in `theta`.
 
     along : the likelihood with modes known, those of the likeliest path if they were hidden
     """
-    intervals, several = delay_intervals(log, best, window, spread, start)
-    layout, noise, white = log.layout, log.noise(theta), noisy_residuals(along, theta, window)
-    plant = layout.plant(theta[: layout.size])
-    spent = None if of_outputs is None else 2 * layout.n * len(log.C)
-    return Estimate(
-        log=log,
-        best=best._replace(theta=theta),
-        window=window,
-        plant=plant,
-        spread=spread,
-        intervals=intervals,
-        several=several,
-        start=start,
+    layout, noise = along.layout, along.noise(theta)
+    white = noisy_residuals(along, theta, peak.window)
+    return Estimate.at(
+        peak,
+        layout.plant(theta[: layout.size]),
+        along.recording,
+        white,
+        None if of_outputs is None else 2 * layout.n * len(along.C),
+        best=peak.best._replace(theta=theta),
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
-        noise_errors=variance_errors(log, theta, spread.covariance),
+        noise_errors=variance_errors(along, theta, peak.spread.covariance),
         spare=spare,
-        tests=judge_residuals(white, along.recording, plant.longest_delay, spent),
-        white=tuple(white),
         ends=ends,
         of_outputs=of_outputs,
     )
@@ -220,9 +202,7 @@ def noisy_residuals(
     return np.split(white, np.cumsum([part.time.size for part in parts])[:-1])
 
 
-def first_noises(
-    W: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"], step: float
-) -> list[NoiseLevels]:
+def first_noises(W: Square, C: SensorMatrix, step: float) -> list[NoiseLevels]:
     """Two guesses: what a period adds, of W, is mostly the plant's, or mostly the sensors'."""
     floor = max(_FLOOR * float(np.trace(W)), np.finfo(float).tiny)
     W = W + floor * np.eye(len(W))
@@ -234,7 +214,7 @@ class Restricted(NamedTuple):
     """The unknowns with restricted noise, their information, and the freedom each rests on."""
 
     theta: Vector
-    information: Float[np.ndarray, "size size"]
+    information: FisherMatrix
     spare: Vector
 
 
@@ -262,7 +242,7 @@ def restricted(
         return Evaluation(found.value + more, found.score + gradient, found.information)
 
     low, high = log.limits
-    still = np.concatenate((np.arange(size)[log.layout.at_delays], noise[~told]))
+    still = np.concatenate((log.layout.delay_places, noise[~told]))
     low[still], high[still] = best.theta[still], best.theta[still]
     after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
     value = after.found.value - float(gradient @ (after.theta - best.theta))
@@ -304,7 +284,7 @@ def _noise_shares(
 
 
 def variance_errors(
-    log: SensorLikelihood, vector: Vector, covariance: Float[np.ndarray, "size size"]
+    log: SensorLikelihood, vector: Vector, covariance: FisherMatrix
 ) -> Float[np.ndarray, " variance"]:
     """Standard errors of W_aa = Σ_b L_ab², mode by mode, and of sensors' variances.
 
@@ -400,7 +380,7 @@ def _in_cells(
 def _anew(
     log: NoisyLog, tops: list[Maximum], row: int, every: Int[np.ndarray, " cell"]
 ) -> list[Maximum]:
-    """The same of a whole log, where a part of it leaves a cell plausible."""
+    """The likeliest vectors of a whole log in cells that a part of it leaves plausible."""
     evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
     fall = values.max() - values
     near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
@@ -432,7 +412,7 @@ def _highest(found: list[Maximum]) -> Maximum:
 
 
 def estimate_in_loop(
-    recording: Recording, C: Float[np.ndarray, "p n"], exact: Estimate, sure: bool
+    recording: Recording, C: SensorMatrix, exact: Estimate, sure: bool
 ) -> Estimate:
     """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
     found = over_all_cells(*begun_with_noise(recording, C, exact))

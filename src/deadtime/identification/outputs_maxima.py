@@ -1,6 +1,7 @@
-"""Other delays that explain the same samples, where inputs act on all states of an output.
+"""The maxima of outputs alone: where climbs begin, and other delays for the same samples.
 
-An input u that stays for a period from t = 0 on makes, with a delay D,
+**Other delays** explain the same samples where inputs act on all states of an output. An input u
+that stays for a period from t = 0 on makes, with a delay D,
 
     y(k h) = C (G(k h − D) − G(k h − D − h)) b,    G(t) = ∫₀ᵗ e^{As} ds,  0 before t = 0,
 
@@ -16,11 +17,9 @@ D' = D − 2 β: b' = (−β, 1), the zero on the other side. So a zero at z is 
 
 Delays whose pulse comes close, with the likeliest b', are sought on a grid of three cells.
 
-Where climbs to the likeliest plant of outputs begin; with zeros there are several maxima.
-
-First derivatives of outputs are found by a smoother that knows no plant, and taken as measured.
-Each output is the first of a chain of integrators, the last of which is driven by white noise: the
-spline whose stiffness is likeliest (Wahba, J. Royal Statistical Society B 40(3), 1978).
+**Beginnings.** Derivatives of outputs are found by a smoother that knows no plant, and taken as
+measured. Each output is the first of a chain of integrators, the last of which is driven by white
+noise: the spline whose stiffness is likeliest (Wahba, J. Royal Statistical Society B 40(3), 1978).
 
 What outputs are is told by what they were, too: A of their chains, whatever the delays. With x the
 states of `Embedding`, stand-ins for them are outputs that are q periods apart,
@@ -55,7 +54,7 @@ from deadtime.identification.likelihoods.switched_filter import (
     SwitchedKalmanFilter,
 )
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import Layout, Square, Squares, Vector, Window
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import matrix_logarithm, start_of
 from deadtime.identification.transition import plain_transitions
@@ -133,7 +132,7 @@ def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
     vectors = others_of(log, found.best.theta)
     if not vectors:
         return found, []
-    place = np.arange(layout.size)[layout.at_delays]
+    place = layout.delay_places
     error = np.sqrt(np.diagonal(spread.covariance))
     fall = 0.5 * (spread.reach**2 * spread.inflation)[place].max()
     top = maximise(log, found.best.theta, window=found.window)[0]  # its noise is restricted
@@ -297,7 +296,7 @@ def guess_of(
 
 
 def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[NoiseLevels, ...]:
-    """What moves outputs is mostly noise of the plant, or mostly of the sensors."""
+    """Two guesses: outputs are moved mostly by noise of the plant, or of the sensors."""
     moves = [np.diff(states, axis=0) for states in found.states]
     moves = np.mean(np.vstack(moves) ** 2, axis=0) / step
     deviation = np.maximum(found.deviation, 1e-4 * (shape.C @ shape.size))
@@ -318,7 +317,7 @@ def chains_by_past(
     lag: int,
     modes: int,
     apart: int,
-) -> Float[np.ndarray, "mode n n"] | None:
+) -> Squares | None:
     """A of evenly sampled outputs; None if rows within a mode are too few, or tell no plant.
 
     deviation : about, of the sensors; step : between rows, seconds
@@ -371,7 +370,7 @@ def _past_rows(
 
 def _past_transition(
     now: Float[np.ndarray, "row p"], past: Float[np.ndarray, "row n"], shape: Embedding
-) -> Float[np.ndarray, "n n"]:
+) -> Square:
     """M, by which z_k becomes z_{k+q}."""
     M = np.eye(past.shape[1], k=-1)
     for j, row in enumerate(shape.C.argmax(axis=1)):
@@ -382,7 +381,7 @@ def _past_transition(
     return M
 
 
-def _in_chains(F: Float[np.ndarray, "n n"], shape: Embedding) -> Float[np.ndarray, "n n"]:
+def _in_chains(F: Square, shape: Embedding) -> Square:
     """F, of states that begin with outputs, in the states of the embedding."""
     powers = [np.linalg.matrix_power(F, a) for a in range(max(shape.order))]
     T = np.array([shape.C[j] @ powers[a] for j, n in enumerate(shape.order) for a in range(n)])

@@ -19,6 +19,13 @@ from deadtime.plant import SwitchedSystem
 Vector = Float[np.ndarray, " size"]  # unknowns, those of a plant first
 Window = tuple[float, float]  # the least and the largest delay, seconds
 Cells = Int[np.ndarray, " delay"]  # of every delay of a layout
+Square = Float[np.ndarray, "n n"]  # of the states
+Squares = Float[np.ndarray, "mode n n"]  # one of every mode
+FisherMatrix = Float[np.ndarray, "size size"]  # on the unknowns of a vector
+SensorMatrix = Float[np.ndarray, "p n"]  # C, what outputs are of the states
+Nodes = Float[np.ndarray, " node"]  # of interpolation, seconds
+ModeCells = Int[np.ndarray, "mode m"]  # of every mode and input
+Inputs = Float[np.ndarray, "sample m"]  # of every sample
 
 
 @dataclass(frozen=True)
@@ -58,7 +65,7 @@ class Layout:
         return self.of_B[:, :, self.m :]
 
     @property
-    def of_delay(self) -> Int[np.ndarray, "mode m"]:
+    def of_delay(self) -> ModeCells:
         """Places of D_ij, the same for all modes where they share it."""
         start = self.of_A.size + self.of_B.size
         if self.per_mode:
@@ -88,6 +95,11 @@ class Layout:
     def spread(self, values: np.ndarray) -> np.ndarray:
         """One value per delay as (modes, m)."""
         return values[self.of_delay - self.of_delay.min()]
+
+    @property
+    def delay_places(self) -> Int[np.ndarray, " delay"]:
+        """The places of all delays."""
+        return np.arange(self.size)[self.at_delays]
 
     @property
     def at_delays(self) -> slice:
@@ -123,11 +135,7 @@ class Layout:
 
     def split(
         self, theta: Vector
-    ) -> tuple[
-        Float[np.ndarray, "mode n n"],
-        Float[np.ndarray, "mode n acting"],
-        Float[np.ndarray, "mode m"],
-    ]:
+    ) -> tuple[Squares, Float[np.ndarray, "mode n acting"], Float[np.ndarray, "mode m"]]:
         """A, B and delays of a vector."""
         return theta[self.of_A], theta[self.of_B], theta[self.of_delay]
 
@@ -142,7 +150,7 @@ class Layout:
         return result
 
     def names(self) -> list[str]:
-        """What each unknown is called.
+        """Names of the unknowns.
 
         Examples
         --------

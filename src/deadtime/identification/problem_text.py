@@ -15,7 +15,6 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
@@ -23,6 +22,7 @@ from deadtime.base.files import replacing
 from deadtime.base.wording import amount, one_line
 from deadtime.estimation import kalman
 from deadtime.gains import lqr
+from deadtime.identification.parameters import Square
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ def write_problem(text: str, path: str | PathLike[str]) -> None:
         place.write_text(text, encoding="utf-8")
 
 
-def filter_noise(fit: Findings) -> tuple[Float[np.ndarray, "n n"], str]:
+def filter_noise(fit: Findings) -> tuple[Square, str]:
     """W for the observer, and a sentence that says why it is not the likeliest; empty where it is.
 
     Noise on the last derivative of every output is raised from the upper end of its interval, by

@@ -1,4 +1,4 @@
-"""What a model leaves of a log, and whether that looks like chance."""
+"""Residuals of a model, and tests of whether they look like chance."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.parameters import Nodes, SensorMatrix, Squares
 from deadtime.identification.sampling import acting_in, fed, known_ends
 from deadtime.identification.transition import interpolation, plain_transitions
 from deadtime.plant import SwitchedSystem
@@ -45,52 +46,64 @@ class ResidualTests(NamedTuple):
         return self.input_chance >= CHANCE
 
 
-def one_step(
-    part: Part,
-    plant: SwitchedSystem,
-    constant: Float[np.ndarray, "mode n"],
-    nodes: np.ndarray,
-    k: np.ndarray,
-    states: np.ndarray,
-) -> Float[np.ndarray, "period n"]:
-    """What the plant makes of states (periods, n) at the samples k of a part, a period later."""
-    result = np.empty((k.size, plant.states))
-    Phi_at, W_at = plain_transitions(plant.A, nodes)
-    for start in range(0, k.size, _BLOCK):
-        own = k[start : start + _BLOCK]
-        mode = part.mode[own]
-        over = interpolation(nodes, part.time[own + 1] - part.time[own])
-        held = acting_in(part, own, plant.delays, nodes).held
-        for i in np.unique(mode):
-            at = np.flatnonzero(mode == i)
-            x = states[start + at]
-            free = np.einsum("kq,qab,kb->ka", over[at], Phi_at[i], x, optimize=True)
-            forced = np.tensordot(held[at], W_at[i] @ plant.B[i], axes=([1, 2], [0, 2]))
-            result[start + at] = free + forced + over[at] @ (W_at[i] @ constant[i])
-    return result
+class FittedModel(NamedTuple):
+    """A plant with the constant terms of its modes, and nodes of interpolation over a period."""
 
+    plant: SwitchedSystem
+    constant: Float[np.ndarray, "mode n"]
+    nodes: Nodes
 
-def residuals_of(
-    recording: Recording,
-    plant: SwitchedSystem,
-    constant: Float[np.ndarray, "mode n"],
-    nodes: np.ndarray,
-    within: bool,
-    roots: Float[np.ndarray, "mode n n"],
-) -> list[Float[np.ndarray, "sample n"]]:
-    """Of every part, x_k less what x_{k−1} foretells, whitened by the roots; NaN where unknown."""
-    longest, shortest = float(plant.delays.max()), float(plant.delays.min())
-    found = []
-    for part in recording.parts:
-        k = np.flatnonzero(known_ends(part, within) & fed(part, longest, shortest))
-        rest = part.output[k + 1] - one_step(part, plant, constant, nodes, k, part.output[k])
-        rest /= np.sqrt((part.time[k + 1] - part.time[k]) / recording.step)[:, None]
-        white = np.full(part.output.shape, np.nan)
-        for i in range(plant.modes):
-            own = part.mode[k] == i
-            white[k[own] + 1] = np.linalg.solve(roots[i], rest[own].T).T
-        found.append(white)
-    return found
+    def one_step(self, part: Part, k: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """States (periods, n) a period after given ones at the samples k of a part."""
+        plant, nodes, result = self.plant, self.nodes, np.empty((k.size, self.plant.states))
+        Phi_at, W_at = plain_transitions(plant.A, nodes)
+        for start in range(0, k.size, _BLOCK):
+            own = k[start : start + _BLOCK]
+            mode = part.mode[own]
+            over = interpolation(nodes, part.time[own + 1] - part.time[own])
+            held = acting_in(part, own, plant.delays, nodes).held
+            for i in np.unique(mode):
+                at = np.flatnonzero(mode == i)
+                x = states[start + at]
+                free = np.einsum("kq,qab,kb->ka", over[at], Phi_at[i], x, optimize=True)
+                forced = np.tensordot(held[at], W_at[i] @ plant.B[i], axes=([1, 2], [0, 2]))
+                result[start + at] = free + forced + over[at] @ (W_at[i] @ self.constant[i])
+        return result
+
+    def residuals(
+        self, recording: Recording, within: bool, roots: Squares
+    ) -> list[Float[np.ndarray, "sample n"]]:
+        """Of every part x_k less its prediction from x_{k−1}, whitened by the roots; else NaN."""
+        delays, found = self.plant.delays, []
+        for part in recording.parts:
+            good = known_ends(part, within) & fed(part, float(delays.max()), float(delays.min()))
+            k = np.flatnonzero(good)
+            rest = part.output[k + 1] - self.one_step(part, k, part.output[k])
+            rest /= np.sqrt((part.time[k + 1] - part.time[k]) / recording.step)[:, None]
+            white = np.full(part.output.shape, np.nan)
+            for i in range(self.plant.modes):
+                own = part.mode[k] == i
+                white[k[own] + 1] = np.linalg.solve(roots[i], rest[own].T).T
+            found.append(white)
+        return found
+
+    def forecast(
+        self, part: Part, C: SensorMatrix
+    ) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
+        """States foretold from those a sample before, and from the first known one on; else NaN."""
+        plant, states = self.plant, part.output @ np.linalg.pinv(C).T
+        k = np.flatnonzero(fed(part, float(plant.delays.max()), float(plant.delays.min())))
+        ahead, free = np.full(states.shape, np.nan), np.full(states.shape, np.nan)
+        ahead[k + 1] = self.one_step(part, k, states[k])
+        forced = self.one_step(part, k, np.zeros((k.size, plant.states)))
+        Phi_at, _ = plain_transitions(plant.A, self.nodes)
+        over = interpolation(self.nodes, part.time[k + 1] - part.time[k])
+        Phi = np.einsum("kq,kqab->kab", over, Phi_at[part.mode[k]])
+        with np.errstate(all="ignore"):
+            for row, place in enumerate(k):
+                known = np.isfinite(free[place]).all()
+                free[place + 1] = Phi[row] @ (free[place] if known else states[place]) + forced[row]
+        return ahead, free
 
 
 def judge_residuals(
@@ -176,26 +189,3 @@ def alternates(white: list[Float[np.ndarray, "sample n"]]) -> bool:
     """
     r, count = autocorrelation(white)
     return bool((r[0] * np.sqrt(count[0]) < -1.0).any())
-
-
-def forecast(
-    part: Part,
-    plant: SwitchedSystem,
-    constant: Float[np.ndarray, "mode n"],
-    nodes: np.ndarray,
-    C: Float[np.ndarray, "p n"],
-) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
-    """States foretold from those a sample before, and from the first known one on; NaN without."""
-    states = part.output @ np.linalg.pinv(C).T
-    k = np.flatnonzero(fed(part, float(plant.delays.max()), float(plant.delays.min())))
-    ahead, free = np.full(states.shape, np.nan), np.full(states.shape, np.nan)
-    ahead[k + 1] = one_step(part, plant, constant, nodes, k, states[k])
-    forced = one_step(part, plant, constant, nodes, k, np.zeros((k.size, plant.states)))
-    Phi_at, _ = plain_transitions(plant.A, nodes)
-    over = interpolation(nodes, part.time[k + 1] - part.time[k])
-    Phi = np.einsum("kq,kqab->kab", over, Phi_at[part.mode[k]])
-    with np.errstate(all="ignore"):
-        for row, place in enumerate(k):
-            known = np.isfinite(free[place]).all()
-            free[place + 1] = Phi[row] @ (free[place] if known else states[place]) + forced[row]
-    return ahead, free

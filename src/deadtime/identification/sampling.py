@@ -34,14 +34,18 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Cells, Layout, Vector, Window, cell_of
-from deadtime.identification.scoring import Climb, EvaluateIn, Maximum, climb, climb_cells
-from deadtime.identification.transition import (
-    interpolation,
-    nodes_of,
-    noise_tables,
-    transitions_of,
+from deadtime.identification.parameters import (
+    Cells,
+    Layout,
+    Nodes,
+    Square,
+    Squares,
+    Vector,
+    Window,
+    cell_of,
 )
+from deadtime.identification.scoring import Climb, EvaluateIn, Maximum, climb, climb_cells
+from deadtime.identification.transition import interpolation, nodes_of, noise_tables, transitions_of
 
 _BLOCK = 2_000_000  # numbers of a log that are stacked at a time
 _ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
@@ -103,14 +107,14 @@ class UsablePeriods(NamedTuple):
 
     parts: tuple[Part, ...]
     k: Sequence[Int[np.ndarray, " period"]]
-    weight: Float[np.ndarray, "period mode"] | None = None
+    weight: Float[np.ndarray, "every mode"] | None = None
 
     def counts(self, modes: int) -> list[float]:
         """How many each mode has, or the sum of their weights."""
         if self.weight is not None:
             return self.weight.sum(axis=0).tolist()
-        each = zip(self.parts, self.k, strict=True)
-        return sum(np.bincount(part.mode[k], minlength=modes) for part, k in each).tolist()
+        own = [part.mode[k] for part, k in zip(self.parts, self.k, strict=True)]
+        return np.bincount(np.concatenate(own), minlength=modes).tolist()
 
     def blocks(self, mode: int, most: int) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
         """Of a mode, block by block, its periods and the roots of their weights."""
@@ -148,7 +152,7 @@ class Sampling(Frozen, ABC):
     """
 
     step: float
-    nodes: Float[np.ndarray, " node"] = field(repr=False)
+    nodes: Nodes = field(repr=False)
 
     summed_up: ClassVar[bool]
 
@@ -170,7 +174,7 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def reads(self, layout: Layout, theta: Vector, cells: Cells) -> np.ndarray:
-        """What tells which inputs act in each mode, (modes, m): cells of delays, or delays."""
+        """Cells of delays, or delays, that tell which inputs act in each mode, (modes, m)."""
 
     @abstractmethod
     def rows(
@@ -180,17 +184,15 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
-        """What each mode makes of r_k."""
+        """P of each mode, with its derivatives."""
 
     @abstractmethod
     def roots_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> Roots:
         """Roots of Σ z zᵀ of every mode, for delays in a window."""
 
     @abstractmethod
-    def periods_of(
-        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
-    ) -> PeriodsOf:
-        """What leads a filter from sample to sample, W = L Lᵀ, delays in given cells."""
+    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
+        """The periods that lead a filter from sample to sample, W = L Lᵀ, delays in given cells."""
 
     @abstractmethod
     def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
@@ -211,7 +213,7 @@ class Sampling(Frozen, ABC):
         return lambda cells: lambda theta: terms(theta, cells)
 
 
-def sampling_of(recording: Recording, nodes: Float[np.ndarray, " node"]) -> Sampling:
+def sampling_of(recording: Recording, nodes: Nodes) -> Sampling:
     """That of a recording."""
     return (EvenSampling if recording.even else UnevenSampling)(recording.step, nodes)
 
@@ -265,9 +267,7 @@ class EvenSampling(Sampling):
 
         return roots
 
-    def periods_of(
-        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
-    ) -> PeriodsOf:
+    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
         n, reads = layout.n, layout.spread(cells)
         P, by_P = (
             np.array(one) for one in list(zip(*self.maps(layout, theta, cells), strict=True))[:2]
@@ -342,9 +342,7 @@ class UnevenSampling(Sampling):
 
         return lambda reads: [root(i, own) for i, own in enumerate(reads)]
 
-    def periods_of(
-        self, layout: Layout, theta: Vector, L: Float[np.ndarray, "n n"], cells: Cells
-    ) -> PeriodsOf:
+    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
         A, B, delays = layout.split(theta)
         n, m, acting, modes = layout.n, layout.m, layout.acting, range(layout.modes)
         over = [transitions_of(A[i], self.nodes) for i in modes]
@@ -369,7 +367,7 @@ class UnevenSampling(Sampling):
                 steady, by_A, pushed = forced[i]
                 added[own] = np.tensordot(held, steady, ((1, 2), (0, 2)))
                 by_added[own, : n * n] = np.tensordot(held, by_A, ((1, 2), (0, 3)))
-                for j in range(acting):
+                for j in range(acting):  # places as in `Layout.of_mode`: A, B by rows, then D
                     by_B = np.tensordot(held[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
                     by_added[own[:, None], n * n + np.arange(n) * acting + j] = by_B
                 for j in range(m):
@@ -458,19 +456,16 @@ def acting_evenly(
 
 
 class ActingInputs(NamedTuple):
-    """What acts in periods: `held` (periods, nodes, m), W's weights; `moved`, those of −∂/∂D."""
+    """Weights of what acts in periods: `held` (periods, nodes, m), of W; `moved`, of −∂/∂D."""
 
     held: Float[np.ndarray, "period node m"]
     moved: Float[np.ndarray, "period node m"]
 
 
 def acting_in(
-    part: Part,
-    k: np.ndarray,
-    delays: Float[np.ndarray, "mode m"],
-    nodes: Float[np.ndarray, " node"],
+    part: Part, k: np.ndarray, delays: Float[np.ndarray, "mode m"], nodes: Nodes
 ) -> ActingInputs:
-    """What acts in periods k of a part, each with the delays of its mode.
+    """The inputs that act in periods k of a part, each with the delays of its mode.
 
     Before the part's first row its first inputs act: such periods are used where it rests there.
     """
@@ -496,7 +491,7 @@ def acting_in(
     return ActingInputs(held, moved)
 
 
-def nodes_for(parts: tuple[Part, ...], A: Float[np.ndarray, "mode n n"]) -> np.ndarray:
+def nodes_for(parts: tuple[Part, ...], A: Squares) -> np.ndarray:
     """Nodes that serve plants about A over all periods of a recording."""
     longest = max(float(np.diff(part.time).max()) for part in parts)
     rate = 2.0 * float(np.abs(np.linalg.eigvals(A)).max()) + 1.0 / longest
@@ -504,17 +499,15 @@ def nodes_for(parts: tuple[Part, ...], A: Float[np.ndarray, "mode n n"]) -> np.n
 
 
 def period_weights(
-    A: Float[np.ndarray, "n n"],
-    B: Float[np.ndarray, "n acting"],
-    rest: Float[np.ndarray, " m"],
-    step: float,
+    A: Square, B: Float[np.ndarray, "n acting"], rest: Float[np.ndarray, " m"], step: float
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
-    """What a period makes of x_k, u_{k−N} and u_{k−N+1}, and of 1; with its derivatives.
+    """P of a period over x_k, u_{k−N}, u_{k−N+1} and 1, with its derivatives.
 
     rest : s_j = N h − D_j, how long the newer input acts, seconds. Derivatives are by A, B, and D.
     """
     (n, acting), m = B.shape, rest.size
     over, width = transitions_of(A, np.append(rest, step)), n + m + acting
+    # Columns: x, u_{k−N} of every input, u_{k−N+1} of every input, 1; by_P is by A and B, then D.
     P, by_P = np.zeros((n, width)), np.zeros((n * n + n * acting + m, n, width))
     P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
     for j in range(m):
@@ -534,12 +527,9 @@ def period_weights(
 
 
 def node_weights(
-    A: Float[np.ndarray, "n n"],
-    B: Float[np.ndarray, "n acting"],
-    m: int,
-    nodes: Float[np.ndarray, " node"],
+    A: Square, B: Float[np.ndarray, "n acting"], m: int, nodes: Nodes
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
-    """What periods make of states, inputs and changes of inputs by the weights of nodes.
+    """P over states, inputs and changes of inputs by the weights of nodes.
 
     With its derivatives by A, B and D; columns are those of `UnevenSampling.rows`.
     """

@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from deadtime.identification.parameters import Vector, Window, cells_of
+from deadtime.identification.parameters import FisherMatrix, Vector, Window, cells_of
 
 GAIN = 1e-10  # of log likelihood that is still worth a step
 STEPS = 200
@@ -28,7 +28,7 @@ class Evaluation(NamedTuple):
 
     value: float
     score: Vector
-    information: Float[np.ndarray, "size size"]
+    information: FisherMatrix
 
 
 class Maximum(NamedTuple):

@@ -1,7 +1,4 @@
-"""What an estimate says, in words.
-
-The verdict: whether a law stands every delay, and every plant drawn, that a log allows.
-"""
+"""Sentences on an estimate, and the verdict: whether a law tolerates all that a log allows."""
 
 from __future__ import annotations
 
@@ -16,6 +13,7 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.identifiability import counts_milliseconds, reasons
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
+from deadtime.identification.parameters import SensorMatrix
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
@@ -41,7 +39,7 @@ class OddReadings(NamedTuple):
     far_off: list[str]
 
 
-def odd_readings(found: Estimate, recording: Recording, C: Float[np.ndarray, "p n"]) -> OddReadings:
+def odd_readings(found: Estimate, recording: Recording, C: SensorMatrix) -> OddReadings:
     """Readings that no noise explains."""
     return OddReadings(_repeats(recording), _far_off(found, recording, C))
 
@@ -64,13 +62,9 @@ def sentences_of(
             "has no such mode."
         )
     said += _states(found, recording)
-    if recording.logged and not _uses_switches(found):
+    if recording.logged and not found.log.within:
         said.append("The mode is taken to change at samples only.")
     return (*said, *([why] if why else []))
-
-
-def _uses_switches(found: Estimate) -> bool:
-    return found.log.within
 
 
 def _delays(found: Estimate, recording: Recording) -> list[str]:
@@ -120,7 +114,6 @@ def _cut(found: Estimate, recording: Recording) -> Bool[np.ndarray, " delay"]:
 
 
 def _open(found: Estimate) -> Bool[np.ndarray, " delay"]:
-    """Which delays the log hardly tells."""
     low, high = found.log.bounds
     return found.several | (np.diff(found.intervals)[:, 0] > _WIDE * (high - low))
 
@@ -162,7 +155,7 @@ def _digits(D: float, width: float) -> int:
 
 
 def _beyond(right: float, high: float, margin: float) -> str:
-    """What to do where the interval ends where the search did: nothing longer was tried."""
+    """Advice where the interval ends where the search did: nothing longer was tried."""
     if right < high - margin:
         return ""
     return f"; if it may be longer than {high:.4g} s, widen delay=(low, high), --delay LOW HIGH"
@@ -173,7 +166,7 @@ def _values(found: Estimate) -> np.ndarray:
 
 
 def delay_names(recording: Recording, found: Estimate) -> list[str]:
-    """What each delay is called in sentences."""
+    """Names of delays, as subjects of sentences."""
     layout = found.log.layout
     if layout.delays == 1:
         return ["The delay"]
@@ -243,11 +236,12 @@ def _tests(found: Estimate, recording: Recording, odd: OddReadings) -> list[str]
     if tests.white and tests.unrelated and not said:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
+        cause = "noise is not white." if found.noise.any() else "sensors are noisy (noise=True)."
         said.append(
             f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
             f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing"
             f"{_larger(found)}, the plant is not linear, or "
-            f"{_last_cause(found)}"
+            f"{cause}"
         )
     if not tests.unrelated:
         name, (low, high) = recording.inputs[tests.input], _bounds(found, recording)
@@ -283,7 +277,7 @@ def _repeats(recording: Recording) -> list[str]:
     return said
 
 
-def _far_off(found: Estimate, recording: Recording, C: Float[np.ndarray, "p n"]) -> list[str]:
+def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str]:
     """The row that lies farthest from what the model foretells, if chance makes no such row.
 
     Errors of less than a thousandth of what a column moves by are left aside: without noise what is
@@ -312,7 +306,7 @@ def _far_off(found: Estimate, recording: Recording, C: Float[np.ndarray, "p n"])
 
 
 def _states(found: Estimate, recording: Recording) -> list[str]:
-    """What states are, where there are more of them than outputs."""
+    """Sentences on states, where there are more of them than outputs."""
     shape = found.of_outputs and found.of_outputs.embedding
     if shape is None:
         return []
@@ -348,13 +342,6 @@ def _larger(found: Estimate) -> str:
     return f" (raise order, --order, to {text})"
 
 
-def _last_cause(found: Estimate) -> str:
-    """What else may leave residuals that are not white."""
-    if found.noise.any():
-        return "noise is not white."
-    return "sensors are noisy (noise=True)."
-
-
 def _period(found: Estimate, recording: Recording) -> list[str]:
     """Whether oscillations are so fast that others would look the same at samples."""
     said = []
@@ -375,7 +362,7 @@ MOST_INPUTS = 4  # of a box whose corners are all looked at
 
 @runtime_checkable
 class Margin(Protocol):
-    """What a law tolerates: a `margins.DelayMargin`."""
+    """A margin of a law's delay, as `margins.DelayMargin` is."""
 
     @property
     def lower(self) -> float | None: ...
@@ -390,7 +377,7 @@ class Margin(Protocol):
 
 
 def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> str:
-    """What `Identification.verdict` says, of a law that acts every `step` seconds."""
+    """The text of `Identification.verdict`, of a law that acts every `step` seconds."""
     from deadtime.margins import drawn_stability
     from deadtime.margins.drawn_plants import has_rates
 
@@ -467,7 +454,7 @@ def _end(enough: bool, others: bool = False) -> str:
 def failure_of(
     plant: SwitchedSystem, interval: Float[np.ndarray, "mode m 2"], law: Law, step: float
 ) -> str:
-    """What a law does not stand, in words; "" if nothing: of each input alone, and of corners.
+    """The failure of a law, in words; "" if none: of each input alone, and of corners.
 
     In a mode that is held its own delays alone act, so that corners are taken in all modes at once.
     """

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.identifiability import require_enough
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import Cells, Layout, ModeCells, Square, Vector, Window
 from deadtime.identification.sampling import (
     UsablePeriods,
     known_ends,
@@ -45,7 +45,7 @@ class Start(NamedTuple):
     """
 
     theta: Vector
-    cells: Int[np.ndarray, " delay"]
+    cells: Cells
     first: int
     scanned: Float[np.ndarray, "delay cell"]
     weights: int
@@ -93,7 +93,7 @@ def _sums_of(
 
 
 class _CommonPeriods(NamedTuple):
-    """The same periods for all cells, as Σ z zᵀ of every mode, z of `stacked`."""
+    """Periods that are shared by all cells, as Σ z zᵀ of every mode, z of `stacked`."""
 
     gram: list[Float[np.ndarray, "z z"]]
     periods: Int[np.ndarray, " mode"]
@@ -150,7 +150,7 @@ def cell_range(h: float, bounds: Window, m: int) -> tuple[int, int]:
 
 def plant_of(
     P: Sequence[Float[np.ndarray, "n r"]],
-    cells: Int[np.ndarray, "mode m"],
+    cells: ModeCells,
     count: Float[np.ndarray, " mode"] | Int[np.ndarray, " mode"],
     layout: Layout,
     h: float,
@@ -264,7 +264,7 @@ def _logarithm(
     return A, B, np.clip(part, 0.02, 0.98)
 
 
-def matrix_logarithm(Phi: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+def matrix_logarithm(Phi: Square) -> Square:
     """log Φ where it is real; else of the nearest Φ that has one: eigenvalues to positive parts."""
     found = np.linalg.eig(Phi)
     values, vectors = np.asarray(found[0], complex), np.asarray(found[1], complex)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.parameters import Nodes, Square, Squares
 from deadtime.numerics.covariance import noise_covariances
 
 
@@ -29,9 +30,7 @@ class TransitionMaps(NamedTuple):
     W_by_A: Float[np.ndarray, "time n*n n n"]
 
 
-def transitions_of(
-    A: Float[np.ndarray, "n n"], times: Float[np.ndarray, " time"]
-) -> TransitionMaps:
+def transitions_of(A: Square, times: Float[np.ndarray, " time"]) -> TransitionMaps:
     """Φ, W and their derivatives at times, seconds.
 
     Examples
@@ -43,6 +42,7 @@ def transitions_of(
 
     n = len(A)
     size = 2 * n
+    # [[A, I], [0, 0]] twice on the diagonal; above it the direction E_ab, one a matrix.
     joint = np.zeros((times.size, n * n, 2 * size, 2 * size))
     for place in (0, size):
         joint[..., place : place + n, place : place + n] = A
@@ -72,7 +72,7 @@ def plain_transitions(
     return E[..., :n, :n], E[..., :n, n:]
 
 
-def nodes_of(longest: float, rate: float) -> Float[np.ndarray, " node"]:
+def nodes_of(longest: float, rate: float) -> Nodes:
     """Times in [0, longest] between which Φ and W of |A| = `rate` are interpolated to round-off.
 
     Chebyshev's points; the coefficients of e^{aτ} fall as a^k/k!.
@@ -83,7 +83,7 @@ def nodes_of(longest: float, rate: float) -> Float[np.ndarray, " node"]:
 
 
 def interpolation(
-    nodes: Float[np.ndarray, " node"], times: Float[np.ndarray, " time"]
+    nodes: Nodes, times: Float[np.ndarray, " time"]
 ) -> Float[np.ndarray, "time node"]:
     """Weights of the values at nodes (Berrut and Trefethen, SIAM Review 46(3), 2004).
 
@@ -104,7 +104,7 @@ def interpolation(
 
 
 def noise_tables(
-    A: Float[np.ndarray, "n n"], L: Float[np.ndarray, "n n"], times: Float[np.ndarray, " time"]
+    A: Square, L: Square, times: Float[np.ndarray, " time"]
 ) -> tuple[Float[np.ndarray, "time n n"], Float[np.ndarray, "time q n n"]]:
     """Q after times, W = L Lᵀ, and its derivatives by A and by the lower triangle of L.
 
@@ -119,6 +119,7 @@ def noise_tables(
     n, count = len(A), times.size
     joint, noise = np.zeros((n * n, 2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     a, b = np.divmod(np.arange(n * n), n)
+    # Noise enters the second half alone, so that the corner beside it is what E_ab carries over.
     joint[:, :n, :n] = joint[:, n:, n:] = A
     joint[np.arange(n * n), a, n + b] = 1.0
     noise[n:, n:] = L @ L.T
@@ -133,9 +134,7 @@ def noise_tables(
     return found[:, 0, n:, n:].copy(), np.concatenate((of_A, np.stack(of_L, axis=1)), axis=1)
 
 
-def continuous(
-    A: Float[np.ndarray, "mode n n"], S: Float[np.ndarray, "mode n n"], step: float
-) -> Float[np.ndarray, "mode n n"]:
+def continuous(A: Squares, S: Squares, step: float) -> Squares:
     """W of which a period makes S = ∫₀^h e^{As} W e^{Aᵀs} ds, mode by mode, positive semidefinite.
 
     Examples
@@ -153,7 +152,7 @@ def continuous(
     return result
 
 
-def _images(A: Float[np.ndarray, "n n"], step: float) -> Float[np.ndarray, "nn nn"]:
+def _images(A: Square, step: float) -> Float[np.ndarray, "nn nn"]:
     """From W to S, line by line, of a W that is symmetric."""
     n = len(A)
     units = np.eye(n * n).reshape(n * n, n, n)
@@ -163,10 +162,7 @@ def _images(A: Float[np.ndarray, "n n"], step: float) -> Float[np.ndarray, "nn n
 
 
 def intensity_errors(
-    A: Float[np.ndarray, "mode n n"],
-    W: Float[np.ndarray, "mode n n"],
-    step: float,
-    spare: Int[np.ndarray, " mode"],
+    A: Squares, W: Squares, step: float, spare: Int[np.ndarray, " mode"]
 ) -> Float[np.ndarray, " variance"]:
     """The standard errors of the diagonals of W, mode by mode, from `spare` periods of each.
 

@@ -1,4 +1,6 @@
-"""How a hidden mode jumps: by a matrix per period of even rows, by rates where rows are uneven.
+"""The chain of a hidden mode, and the periods of a log that tell of it.
+
+A mode jumps by a matrix per period of even rows, by rates where rows are uneven:
 
     even:      P(σ_{k+1} = j | σ_k = i) = P_ij
     uneven:    P(σ_{k+1} = j | σ_k = i) = (e^{Λ τ_k})_ij,    Λ_ij ≥ 0,    Σ_j Λ_ij = 0
@@ -10,8 +12,6 @@ Molecular Biology 4(1), 2005), Λ_ij ← E N_ij / E T_i,
     E N_ij = Λ_ij Σ_k Σ_ab ξ_k(a, b) ∂(e^{Λ τ_k})_ab/∂Λ_ij / (e^{Λ τ_k})_ab,
 
 E T_i the sum for i = j without Λ_ij in front. Of even rows N are jumps, stays too, and T rows.
-
-The periods of a log from which modes are told, and the chain over them.
 
 In each mode a period is normal about what the mode foretells, e = x_{k+1} − P_i r_k ~ N(0, S_i).
 With a `pooled` model the mode may change at any time: a period that begins and ends in other modes
@@ -35,7 +35,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.likelihoods.chain import likeliest, smooth
 from deadtime.identification.likelihoods.likelihood import log_density
 from deadtime.identification.log.recording import Part
-from deadtime.identification.parameters import Window, cell_of
+from deadtime.identification.parameters import Square, Window, cell_of
 from deadtime.identification.sampling import Sampling
 from deadtime.identification.transition import interpolation, nodes_of, transitions_of
 
@@ -112,7 +112,7 @@ class Jumps(Frozen):
         return at.Phi_by_A, weight, np.tensordot(weight, at.Phi, (1, 0))
 
     def counted(self, time: Float[np.ndarray, " sample"], pairs: np.ndarray) -> Counts:
-        """What is expected of jumps whose probabilities are the pairs of `chain.smooth`."""
+        """Expected counts of jumps whose probabilities are the pairs of `chain.smooth`."""
         if not self.rates:
             return Counts(pairs[0], pairs[0].sum(axis=1))
         by, weight, whole = self._within(time)
@@ -145,7 +145,7 @@ class Jumps(Frozen):
 
 
 def _rates(matrix: np.ndarray) -> np.ndarray:
-    """The same between modes, rows of sum 0."""
+    """A matrix as rates: none below 0 between modes, rows of sum 0."""
     off = np.where(np.eye(len(matrix), dtype=bool), 0.0, np.maximum(matrix, 0.0))
     return off - np.diag(off.sum(axis=1))
 
@@ -158,7 +158,7 @@ class Pooled(NamedTuple):
     """
 
     P: Float[np.ndarray, "n r"]
-    S: Float[np.ndarray, "n n"]
+    S: Square
     reads: Int[np.ndarray, " m"] | Float[np.ndarray, " m"]
     sampling: Sampling
     constant: bool
@@ -170,7 +170,7 @@ class Pooled(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """What a log says of its modes under some unknowns.
+    """The modes that a log tells under some unknowns.
 
     value : log likelihood
     weight : (periods, modes), how likely each usable period was in a mode from end to end
@@ -258,7 +258,7 @@ class Periods(Frozen):
         return read_only(np.concatenate([self.pooled.density(part, k) for part, k in each]))
 
     def posterior(self, density: Float[np.ndarray, "period mode"], jumps: Jumps) -> Posterior:
-        """What the log says, given log densities of usable periods and the chain.
+        """The modes that the log tells, given log densities of usable periods and the chain.
 
         The first mode of a part may be any.
         """
@@ -292,7 +292,7 @@ def posterior_of(
     usable: Sequence[np.ndarray],
     within: bool,
 ) -> Posterior:
-    """What densities of all periods say, if the mode stays and if it changes; part by part."""
+    """The modes that densities of all periods tell, if they stay and if they change, by parts."""
     modes = jumps.modes
     value, weight, nodes = 0.0, [], []
     counts = Counts(np.zeros((modes, modes)), np.zeros(modes))

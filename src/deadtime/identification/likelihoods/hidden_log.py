@@ -1,19 +1,20 @@
-"""The likelihood of a log whose modes are hidden, in the unknowns of the plant.
+"""Likelihoods of logs whose modes are hidden, states being exact or sensors noisy.
+
+With exact states, in the unknowns of the plant,
 
     log L(θ, S, P) = log Σ_σ p(σ) Π_k N(x_{k+1} − P_σ(θ) r_k; 0, S_σ),
     ∂ log L = Σ_k Σ_i γ_k(i) ∂ log N_i,k,    γ: how likely the mode is, given all of the log
 
 The second is Fisher's identity. Steps are scaled by the information that the log would hold if the
-modes were known with these weights; what not knowing them takes from it is in `information`.
+modes were known with these weights; what not knowing them takes from it is in `hidden_estimate`.
 
-The likelihood of a log whose modes are hidden and whose sensors are noisy.
-
-Exact, it is a sum over all paths, each with Kalman's filter of its own. Here all filters that lead
-to a mode are mixed after every sample (`kalman_kernel`), so that the modes' filters give densities
-b_k of what every period leads to, and log L = log Σ_σ p(σ) Π b_k(σ_k, σ_{k+1}) as of exact states.
-A period within which the mode changes from i to j does what a share f of i and the rest of j do, f
-uniform, to first order in the period: with x_i and x_j where either alone would lead, its mean is
-(x_i + x_j)/2, and its covariance that of i and j, halved and added, and (x_i − x_j)(x_i − x_j)ᵀ/12.
+With noisy sensors the exact likelihood is a sum over all paths, each with Kalman's filter of its
+own. Here all filters that lead to a mode are mixed after every sample (`kalman_kernel`), so that
+the modes' filters give densities b_k of what every period leads to, and log L = log Σ_σ p(σ) Π
+b_k(σ_k, σ_{k+1}) as of exact states. A period within which the mode changes from i to j does what a
+share f of i and the rest of j do, f uniform, to first order in the period: with x_i and x_j where
+either alone would lead, its mean is (x_i + x_j)/2, and its covariance that of i and j, halved and
+added, and (x_i − x_j)(x_i − x_j)ᵀ/12.
 
 Derivatives are forward differences; the information is that of every sample's own score,
 
@@ -45,7 +46,7 @@ from deadtime.identification.likelihoods.likelihood import (
 )
 from deadtime.identification.likelihoods.noisy_log import NoisyLog, SensorLikelihood, Starts
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Cells, Vector, Window
+from deadtime.identification.parameters import Cells, Square, Squares, Vector, Window
 from deadtime.identification.sampling import Term
 from deadtime.identification.scoring import EvaluateIn, Evaluation
 
@@ -58,7 +59,7 @@ class HiddenLog(PlantLikelihood):
     """
 
     periods: Periods = field(repr=False)
-    S: Float[np.ndarray, "mode n n"]
+    S: Squares
     jumps: Jumps
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenLog:
@@ -87,7 +88,7 @@ class HiddenLog(PlantLikelihood):
         return np.column_stack([log_density(z, own.P, S) for z, own, S in each])
 
     def posterior(self, theta: Vector, cells: Cells) -> Posterior:
-        """What the log says of the modes."""
+        """The modes that the log tells."""
         return self.periods.posterior(self.densities(theta, cells), self.jumps)
 
     def path(self, theta: Vector, cells: Cells) -> list[Int[np.ndarray, " sample"]]:
@@ -131,7 +132,7 @@ class SingleMode(NamedTuple):
     """Unknowns of a plant of one mode, L of its noise, W = L Lᵀ, and the cells of its delays."""
 
     theta: Vector
-    L: Float[np.ndarray, "n n"]
+    L: Square
     cells: Int[np.ndarray, " m"]
 
 
@@ -181,7 +182,7 @@ class HiddenNoisyLog(SensorLikelihood):
         return np.full(vector.size, np.inf)
 
     def filtered(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+        self, vector: Vector, starts: Starts, cells: Cells | None = None
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
         """Of every part the densities of all periods, stay and change; and what samples add."""
         layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
@@ -228,10 +229,8 @@ class HiddenNoisyLog(SensorLikelihood):
         kind, Phi, Q, added = zip(*each, strict=True)
         return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
 
-    def posterior(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> Posterior:
-        """What the log says of the modes; its weights are of all periods."""
+    def posterior(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Posterior:
+        """The modes that the log tells; weights are of all periods."""
         laid, gained = self.filtered(vector, starts, cells)
         parts = self.recording.parts
         every = [np.arange(part.time.size - 1) for part in parts]
@@ -242,15 +241,11 @@ class HiddenNoisyLog(SensorLikelihood):
         """The likeliest modes of the samples of every part."""
         return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
 
-    def value(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> float:
+    def value(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> float:
         """The log likelihood."""
         return float(self.filtered(vector, starts, cells)[1].sum())
 
-    def evaluate(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> Evaluation:
+    def evaluate(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Evaluation:
         size = vector.size
         with np.errstate(all="ignore"):
             now = self.filtered(vector, starts, cells)[1]

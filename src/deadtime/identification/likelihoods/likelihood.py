@@ -24,7 +24,17 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import Cells, Layout, Vector, Window, cells_of
+from deadtime.identification.parameters import (
+    Cells,
+    FisherMatrix,
+    Layout,
+    Nodes,
+    Square,
+    Squares,
+    Vector,
+    Window,
+    cells_of,
+)
 from deadtime.identification.sampling import Sampling, Term, TermsIn, UsablePeriods, sampling_of
 from deadtime.identification.scoring import (
     GAIN,
@@ -58,7 +68,7 @@ class Likelihood(Frozen, ABC):
     layout: Layout
     within: bool
     bounds: Window
-    nodes: Float[np.ndarray, " node"] = field(repr=False)
+    nodes: Nodes = field(repr=False)
 
     gain: ClassVar[float] = GAIN
     profiled: ClassVar[bool] = True
@@ -73,7 +83,7 @@ class Likelihood(Frozen, ABC):
         """How far each unknown may go at a time that does next to nothing where it is."""
 
     @abstractmethod
-    def told(self, vector: Vector, F: Float[np.ndarray, "size size"]) -> Int[np.ndarray, " told"]:
+    def told(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
         """The places of unknowns that an information is of."""
 
     @abstractmethod
@@ -104,7 +114,7 @@ class PlantLikelihood(Likelihood):
     def stride(self, vector: Vector) -> Vector:
         return np.full(vector.size, np.inf)
 
-    def told(self, vector: Vector, F: Float[np.ndarray, "size size"]) -> Int[np.ndarray, " told"]:
+    def told(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
         return np.arange(self.layout.size)
 
 
@@ -151,7 +161,7 @@ def maximise(
         theta = best.theta
 
 
-def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.ndarray, "mode n n"]]:
+def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Squares]:
     """The log likelihood of all modes, and the covariances S_i that it is largest with."""
     value, score, information, covariances = 0.0, np.zeros(size), np.zeros((size, size)), []
     for term in terms:
@@ -173,7 +183,7 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
 def add_score(
     term: Term, e: np.ndarray, L: np.ndarray, score: Vector, information: np.ndarray
 ) -> None:
-    """What residuals e (rows, n) of covariance L Lᵀ tell of P, in place."""
+    """Add the score and information of residuals e (rows, n) of covariance L Lᵀ, in place."""
     place, r = term.place, term.root[:, len(L) :]
     white = np.linalg.solve(L, e.T)
     moved = np.linalg.solve(L, term.by_P @ r.T).reshape(len(place), -1)
@@ -181,9 +191,7 @@ def add_score(
     information[np.ix_(place, place)] += moved @ moved.T
 
 
-def floored(
-    S: Float[np.ndarray, "n n"], Phi: Float[np.ndarray, "n n"], y: np.ndarray, total: float
-) -> Float[np.ndarray, "n n"]:
+def floored(S: Square, Phi: Square, y: np.ndarray, total: float) -> Square:
     """The covariance S of residuals of y, of weight `total`, never singular: of no noise, too.
 
     A state without noise beside noisy ones, or noises that are multiples of each other, would tell
@@ -202,7 +210,7 @@ def floored(
 
 
 def log_density(
-    z: Float[np.ndarray, "period z"], P: Float[np.ndarray, "n r"], S: Float[np.ndarray, "n n"]
+    z: Float[np.ndarray, "period z"], P: Float[np.ndarray, "n r"], S: Square
 ) -> Float[np.ndarray, " period"]:
     """log N(x_{k+1} − P r_k; 0, S) of rows z = (x_{k+1}, r_k)."""
     n, L = len(P), np.linalg.cholesky(S)
@@ -225,7 +233,7 @@ class ExactLog(PlantLikelihood):
     """
 
     usable: tuple[Int[np.ndarray, " period"], ...] | None = field(default=None, repr=False)
-    weight: Float[np.ndarray, "period mode"] | None = field(default=None, repr=False)
+    weight: Float[np.ndarray, "every mode"] | None = field(default=None, repr=False)
 
     def terms_in(self, low: float, high: float) -> TermsIn:
         """The regressions for delays between two, seconds, in cells of theirs."""

@@ -1,4 +1,4 @@
-"""Maximum likelihood where measurements are noisy: the innovations of Kalman's filter.
+"""The likelihood of noisy measurements, of all states or of outputs alone: Kalman's innovations.
 
     dx = (A x + Σ b_j u_j(t − D_j)) dt + dβ,    E dβ dβᵀ = W dt,
     y_k = C x_k + v_k,    v ~ N(0, V)
@@ -11,10 +11,8 @@ foretell, and the variance s of that,
 
 The filter carries ∂e and ∂s along with e and s (`switched_filter`).
 
-States from outputs alone: of every output itself, and what follows from it.
-
-From y = C x with fewer outputs than states, A and B are known only up to a change of states. It is
-fixed by `order`, how many states n_j each output y_j has, in one chain:
+**Outputs alone.** From y = C x with fewer outputs than states, A and B are known only up to a
+change of states. It is fixed by `order`, how many states n_j each output y_j has, in one chain:
 
     x_j,1 = y_j,    dx_j,k/dt = x_j,k+1 + (b u)_j,k,    k < n_j,
 
@@ -29,8 +27,6 @@ all of A is free in the others, where of B the inputs' weights in y_j' alone are
 
 W is diagonal, but for the last states of all chains, whose forces may be correlated: with a
 deviation of each sensor no more numbers than what outputs tell, n p + p (p + 1)/2.
-
-How a plant from outputs alone follows a log: its states, and what it foretells.
 """
 
 from __future__ import annotations
@@ -53,7 +49,15 @@ from deadtime.identification.likelihoods.switched_filter import (
     SwitchedKalmanFilter,
 )
 from deadtime.identification.log.recording import Part
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import (
+    Cells,
+    FisherMatrix,
+    Layout,
+    SensorMatrix,
+    Square,
+    Vector,
+    Window,
+)
 from deadtime.identification.sampling import fed
 from deadtime.identification.scoring import Evaluate, Evaluation
 
@@ -81,7 +85,7 @@ class Embedding(Frozen):
         return np.cumsum(self.order) - 1
 
     @property
-    def C(self) -> Float[np.ndarray, "p n"]:
+    def C(self) -> SensorMatrix:
         """The outputs: the first state of every chain."""
         return np.eye(sum(self.order))[self.last - np.array(self.order) + 1]
 
@@ -90,7 +94,7 @@ class Embedding(Frozen):
         """The states that are not last in a chain."""
         return np.setdiff1d(np.arange(sum(self.order)), self.last)
 
-    def shift(self) -> Float[np.ndarray, "n n"]:
+    def shift(self) -> Square:
         """A of chains of integrators: what is known of A, and 0 elsewhere."""
         n = sum(self.order)
         A = np.zeros((n, n))
@@ -143,7 +147,7 @@ Starts = list[np.ndarray]  # of every part, which of its samples nothing leads t
 class NoiseLevels(NamedTuple):
     """W (n, n), x² per second, and the standard deviations of the sensors (p,)."""
 
-    W: Float[np.ndarray, "n n"]
+    W: Square
     deviation: Float[np.ndarray, " p"]
 
 
@@ -156,7 +160,7 @@ class SensorLikelihood(Likelihood):
     those that outputs alone have, and some of the vector is known.
     """
 
-    C: Float[np.ndarray, "p n"]
+    C: SensorMatrix
     embedding: Embedding | None = None
 
     @property
@@ -187,7 +191,7 @@ class SensorLikelihood(Likelihood):
             free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
         return read_only(free)
 
-    def told(self, vector: Vector, F: Float[np.ndarray, "size size"]) -> Int[np.ndarray, " told"]:
+    def told(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
         # Noise that is next to nothing is not told.
         free, told = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNTOLD
         return free[(free < self.layout.size) | told[free]]
@@ -204,7 +208,7 @@ class SensorLikelihood(Likelihood):
         return starts
 
     @cached_property
-    def P0(self) -> Float[np.ndarray, "n n"]:
+    def P0(self) -> Square:
         """Of a state of which nothing is known."""
         if self.embedding is not None:
             return read_only(_VAGUE * np.diag(self.embedding.size**2))
@@ -241,13 +245,13 @@ class SensorLikelihood(Likelihood):
         return NoiseLevels(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
 
     def unit(self, vector: Vector) -> Vector:
-        """What unknowns of the noise are of: 1, but of L the deviation of their row."""
+        """Units of the noise's unknowns: 1, but of L the deviation of their row."""
         unit, (i, j) = np.ones(self.size), self.places
         row = np.sqrt(np.diagonal(self.noise(vector).W))[i]
         unit[self.layout.size : self.layout.size + i.size] = np.where(i == j, 1.0, row)
         return unit
 
-    def root(self, vector: Vector) -> Float[np.ndarray, "n n"]:
+    def root(self, vector: Vector) -> Square:
         """L of a vector, W = L Lᵀ."""
         i, j = self.places
         lower = vector[self.layout.size : self.layout.size + i.size]
@@ -256,9 +260,7 @@ class SensorLikelihood(Likelihood):
         return L
 
     @abstractmethod
-    def evaluate(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> Evaluation:
+    def evaluate(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Evaluation:
         """The log likelihood, its score and information; of an even log in cells of delays."""
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
@@ -297,7 +299,7 @@ class NoisyLog(SensorLikelihood):
         return every - sum(int(one.sum()) for one in self.initial(starts))
 
     def filter(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
+        self, vector: Vector, starts: Starts, cells: Cells | None = None
     ) -> SwitchedKalmanFilter:
         """The filter over all parts; of an even log in cells of delays, by default their own."""
         theta = vector[: self.layout.size]
@@ -317,9 +319,7 @@ class NoisyLog(SensorLikelihood):
         """The log likelihood."""
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
 
-    def evaluate(
-        self, vector: Vector, starts: Starts, cells: Int[np.ndarray, " delay"] | None = None
-    ) -> Evaluation:
+    def evaluate(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Evaluation:
         free = self.free
         places = Places.of(self.layout, len(self.C), free)
         with np.errstate(all="ignore"):

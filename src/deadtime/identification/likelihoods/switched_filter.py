@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.likelihoods.kalman_kernel import tangents
 from deadtime.identification.log.recording import Part
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import Layout, SensorMatrix, Square
 from deadtime.identification.sampling import FilterPeriods, PeriodsOf
 from deadtime.identification.scoring import Evaluation
 
@@ -79,9 +79,9 @@ class Places(NamedTuple):
 class Sensors(NamedTuple):
     """C (p, n), the variances R (p,) of the errors, and P0 (n, n) of a state that is not known."""
 
-    C: Float[np.ndarray, "p n"]
+    C: SensorMatrix
     R: Float[np.ndarray, " p"]
-    P0: Float[np.ndarray, "n n"]
+    P0: Square
 
 
 class Filtered(NamedTuple):

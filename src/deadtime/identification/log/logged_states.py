@@ -1,6 +1,4 @@
-"""The states that a log holds, or outputs of them of rank n; and how its modes switch.
-
-What inputs were before a log: its first ones, where it begins at rest.
+"""States of a log, how its modes switch, and inputs before it where it begins at rest.
 
 A step test is often logged from a little before its step on, and the delays looked for may be
 longer than that. Where inputs keep their first value for a while, and states keep theirs, the plant

@@ -1,7 +1,4 @@
-"""Logs as they come, CSV files or tables of pandas: their columns, and those columns' numbers.
-
-Which mode a log says was active: the numbers of modes, by what logs call them.
-"""
+"""Logs as they come, CSV files or tables of pandas: their columns, numbers and modes."""
 
 from __future__ import annotations
 
@@ -31,7 +28,6 @@ class LogTable(NamedTuple):
     first: int
 
     def place(self, index: int) -> str:
-        """What a row is called."""
         return f"{self.name}, {self.row} {index + self.first}"
 
 
@@ -208,7 +204,7 @@ def absent_modes(
 
 
 def label(value: Any) -> str:
-    """What a log calls a mode: whole numbers are the same however they are written."""
+    """The name of a mode: whole numbers are the same however they are written."""
     if isinstance(value, float | np.floating) and float(value).is_integer():
         return str(int(value))
     if isinstance(value, bool | np.bool_):

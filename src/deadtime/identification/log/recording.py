@@ -57,7 +57,7 @@ class Part(NamedTuple):
 
 
 class Level(NamedTuple):
-    """What is subtracted from outputs (p,) and inputs (m,)."""
+    """Values that are subtracted from outputs (p,) and inputs (m,)."""
 
     output: Float[np.ndarray, " p"]
     input: Float[np.ndarray, " m"]
@@ -217,7 +217,7 @@ def _require_one_role(roles: dict[str, tuple[str, ...]]) -> None:
 
 
 def _names_of(columns: Sequence[str]) -> tuple[str, ...]:
-    """What columns are of: the name behind the colon, or all of the column's."""
+    """Names of columns: what stands behind the colon, or all of it."""
     return tuple(match[2] if (match := _NAMED.fullmatch(one)) else one for one in columns)
 
 
@@ -228,7 +228,6 @@ def _part(
     column: str | None,
     labels: dict[str, int],
 ) -> Part:
-    """One log as arrays."""
     clock = next((name for name in TIMES if name in table.frame.columns), None)
     if clock is None:
         raise ArgumentError(
@@ -298,7 +297,7 @@ def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:
 
 
 def _split_at_gaps(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """The same where rows of an even log are lost: what the inputs did there is not known."""
+    """Logs divided where rows of an even one are lost: what inputs did there is not known."""
     step = float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
     pieces = []
     for part in parts:

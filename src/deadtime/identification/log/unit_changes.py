@@ -92,7 +92,6 @@ def require_same_units(
 
 
 def _message(name: str, where: str, other: str, scaled: Scaled) -> str:
-    """What to say of a column, and where it has other units than elsewhere."""
     what = "divided" if scaled.factor < 1.0 else "multiplied"
     return (
         f"{name} seems to be counted in other units {where} than {other}: the plant does the same "
@@ -102,7 +101,7 @@ def _message(name: str, where: str, other: str, scaled: Scaled) -> str:
 
 
 def _clock(ratio: float) -> tuple[str, str] | None:
-    """What a clock counts that is so much faster than one of seconds, and what to divide it by."""
+    """The unit of a clock that is so much faster than one of seconds, and what to divide it by."""
     near = [(unit, text) for size, unit, text in _CLOCKS if abs(ratio / size - 1.0) < _SAME]
     return near[0] if near else None
 
@@ -118,14 +117,13 @@ def _sizes(part: Part, output: bool, place: int) -> Float[np.ndarray, " row"]:
 
 
 def _each(columns: tuple[Sequence[str], Sequence[str]]) -> list[tuple[str, bool, int]]:
-    """Every column by its name, and where it is."""
     outputs, inputs = columns
     each = [(name, True, place) for place, name in enumerate(outputs)]
     return each + [(name, False, place) for place, name in enumerate(inputs)]
 
 
 def _conversion(output: bool, place: int, difference: float) -> Scaled | None:
-    """What a difference of mean logarithms may come from, if it is near enough to 1,000."""
+    """A conversion that explains a difference of mean logarithms, if it is near enough to 1,000."""
     if not abs(abs(difference) - np.log(_THOUSAND)) < _LIKELY * np.log(10.0):
         return None
     return Scaled(output, place, 1.0 / _THOUSAND if difference > 0.0 else _THOUSAND)
@@ -234,7 +232,7 @@ class _Rows(NamedTuple):
 def _left(
     known: RowStretch, other: RowStretch, lags: int, scaled: Scaled | None = None
 ) -> Float[np.ndarray, " p"]:
-    """What regressions of one stretch leave of how far another moves: shares of squares."""
+    """Shares of the squares by which a stretch moves that regressions of another one leave."""
     told, asked = _rows(known, lags, None), _rows(other, lags, scaled)
     rest, total = np.zeros((2, asked.moved.shape[1]))
     for i in np.unique(asked.mode).tolist():
@@ -263,7 +261,6 @@ def _delays(rows: _Rows) -> list[int]:
 
 
 def _rows(one: RowStretch, lags: int, scaled: Scaled | None) -> _Rows:
-    """The periods of a stretch of which all is known."""
     output, entered = one.part.output.copy(), one.part.input.copy()
     if scaled is not None:
         column = output if scaled.output else entered
