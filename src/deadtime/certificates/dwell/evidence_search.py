@@ -108,15 +108,7 @@ def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Eviden
     outside = WEIGHT_NONE * (none @ none.T) + WEIGHT_HARDLY * (hardly @ hardly.T)
     Pi = Pi + np.abs(Pi).max() * outside
     Pi = Pi * units * units[:, None]
-    return Evidence(
-        setting,
-        full.centre,
-        P,
-        0.5 * (Pi + Pi.T),
-        evidence.S,
-        evidence.knots,
-        rho,
-    )
+    return Evidence(setting, full.centre, P, 0.5 * (Pi + Pi.T), evidence.S, evidence.knots, rho)
 
 
 @dataclass(frozen=True, eq=False)

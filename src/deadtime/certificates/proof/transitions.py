@@ -97,12 +97,7 @@ class LeavingAges:
 
     @classmethod
     def of(
-        cls,
-        dwell_time: float,
-        maximum_dwell: float,
-        step: float,
-        signals: SignalClass,
-        told: int,
+        cls, dwell_time: float, maximum_dwell: float, step: float, signals: SignalClass, told: int
     ) -> LeavingAges:
         """Of a mode's dwell time and maximum; `told` is the last age at which rows may change.
 

@@ -140,14 +140,7 @@ class WorstCase(Frozen):
         if self.lost:
             late.append(LostAt(self.lost, self.cycle.periods))
         return simulate(
-            self.plant,
-            self.law,
-            signal,
-            self.x0,
-            horizon,
-            self.step,
-            self.u0,
-            imperfections=late,
+            self.plant, self.law, signal, self.x0, horizon, self.step, self.u0, imperfections=late
         )
 
     def __repr__(self) -> str:
@@ -272,10 +265,7 @@ def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _how(
-    modes: tuple[int, ...],
-    sojourns: tuple[float, ...],
-    phase: float,
-    dwell_time: tuple[float, ...],
+    modes: tuple[int, ...], sojourns: tuple[float, ...], phase: float, dwell_time: tuple[float, ...]
 ) -> str:
     """The signal in words; a sojourn below the dwell time with all the digits that show it."""
     if len(modes) == 1:
