@@ -279,7 +279,7 @@ def of_input(input: int | None, names: Sequence[str] | None = None) -> str:
 
 
 def _shifts(lower: _Limit, upper: _Limit, nominal: float, of_one: str) -> str:
-    """The same for delays that differ, each as wrong as the others."""
+    """The interval of delays that differ, each as wrong as the others, in words."""
     if lower.mode is None and math.isinf(upper.delay):
         return f"whatever the true delays{of_one}, all wrong by as much"
     shorter = f"up to {inwards(nominal - lower.delay, 0.0)} s shorter"

@@ -41,7 +41,7 @@ STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "nois
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """What one loop tolerates (immutable).
+    """The errors that one loop tolerates (immutable).
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def robustness(
     names: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Robustness:
-    """What a loop tolerates: errors of delay and gain, lost and late samples, late modes, noise.
+    """How large errors a loop tolerates: delay, gain, lost and late samples, late modes, noise.
 
     Errors of delay and gain are those that leave every constant mode stable, exact from the
     spectrum; of several delays, those of all at once and of each input alone. Where a delay of very

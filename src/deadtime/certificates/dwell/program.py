@@ -87,7 +87,7 @@ class Units:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What the solver proposes, in the units: the margin, κ, Π, S, and its status."""
+    """A proposal of the solver, in the units: the margin, κ, Π, S, and its status."""
 
     margin: float
     kappa: float

@@ -109,7 +109,7 @@ class StretchSearch:
         return next((one for one in proposals if one is not None), None)
 
     def _rises(self, rho: float) -> list[float]:
-        """What μ may be: 1, but with an average dwell time.
+        """Values of μ to try: 1, but with an average dwell time.
 
         Held in a mode V has to fall by μ^{1/r}/ρ² in each period, so ln μ is below 2 r (ln ρ −
         ln ρ_i), ρ_i the radius of the mode; and at that a mode that grows leaves none.

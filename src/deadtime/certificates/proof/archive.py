@@ -239,7 +239,7 @@ def _require_keys(name: str, content: dict[str, Any], keys: str) -> None:
 
 
 def claims_too_much(archived: Archived) -> str:
-    """What a file says of itself beyond what its numbers prove, if anything."""
+    """The claim of a file beyond what its numbers prove; empty if it has none."""
     proved, claimed = decay_rate(archived.evidence), archived.decay_rate
     if claimed is not None and not 0.0 <= claimed <= proved:
         return f"it claims a decay rate of {claimed!r} 1/s, its numbers prove {proved!r} at most"

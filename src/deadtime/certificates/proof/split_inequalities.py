@@ -69,7 +69,7 @@ class SplitInequalities:
         return self.answers[key]
 
     def _ends(self, transition: Transition) -> tuple[int, ...]:
-        """What Θ depends on: where the transition begins and ends; on nothing without S."""
+        """Where the transition begins and ends, on which Θ depends; nothing without S."""
         here, there = self._places(transition)
         ends = (here, transition.age, there, transition.next_age)
         return ends if self.s else ()

@@ -218,7 +218,7 @@ def _bound(form: str, epsilon: float, constants: Constants) -> TheoremBound:
 
 
 def _of_functional(constants: Constants) -> dict[str, float | None]:
-    """What a proof by the functional V has, and another has not."""
+    """The numbers of a proof by the functional V; None in one without."""
     names, result = ("nu1", "nu2", "kappa"), {}
     functional = constants if isinstance(constants, FunctionalConstants) else None
     for name in names:

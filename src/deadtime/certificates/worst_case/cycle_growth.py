@@ -31,7 +31,7 @@ DENSE = 600  # up to this order all eigenvalues are computed where Arnoldi's met
 
 
 class CycleTable(NamedTuple):
-    """What happens in each period of a cycle, for the compiled loop.
+    """The periods of a cycle, one after the other, for the compiled loop.
 
     first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
     rows : (periods,), of the law's table

@@ -43,7 +43,7 @@ SMALLEST = 1e-10  # singular value that is kept, relative
 
 @dataclass(frozen=True, eq=False)
 class Kinds:
-    """What sojourns there are (immutable).
+    """The kinds of sojourn that there are (immutable).
 
     Attributes
     ----------

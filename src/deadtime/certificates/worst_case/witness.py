@@ -211,7 +211,7 @@ def of_cycle(
 def _pattern(
     modes: tuple[int, ...], sojourns: tuple[float, ...]
 ) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """What a cycle repeats, were it no whole number of periods.
+    """The modes and sojourns that a cycle repeats, were they no whole number of periods.
 
     Examples
     --------

@@ -228,7 +228,7 @@ def _each(letters: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _adapt(sojourns: Sojourns, letters: list[np.ndarray], floor: float) -> Sojourns:
-    """The same sojourns in the coordinates of the adapted norm."""
+    """Sojourns in the coordinates of the adapted norm."""
     rank, each = sojourns.matrix.shape[2], _each(letters)
     time, log = sojourns.length[each[1]], sojourns.log[each]
     rate = floor if math.isfinite(floor) else float((log / time).max())
