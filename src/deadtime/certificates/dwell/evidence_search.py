@@ -76,7 +76,7 @@ class Sways:
 
 
 def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:
-    """Evidence of this P and S with all directions of the rows, and Π from P; None if that fails."""
+    """Evidence of this P and S with all directions of the rows, Π from P; None if that fails."""
     from scipy.linalg import cho_factor, cho_solve, null_space
 
     setting = evidence.setting

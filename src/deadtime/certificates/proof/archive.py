@@ -29,7 +29,6 @@ from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.stretches import StretchEvidence, decay_rate
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import one_or_each
-from deadtime.switching.signal_class import Instants
 
 FORMAT = "deadtime certificate 2"
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
@@ -56,7 +55,8 @@ class Archived:
 
 def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
     """Write the evidence to `path`."""
-    setting, signals = evidence.setting, evidence.setting.signals
+    setting, signals, limits = evidence.setting, evidence.setting.signals, evidence.setting.limits
+    longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
     counts = {
         "mode_lag": signals.mode_lag,
         "memory": setting.memory,
@@ -80,7 +80,14 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "G": _pack(setting.G),
             **{name: n for name, n in counts.items() if n},
         },
-        "signals": _signals(setting),
+        "signals": {
+            "dwell_time": one_or_each(limits.dwell_time),
+            "maximum_dwell": one_or_each(longest),
+            "chatter": signals.chatter,
+            "clock_tolerance": signals.clock_tolerance,
+            **({} if signals.at == "anywhere" else {"at": signals.at}),
+            **({} if limits.is_free else {"transitions": limits.transitions.astype(int).tolist()}),
+        },
         "rho": evidence.rho,
         **_function(evidence),
     }
@@ -88,22 +95,6 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
     with replacing(path) as place:
         place.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     return path
-
-
-def _signals(setting: Setting) -> dict[str, Any]:
-    """The admissible signals; which mode may follow which, where not every one may."""
-    limits = setting.limits
-    longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
-    only = {} if setting.signals.at == "anywhere" else {"at": setting.signals.at}
-    if not limits.is_free:
-        only["transitions"] = limits.transitions.astype(int).tolist()
-    return {
-        "dwell_time": one_or_each(limits.dwell_time),
-        "maximum_dwell": one_or_each(longest),
-        "chatter": setting.signals.chatter,
-        "clock_tolerance": setting.signals.clock_tolerance,
-        **only,
-    }
 
 
 def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
@@ -147,8 +138,11 @@ def _content(path: Path) -> dict[str, Any]:
     """The JSON of a file whose digest fits."""
     no_json = f"path {str(path)!r} must be a certificate's JSON file: it"
     text = read_text(path, MOST_BYTES, CertificateFileError, called=no_json)
-    if _depth(text) > DEEPEST:
-        raise CertificateFileError(f"{no_json} is nested too deeply.")
+    depth = 0  # of brackets within brackets
+    for bracket in _BRACKET.finditer(text):
+        depth += (bracket[0] in ("[", "{")) - (bracket[0] in ("]", "}"))
+        if depth > DEEPEST:
+            raise CertificateFileError(f"{no_json} is nested too deeply.")
     try:
         content = json.loads(text, object_pairs_hook=_without_repeats)
     except ValueError as error:
@@ -167,16 +161,6 @@ def _content(path: Path) -> dict[str, Any]:
             f"path {str(path)!r} was altered after it was written: its digest does not match."
         )
     return content
-
-
-def _depth(text: str) -> int:
-    """How deep brackets stand within brackets, of a JSON text."""
-    deepest = depth = 0
-    for bracket in _BRACKET.finditer(text):
-        kind = bracket[0]
-        depth += (kind in ("[", "{")) - (kind in ("]", "}"))
-        deepest = max(deepest, depth)
-    return deepest
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -198,6 +182,8 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     if V["kind"] not in list(LYAPUNOV):
         raise ValueError(f"lyapunov.kind {V['kind']!r:.40} is neither 'linear' nor 'stretches'")
     _require_keys("lyapunov", V, LYAPUNOV[V["kind"]])
+    if signals.get("at", "samples") != "samples":
+        raise ValueError("signals.at must be 'samples', or left out")
     setting = Setting(
         _array_of(plant["A"]),
         _array_of(plant["B"]),
@@ -211,7 +197,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
             _each(signals["dwell_time"], _float),
             _each(signals["maximum_dwell"], lambda x: math.inf if x is None else _float(x)),
             _transitions(signals),
-            _at(signals),
+            "samples" if "at" in signals else "anywhere",
             _float(signals["clock_tolerance"]),
             _count(law, "mode_lag"),
             _count(law, "lost_samples"),
@@ -261,13 +247,6 @@ def _each(value: Any, read: Callable[[Any], float]) -> float | tuple[float, ...]
     if len({*value}) < 2:
         raise ValueError("a time is neither one number nor several, one for each mode")
     return tuple(read(one) for one in value)
-
-
-def _at(signals: dict[str, Any]) -> Instants:
-    """When the mode may change; left out where it may anywhere."""
-    if signals.get("at", "samples") != "samples":
-        raise ValueError("signals.at must be 'samples', or left out")
-    return "samples" if "at" in signals else "anywhere"
 
 
 def _transitions(signals: dict[str, Any]) -> list[list[int]] | None:
