@@ -216,11 +216,8 @@ def _is_told_the_mode(law: Law, inner: Law, step: float, signal: SwitchingSignal
         return True
     if not isinstance(inner, TableLaw):
         return True
-    return inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
-
-
-def _future(signal: SwitchingSignal | Rule) -> tuple:
-    return (signal, 1) if isinstance(signal, SwitchingSignal) else ()
+    future = (signal, 1) if isinstance(signal, SwitchingSignal) else ()
+    return inner.digital(step, *future).context in ("mode", "mode_age")
 
 
 def _drops(setting: RobustnessRuns) -> Tolerance:

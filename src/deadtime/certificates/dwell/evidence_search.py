@@ -144,8 +144,7 @@ class EvidenceSearch:
 
     def __init__(self, setting: Setting, level: Freedom) -> None:
         self.setting, self.level = setting, level
-        modes = setting.A.shape[1]
-        self.model = CentreFloats.of(setting, (level.eigenvectors,) * modes, level.rank)
+        self.model = CentreFloats.of(setting, level.eigenvectors, level.rank)
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
         late = max(setting.signals.mode_lag, setting.signals.lost_samples)
