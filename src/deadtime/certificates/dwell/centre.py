@@ -202,6 +202,7 @@ def _filter(
             would[:n, : y + r] += difference @ D[:, n:] @ T
             would[:n, v:] = -difference @ D
         PsiB = Psi @ model.B
+        # ψ comes after y and r in v, the blocks of the modes one after the other.
         F[rows, y + r + at : y + r + at + len(Psi)] = Lambda
         F[rows, v:] += PsiB
         F[rows] -= PsiB @ would
@@ -249,6 +250,7 @@ def _response(model: CentreFloats, z: np.ndarray) -> ResponseForms:
     powers = z[:, None] ** -np.arange(1.0, W + 1.0)
     late = np.concatenate((np.ones((len(z), 1)), powers), axis=1)
     G = centre.row[:, s:].reshape(q + m, W, m)
+    # The unknowns are (x, w, u) at a sample: every past input is u times a power of z.
     system = np.zeros((len(z), s + m, s + m), complex)
     system[:, :s, :s] = z[:, None, None] * np.eye(s)
     system[:, :n, :n] -= centre.E[:, :n]
@@ -256,6 +258,7 @@ def _response(model: CentreFloats, z: np.ndarray) -> ResponseForms:
         system[:, :n, s + j] -= centre.E[:, place] * late[:, lag, None]
     system[:, n:, :s] -= centre.row[:, :s]
     g = powers @ G.transpose(1, 0, 2).reshape(W, (q + m) * m)
+    # Of the law's outputs only the inputs, after the q that it remembers, have u on the left.
     system[:, n:, s:] = np.eye(q + m, m, -q) - g.reshape(len(z), q + m, m)
     inputs = np.eye(s + m)[:, :w]
     both = np.linalg.solve(system, np.broadcast_to(inputs, (len(z), *inputs.shape)))

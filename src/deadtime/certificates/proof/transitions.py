@@ -356,6 +356,7 @@ class SwitchGraph:
             shared |= {a for a in range(1, self.lag + 1) if told[a] != told[a - 1]}
         if self.losses:
             changing += self.losses
+        # A switch takes `bucket` from the level, so it ends at a knot from so much above it.
         shared |= {knot + (self.bucket or 0) for knot in knots}
         transitions = []
         for i, clock in enumerate(self.clocks):

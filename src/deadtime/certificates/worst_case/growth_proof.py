@@ -144,6 +144,7 @@ def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) ->
     unit = exact_matrix(np.eye(d)).tolist()
     x, line = unit[:n], unit[n:]
     for count, (gain, move) in enumerate(zip(gains, moves, strict=True)):
+        # Inputs of these periods are at the end of the line; older ones are still entries of ζ.
         recent = min(count * m, len(gain[0]) - n)
         older = len(gain[0]) - n - recent  # of these the rows are those of the unit matrix
         short = arb_mat([row[:n] + row[n + older :] for row in gain])

@@ -144,6 +144,7 @@ def compress(
     for kind, table in enumerate(tables):
         for column in range(rank):
             states, inputs = loop.run(table, 1, V[:, column])
+            # Row k of the windows has the W inputs before the sample k, as ζ has them.
             line = np.lib.stride_tricks.sliding_window_view(inputs.ravel(), W * m)[::m]
             reached = states[lengths - 1] @ U[:, :n].T + line[lengths] @ U[:, n:].T
             matrix[kind, :, :, column] = reached

@@ -161,6 +161,7 @@ class _CycleSearch:
         level = level.only(cyclic & (level.bound > self.best - self.tolerance))
         if not level.time.size:
             return
+        # Squarings rank the words; the radius itself is computed of the likely ones alone.
         power, log = level.product, level.log.copy()
         for squaring in range(SQUARINGS):
             power, size = _normalise(power @ power)
