@@ -201,8 +201,11 @@ def constant_delay_margin(
     if len(modes) < plant.modes:
         only = f", of the modes that may be held ({', '.join(map(str, modes))})"
         stable = stable + only if modes else "no mode may be held"
-    ends: Any = (end for pair in zip(lower, upper, strict=True) for end in pair)
-    return DelayMargin(*ends, growth, nominal, stable, False, input, differ)
+    ends: dict[str, Any] = {}
+    for side, end in (("lower", lower), ("upper", upper)):
+        ends |= {side: end.delay, f"{side}_mode": end.mode, f"{side}_frequency": end.frequency}
+    ends |= {"growth": growth, "nominal": nominal, "message": stable}
+    return DelayMargin(**ends, input=input, differ=differ)
 
 
 def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray, "mode moving"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -216,7 +217,7 @@ def _is_told_the_mode(law: Law, inner: Law, step: float, signal: SwitchingSignal
         return True
     if not isinstance(inner, TableLaw):
         return True
-    future = (signal, 1) if isinstance(signal, SwitchingSignal) else ()
+    future: Any = (signal, 1) if isinstance(signal, SwitchingSignal) else ()
     return inner.digital(step, *future).context in ("mode", "mode_age")
 
 
