@@ -273,7 +273,7 @@ def _evidence(
 
 
 def _levels(setting: Setting) -> list[Freedom | None]:
-    """What to try, quickest first; None: along stretches."""
+    """The kinds of function to try, quickest first; None: along stretches."""
     remembers = setting.memory or setting.signals.lost_samples
     early = remembers or setting.signals.chatter > 1
     levels: tuple[Freedom | None, ...] = EARLY_LEVELS if early else LEVELS

@@ -67,7 +67,7 @@ def plants_of(
 def delays_of(
     delays: Range | None, plant: SwitchedSystem, step: float
 ) -> tuple[float, float] | np.ndarray:
-    """What `Setting.delays` holds."""
+    """`Setting.delays` of a range that is asked about, or of the plant's own delays."""
     if delays is None:
         return (plant.delay, plant.delay) if plant.has_one_delay else plant.delays
     if plant.has_one_delay and not any(np.iterable(end) for end in delays):

@@ -37,7 +37,7 @@ _ROUNDED = 1e-10  # of an ellipsoid's axes
 
 @dataclass(frozen=True)
 class Verification:
-    """What verifying a certificate's file found (immutable).
+    """The result of verifying a certificate's file (immutable).
 
     Attributes
     ----------
@@ -279,7 +279,7 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
 
 
 def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
-    """What a certificate is about, so that a reader can tell it from another one."""
+    """The loop and the signals of a certificate, so that a reader can tell it from another one."""
     corners, modes, n, m = setting.B.shape
     polytope = f", a polytope of {corners} plants" if corners > 1 else ""
     known = setting.A, setting.B, np.array(setting.delays)

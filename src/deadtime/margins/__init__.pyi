@@ -1,8 +1,5 @@
 from .delay import DelayMargin as DelayMargin, delay_margin as delay_margin
-from .drawn_plants import (
-    DrawnStability as DrawnStability,
-    drawn_stability as drawn_stability,
-)
+from .drawn_plants import DrawnStability as DrawnStability, drawn_stability as drawn_stability
 from .dwell_time import LeastDwellTime as LeastDwellTime, least_dwell_time as least_dwell_time
 from .gain import GainMargin as GainMargin, gain_margin as gain_margin
 from .loop_view import (

@@ -129,6 +129,7 @@ def bands(response: Response, delay: float) -> list[Band]:
         more = response.samples(points[coarse] + gap[coarse] / 2.0)
         new = (*more, *_levels(response, more))
         old = (*samples, low, high, rate, lag)
+        # Cell i ends at sample i, so what is put into it comes before that sample.
         merged = [np.insert(a, coarse, b, axis=0) for a, b in zip(old, new, strict=True)]
         samples, (low, high, rate, lag) = Samples(*merged[:-4]), merged[-4:]
     return _runs(samples, clear, high - low, lag)

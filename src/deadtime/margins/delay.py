@@ -178,42 +178,6 @@ def constant_delay_margin(
         return DelayMargin(
             None, None, worst, worst, None, None, growth, nominal, text, False, input, differ
         )
-    lower, upper = _limits(plant, law, step, upto, input, modes)
-    stable = _stable(lower, upper, nominal, of_input(input, names), differ)
-    if len(modes) < plant.modes:
-        only = f", of the modes that may be held ({', '.join(map(str, modes))})"
-        stable = stable + only if modes else "no mode may be held"
-    return DelayMargin(
-        lower.delay,
-        upper.delay,
-        lower.mode,
-        upper.mode,
-        lower.frequency,
-        upper.frequency,
-        growth,
-        nominal,
-        stable,
-        False,
-        input,
-        differ,
-    )
-
-
-def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray, "mode moving"]:
-    return plant.delays if input is None else plant.delays[:, input : input + 1]
-
-
-def _limits(
-    plant: SwitchedSystem,
-    law: Law,
-    step: float | None,
-    upto: float | None,
-    input: int | None,
-    modes: Sequence[int],
-) -> tuple[_Limit, _Limit]:
-    """The nearest limits of any of these modes, below and above."""
-    moving = moving_delays(plant, input)
-    nominal = float(moving.min())
     responses = [_response(plant, law, mode, step, input) for mode in modes]
     parts = [bands(response, nominal) for response in responses]
     if step is None:  # where the gain is what it is, whatever the delay
@@ -228,7 +192,21 @@ def _limits(
         lower = lower if found is None else _Limit(found.delay, mode, found.frequency)
         found = first_crossing(response, part, nominal, upper.delay)
         upper = upper if found is None else _Limit(found.delay, mode, found.frequency)
-    return lower, upper if any(parts) or not parts else upper._replace(delay=math.inf)
+    if parts and not any(parts):  # no delay has a root
+        upper = upper._replace(delay=math.inf)
+    stable = _stable(lower, upper, nominal, of_input(input, names), differ)
+    if len(modes) < plant.modes:
+        only = f", of the modes that may be held ({', '.join(map(str, modes))})"
+        stable = stable + only if modes else "no mode may be held"
+    ends: dict[str, Any] = {}
+    for side, end in (("lower", lower), ("upper", upper)):
+        ends |= {side: end.delay, f"{side}_mode": end.mode, f"{side}_frequency": end.frequency}
+    ends |= {"growth": growth, "nominal": nominal, "message": stable}
+    return DelayMargin(**ends, input=input, differ=differ)
+
+
+def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray, "mode moving"]:
+    return plant.delays if input is None else plant.delays[:, input : input + 1]
 
 
 def _response(
@@ -276,7 +254,7 @@ def of_input(input: int | None, names: Sequence[str] | None = None) -> str:
 
 
 def _shifts(lower: _Limit, upper: _Limit, nominal: float, of_one: str) -> str:
-    """The same for delays that differ, each as wrong as the others."""
+    """The interval of delays that differ, each as wrong as the others, in words."""
     if lower.mode is None and math.isinf(upper.delay):
         return f"whatever the true delays{of_one}, all wrong by as much"
     shorter = f"up to {inwards(nominal - lower.delay, 0.0)} s shorter"

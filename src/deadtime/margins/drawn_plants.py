@@ -55,12 +55,7 @@ class DrawnStability(Frozen):
 
 
 def drawn_stability(
-    known: UncertainPlant,
-    law: Law,
-    step: float = 0.01,
-    *,
-    count: int = DRAWN,
-    seed: int = 0,
+    known: UncertainPlant, law: Law, step: float = 0.01, *, count: int = DRAWN, seed: int = 0
 ) -> DrawnStability:
     """Whether a law's loop decays on plants drawn from an uncertain one, with each mode held.
 

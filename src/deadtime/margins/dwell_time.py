@@ -346,7 +346,7 @@ def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> Leas
 
 
 def _of(shape: DwellShape, article: str = "") -> str:
-    """What moves, in words."""
+    """The dwell time that moves, in words."""
     if shape.signals.chatter > 1:
         return f"{article and article + 'n '}average dwell time"
     article = article and article + " "

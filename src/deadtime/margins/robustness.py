@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,7 +40,7 @@ STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "nois
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """What one loop tolerates (immutable).
+    """The errors that one loop tolerates (immutable).
 
     Attributes
     ----------
@@ -99,7 +100,7 @@ def robustness(
     names: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Robustness:
-    """What a loop tolerates: errors of delay and gain, lost and late samples, late modes, noise.
+    """How large errors a loop tolerates: delay, gain, lost and late samples, late modes, noise.
 
     Errors of delay and gain are those that leave every constant mode stable, exact from the
     spectrum; of several delays, those of all at once and of each input alone. Where a delay of very
@@ -211,11 +212,8 @@ def _is_told_the_mode(law: Law, step: float, signal: SwitchingSignal | Rule) -> 
         return False
     if not law.is_linear or (law.observer is not None and law.observer.reads_mode):
         return True
-    return law.inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
-
-
-def _future(signal: SwitchingSignal | Rule) -> tuple:
-    return (signal, 1) if isinstance(signal, SwitchingSignal) else ()
+    future: Any = (signal, 1) if isinstance(signal, SwitchingSignal) else ()
+    return law.inner.digital(step, *future).context in ("mode", "mode_age")
 
 
 def _drops(setting: RobustnessRuns) -> Tolerance:

@@ -83,7 +83,7 @@ class Questions:
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
-    """What the search found: `stability.StabilityMargin` says what the fields mean."""
+    """The result of the search, with fields as those of `StabilityMargin`."""
 
     certified: float
     certificate: Any

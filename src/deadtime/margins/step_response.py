@@ -56,7 +56,7 @@ class StepResponse(Frozen):
 
     @property
     def info(self) -> dict[str, float] | None:
-        """What python-control's `step_info` says, by its names and definitions; times in s.
+        """The numbers of python-control's `step_info`, by its names and definitions; times in s.
 
         The last value is the steady state. Where that is 0, as of a push that a sum of errors takes
         up, there is a peak, and the time after which 2 % of that are left. None of a loop that

@@ -47,7 +47,7 @@ _CROOKED = 0.3  # of what the largest noise adds: further off, the cost is not q
 
 @dataclass(frozen=True, eq=False)
 class RobustnessRuns:
-    """What is run, and how often."""
+    """The loop that is run, on which signal, and how often."""
 
     plant: SwitchedSystem
     law: Law
@@ -68,24 +68,24 @@ class RobustnessRuns:
 
     @property
     def works(self) -> str:
-        """What a run does that is neither lost nor fails."""
+        """The words for a run that is neither lost nor fails."""
         rests = not self.compared or at_rest(self._perfect[0]) is not None
         return "settles" if rests else "keeps up with the perfect loop"
 
     @property
     def where(self) -> str:
-        """What tolerances are about."""
+        """The time and the signal of all tolerances, in words."""
         return f"over {self.horizon:g} s of this signal"
 
     def costs(self, more: Sequence[Imperfection]) -> Cost:
-        """What every scenario with more imperfections costs, as `priced` names it."""
+        """The cost of every scenario with more imperfections, as `priced` names it."""
         whole = (*self.imperfections, *more)
         runs = (self._run(self.x0, whole, i) for i in range(self.scenarios))
         return np.array([self._price(run) for run in runs])
 
     @property
     def priced(self) -> str:
-        """What noise costs: of a loop that follows a reference the error, else the cost."""
+        """The price of noise, in words: of a loop that follows a reference the error."""
         return "the cost" if Followed.of(self.law) is None else "∫|r − y|²"
 
     def _price(self, run: Trajectory) -> float:
@@ -129,7 +129,7 @@ class RobustnessRuns:
 
     @cached_property
     def _perfect_elsewhere(self) -> list[Trajectory]:
-        """The same from another start."""
+        """`_perfect` from another start."""
         alone, start = pushes(self.imperfections), elsewhere(self.x0)
         return [self._run(start, alone, i) for i in range(self.scenarios)]
 
@@ -180,7 +180,7 @@ class Tolerance(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class NoisePrice(Frozen):
-    """What measurement noise costs: E cost = `base` + `slope`·std² in a loop that is linear.
+    """The price of measurement noise: E cost = `base` + `slope`·std² in a loop that is linear.
 
     The cost of a loop that follows a reference is ∫|r − y|² here: at rest on its reference a loop
     goes on costing ∫|x|² + |u|², beside which no noise shows.
@@ -248,7 +248,7 @@ def tolerance_of(
     setting: RobustnessRuns,
     say: Callable[[float, float | None, bool], str],
 ) -> Tolerance:
-    """What a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
+    """The tolerance that a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
 
     `bounded` says that the runs that fail stay bounded.
     """

@@ -20,7 +20,7 @@ ever inverted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,8 +36,8 @@ class CentreFloats:
 
     Attributes
     ----------
-    eigenvectors : tuple of int
-        How many were asked for, per mode.
+    eigenvectors : int
+        How many were asked for, of every mode.
     M : (d, d), B : (d, w)
         ξ⁺ = M ξ + B w.
     rest : (q, d)
@@ -47,13 +47,13 @@ class CentreFloats:
     setting: Setting
     centre: Centre
     channels: Channels
-    eigenvectors: tuple[int, ...]
+    eigenvectors: int
     M: np.ndarray
     B: np.ndarray
     rest: np.ndarray
 
     @classmethod
-    def of(cls, setting: Setting, eigenvectors: tuple[int, ...], rank: int) -> CentreFloats:
+    def of(cls, setting: Setting, eigenvectors: int, rank: int) -> CentreFloats:
         """The model with so many left eigenvectors per mode and directions of the rows."""
         family: Any = setting.family
         full = [family.sample(family.orders(i, i)[0], 0.0, 0.5) for i in range(setting.A.shape[1])]
@@ -63,10 +63,10 @@ class CentreFloats:
         d = setting.order
         bare = Centre(E, row, R, T, np.zeros((0, d)), np.zeros((0, 0)))
         model = cls._lay_out(setting, bare, eigenvectors, rest)
-        if not any(eigenvectors):
+        if not eigenvectors:
             return model
         blocks = [
-            _dominant(loop_matrix(setting, full[i], row), eigenvectors[i])
+            _dominant(loop_matrix(setting, full[i], row), eigenvectors)
             for i, row in _oldest(setting)
         ]
         Psi = np.concatenate([block for block, _ in blocks])
@@ -76,16 +76,13 @@ class CentreFloats:
 
     @classmethod
     def _lay_out(
-        cls, setting: Setting, centre: Centre, eigenvectors: tuple[int, ...], rest: np.ndarray
+        cls, setting: Setting, centre: Centre, eigenvectors: int, rest: np.ndarray
     ) -> CentreFloats:
         channels = Channels.of(setting, centre)
         whole = channels.shift(setting.inputs)
         d = setting.order
         if not centre.F.size:
-            v, w = channels.D.shape
-            centre = Centre(
-                centre.E, centre.row, centre.R, centre.T, centre.Psi, np.zeros((0, v + w))
-            )
+            centre = replace(centre, F=np.zeros((0, sum(channels.D.shape))))
         return cls(setting, centre, channels, eigenvectors, whole[:, :d], whole[:, d:], rest)
 
     def delta(self, E: np.ndarray, row: int) -> np.ndarray:
@@ -99,18 +96,12 @@ class CentreFloats:
         return result
 
 
-def oldest_row(setting: Setting, mode: int) -> int:
-    """The table's row in a mode that has lasted as long as it may."""
-    return setting.transitions.row(mode, setting.transitions.clocks[mode].last)
-
-
 def _oldest(setting: Setting) -> list[tuple[int, int]]:
-    """Every mode with that row, and where samples may be lost with that of a lost one, too."""
-    modes = range(setting.transitions.modes)
-    pairs = [(i, oldest_row(setting, i)) for i in modes]
+    """Every mode with its row once it has lasted as long as it may; those of lost samples, too."""
+    graph = setting.transitions
+    pairs = [(i, graph.row(i, clock.last)) for i, clock in enumerate(graph.clocks)]
     if setting.signals.lost_samples:
-        count = setting.transitions.measured
-        pairs += [(i, count + row) for i, row in pairs]
+        pairs += [(i, graph.measured + row) for i, row in pairs]
     return pairs
 
 
@@ -211,6 +202,7 @@ def _filter(
             would[:n, : y + r] += difference @ D[:, n:] @ T
             would[:n, v:] = -difference @ D
         PsiB = Psi @ model.B
+        # ψ comes after y and r in v, the blocks of the modes one after the other.
         F[rows, y + r + at : y + r + at + len(Psi)] = Lambda
         F[rows, v:] += PsiB
         F[rows] -= PsiB @ would
@@ -258,6 +250,7 @@ def _response(model: CentreFloats, z: np.ndarray) -> ResponseForms:
     powers = z[:, None] ** -np.arange(1.0, W + 1.0)
     late = np.concatenate((np.ones((len(z), 1)), powers), axis=1)
     G = centre.row[:, s:].reshape(q + m, W, m)
+    # The unknowns are (x, w, u) at a sample: every past input is u times a power of z.
     system = np.zeros((len(z), s + m, s + m), complex)
     system[:, :s, :s] = z[:, None, None] * np.eye(s)
     system[:, :n, :n] -= centre.E[:, :n]
@@ -265,6 +258,7 @@ def _response(model: CentreFloats, z: np.ndarray) -> ResponseForms:
         system[:, :n, s + j] -= centre.E[:, place] * late[:, lag, None]
     system[:, n:, :s] -= centre.row[:, :s]
     g = powers @ G.transpose(1, 0, 2).reshape(W, (q + m) * m)
+    # Of the law's outputs only the inputs, after the q that it remembers, have u on the left.
     system[:, n:, s:] = np.eye(q + m, m, -q) - g.reshape(len(z), q + m, m)
     inputs = np.eye(s + m)[:, :w]
     both = np.linalg.solve(system, np.broadcast_to(inputs, (len(z), *inputs.shape)))

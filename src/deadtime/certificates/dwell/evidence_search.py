@@ -76,7 +76,7 @@ class Sways:
 
 
 def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:
-    """The same P and S with all directions of the rows, and Π from P; None where that fails."""
+    """Evidence of this P and S with all directions of the rows, Π from P; None if that fails."""
     from scipy.linalg import cho_factor, cho_solve, null_space
 
     setting = evidence.setting
@@ -108,15 +108,7 @@ def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Eviden
     outside = WEIGHT_NONE * (none @ none.T) + WEIGHT_HARDLY * (hardly @ hardly.T)
     Pi = Pi + np.abs(Pi).max() * outside
     Pi = Pi * units * units[:, None]
-    return Evidence(
-        setting,
-        full.centre,
-        P,
-        0.5 * (Pi + Pi.T),
-        evidence.S,
-        evidence.knots,
-        rho,
-    )
+    return Evidence(setting, full.centre, P, 0.5 * (Pi + Pi.T), evidence.S, evidence.knots, rho)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +144,7 @@ class EvidenceSearch:
 
     def __init__(self, setting: Setting, level: Freedom) -> None:
         self.setting, self.level = setting, level
-        modes = setting.A.shape[1]
-        self.model = CentreFloats.of(setting, (level.eigenvectors,) * modes, level.rank)
+        self.model = CentreFloats.of(setting, level.eigenvectors, level.rank)
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
         late = max(setting.signals.mode_lag, setting.signals.lost_samples)

@@ -87,7 +87,7 @@ class Units:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What the solver proposes, in the units: the margin, κ, Π, S, and its status."""
+    """A proposal of the solver, in the units: the margin, κ, Π, S, and its status."""
 
     margin: float
     kappa: float
@@ -126,6 +126,7 @@ def solve(
     unknowns = pi_size + of_S + len(swayed) + 2
     blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
     blocks = [csr_matrix(block) for block in blocks]
+    # The unknowns: Π, S of every place and knot, a λ for each sample that sways, κ, and last t.
     weights = {k: pi_size + of_S + at for at, k in enumerate(swayed)}
     for k, sample in enumerate(samples):  # each has the S of two nodes, of how many there may be
         block = _at_step(model, sample, units, knots, rho, unknowns)
@@ -163,6 +164,7 @@ def _at_frequencies(
     for Y, weight, rest in zip(*signals, strict=True):
         M = np.zeros((unknowns, 2 * w, 2 * w))
         both: Any = np.concatenate((-squares(Y), -rest[None], -weight[None]))
+        # A Hermitian matrix is definite if this real one of twice the order is.
         real = np.block([[both.real, -both.imag], [both.imag, both.real]])
         M[:pi_size], M[-2:] = real[:-2], real[-2:]
         blocks.append(pack(M))
@@ -183,6 +185,7 @@ def _at_step(
     extra = w - n if len(model.rest) else 0
     free = extra if sample.sway is None else extra + n
     pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
+    # T lays (v, w) out over (v, δ, q): w is Δ v, δ is added to w_u and q to w_x.
     T = np.eye(v + w, v + free)
     T[v:, :v] = sample.delta * units.v / units.w[:, None]
     T[v:, v:] = np.eye(w)[:, [*range(n, n + extra), *range(free - extra)]]
@@ -218,7 +221,4 @@ def _reach(sway: Sway, units: Units) -> float:
 def _in_units(sway: Sway, units: Units) -> tuple[np.ndarray, np.ndarray]:
     """X and W of y and q in the units of v and w."""
     n, k = len(sway.W), len(sway.X)
-    return (
-        sway.X * units.v[:k] * units.v[:k, None],
-        sway.W / units.w[:n] / units.w[:n, None],
-    )
+    return (sway.X * units.v[:k] * units.v[:k, None], sway.W / units.w[:n] / units.w[:n, None])

@@ -56,7 +56,9 @@ def maximise(
     nothing = csc_matrix((unknowns, unknowns))
     try:
         ready = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings)
-        if roughly and _can_be_watched(ready):
+        # It is not watched in the main thread, where it would lose a Ctrl-C.
+        main = threading.current_thread() is threading.main_thread()
+        if roughly and not main and hasattr(ready, "set_termination_callback"):
             ready.set_termination_callback(_is_clear)
         solution = ready.solve()
     except (KeyboardInterrupt, SystemExit):
@@ -65,12 +67,6 @@ def maximise(
         return None
     x = np.array(solution.x)
     return (x, str(solution.status)) if np.isfinite(x).all() else None
-
-
-def _can_be_watched(solver: Any) -> bool:
-    """Whether it can be asked on its way: not in the main thread, where it would lose a Ctrl-C."""
-    main = threading.current_thread() is threading.main_thread()
-    return not main and hasattr(solver, "set_termination_callback")
 
 
 def _is_clear(progress: Any) -> bool:

@@ -161,27 +161,22 @@ def metric(lasting: list[np.ndarray], leaps: list[tuple[Node, Node, np.ndarray]]
     eye = np.eye(len(leaps[0][2]))
     sums = [future_sums(M, eye) for M in lasting]
     total = [part for part in sums if part is not None]
-    if not total:
-        total = [_over_leaps([M for _, _, M in leaps], eye)]
+    if not total:  # Σ_k 𝒯^k(I) γ^k, 𝒯 the mean of MᵀXM over the leaps, γ such that it converges
+
+        def mean(X: np.ndarray) -> np.ndarray:
+            return np.mean([M.T @ X @ M for _, _, M in leaps], axis=0)
+
+        X, growth = eye, 1.0
+        for _ in range(TURNS):
+            X = mean(X)
+            growth = max(float(np.trace(X)), 1e-300)
+            X = X / growth
+        weight, whole_sum, term = 0.9 / max(growth, 0.9), eye, eye
+        for _ in range(TURNS):
+            term = weight * mean(term)
+            whole_sum = whole_sum + term
+        total = [whole_sum]
     return np.linalg.cholesky(np.mean(total, axis=0)).T
-
-
-def _over_leaps(leaps: list[np.ndarray], eye: np.ndarray) -> np.ndarray:
-    """Σ_k 𝒯^k(I) γ^k, 𝒯 the mean of MᵀXM over the leaps, with γ such that it converges."""
-
-    def mean(X: np.ndarray) -> np.ndarray:
-        return np.mean([M.T @ X @ M for M in leaps], axis=0)
-
-    X, growth = eye, 1.0
-    for _ in range(TURNS):
-        X = mean(X)
-        growth = max(float(np.trace(X)), 1e-300)
-        X = X / growth
-    weight, total, term = 0.9 / max(growth, 0.9), eye, eye
-    for _ in range(TURNS):
-        term = weight * mean(term)
-        total = total + term
-    return total
 
 
 def functionals(

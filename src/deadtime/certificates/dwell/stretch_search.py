@@ -109,7 +109,7 @@ class StretchSearch:
         return next((one for one in proposals if one is not None), None)
 
     def _rises(self, rho: float) -> list[float]:
-        """What μ may be: 1, but with an average dwell time.
+        """Values of μ to try: 1, but with an average dwell time.
 
         Held in a mode V has to fall by μ^{1/r}/ρ² in each period, so ln μ is below 2 r (ln ρ −
         ln ρ_i), ρ_i the radius of the mode; and at that a mode that grows leaves none.
@@ -126,15 +126,30 @@ class StretchSearch:
         loops = self._loops(rho, mu)
         if loops is None:
             return None
-        looked = self._to_begin_with(loops)
+        # The program starts from a few leaps of every pair of nodes, over all ages.
+        groups: dict[tuple[Node, Node], list[int]] = {}
+        for k, (here, there, _) in enumerate(loops.leaps):
+            groups.setdefault((here, there), []).append(k)
+        looked = {
+            group[k]: loops.look(group[k])
+            for group in groups.values()
+            for k in np.unique(np.linspace(0, len(group) - 1, AT_FIRST).round().astype(int))
+        }
         for _ in range(ROUNDS):
             answer = solve(loops.shape, list(looked.values()))
             if answer is None or answer[0] < LEAST_MARGIN:
                 return None
             margin, V = answer[0], loops.shape.values(answer[1])
-            wanting = self._lacks_margin(loops, V, margin, looked)
-            if not wanting:
-                return self._evidence(loops, V, rho, mu)
+            if self._lacks_margin(loops, V, margin, looked):
+                continue
+            places, d = self.setting.transitions.places, self.setting.order
+            P = np.zeros((places, len(self.knots), d, d))
+            for (place, knot), X in sorted(V.items(), key=lambda item: item[0]):
+                # Past a mode's last age it is unused.
+                P[place, knot:] = loops.frame.T @ X @ loops.frame
+            P = P / np.trace(P[0, 0])
+            P = 0.5 * (P + np.swapaxes(P, -1, -2))
+            return StretchEvidence(self.setting, P, self.knots, rho, mu)
         return None
 
     def glance(self, rho: float) -> StretchEvidence | None:
@@ -183,18 +198,6 @@ class StretchSearch:
             shape = LyapunovShape.of(H, loops, links, nodes)
         return None if shape is None else Loops(shape, moving, T * units)
 
-    def _to_begin_with(self, loops: Loops) -> dict[int, Looked]:
-        """A few leaps of every pair of nodes, over all ages."""
-        groups: dict[tuple[Node, Node], list[int]] = {}
-        for k, (here, there, _) in enumerate(loops.leaps):
-            groups.setdefault((here, there), []).append(k)
-        chosen = [
-            group[k]
-            for group in groups.values()
-            for k in np.unique(np.linspace(0, len(group) - 1, AT_FIRST).round().astype(int))
-        ]
-        return {k: loops.look(k) for k in chosen}
-
     def _lacks_margin(
         self, loops: Loops, V: dict[Node, np.ndarray], margin: float, looked: dict[int, Looked]
     ) -> bool:
@@ -212,17 +215,6 @@ class StretchSearch:
             if k in looked:
                 looked[k].widen(vectors)
         return bool(low)
-
-    def _evidence(
-        self, loops: Loops, V: dict[Node, np.ndarray], rho: float, mu: float
-    ) -> StretchEvidence:
-        places, d = self.setting.transitions.places, self.setting.order
-        P = np.zeros((places, len(self.knots), d, d))
-        for (place, knot), X in sorted(V.items(), key=lambda item: item[0]):
-            P[place, knot:] = loops.frame.T @ X @ loops.frame  # past a mode's last age it is unused
-        P = P / np.trace(P[0, 0])
-        P = 0.5 * (P + np.swapaxes(P, -1, -2))
-        return StretchEvidence(self.setting, P, self.knots, rho, mu)
 
     def _add(self, failed: Transition, instant: float) -> bool:
         """Look at a step at this instant, too; False if that is done already."""

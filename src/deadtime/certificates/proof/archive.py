@@ -28,7 +28,6 @@ from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.stretches import StretchEvidence, decay_rate
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import one_or_each
-from deadtime.switching.signal_class import Instants
 
 FORMAT = "deadtime certificate 2"
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
@@ -55,7 +54,8 @@ class Archived:
 
 def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
     """Write the evidence to `path`."""
-    setting, signals = evidence.setting, evidence.setting.signals
+    setting, signals, limits = evidence.setting, evidence.setting.signals, evidence.setting.limits
+    longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
     counts = {
         "mode_lag": signals.mode_lag,
         "memory": setting.memory,
@@ -79,7 +79,14 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "G": _pack(setting.G),
             **{name: n for name, n in counts.items() if n},
         },
-        "signals": _signals(setting),
+        "signals": {
+            "dwell_time": one_or_each(limits.dwell_time),
+            "maximum_dwell": one_or_each(longest),
+            "chatter": signals.chatter,
+            "clock_tolerance": signals.clock_tolerance,
+            **({} if signals.at == "anywhere" else {"at": signals.at}),
+            **({} if limits.is_free else {"transitions": limits.transitions.astype(int).tolist()}),
+        },
         "rho": evidence.rho,
         **_function(evidence),
     }
@@ -87,22 +94,6 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
     with replacing(path) as place:
         place.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     return path
-
-
-def _signals(setting: Setting) -> dict[str, Any]:
-    """The admissible signals; which mode may follow which, where not every one may."""
-    limits = setting.limits
-    longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
-    only = {} if setting.signals.at == "anywhere" else {"at": setting.signals.at}
-    if not limits.is_free:
-        only["transitions"] = limits.transitions.astype(int).tolist()
-    return {
-        "dwell_time": one_or_each(limits.dwell_time),
-        "maximum_dwell": one_or_each(longest),
-        "chatter": setting.signals.chatter,
-        "clock_tolerance": setting.signals.clock_tolerance,
-        **only,
-    }
 
 
 def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
@@ -146,8 +137,11 @@ def _content(path: Path) -> dict[str, Any]:
     """The JSON of a file whose digest fits."""
     no_json = f"path {str(path)!r} must be a certificate's JSON file: it"
     text = read_text(path, MOST_BYTES, CertificateFileError, called=no_json)
-    if _depth(text) > DEEPEST:
-        raise CertificateFileError(f"{no_json} is nested too deeply.")
+    depth = 0  # of brackets within brackets
+    for bracket in _BRACKET.finditer(text):
+        depth += (bracket[0] in ("[", "{")) - (bracket[0] in ("]", "}"))
+        if depth > DEEPEST:
+            raise CertificateFileError(f"{no_json} is nested too deeply.")
     try:
         content = json.loads(text, object_pairs_hook=_without_repeats)
     except ValueError as error:
@@ -166,16 +160,6 @@ def _content(path: Path) -> dict[str, Any]:
             f"path {str(path)!r} was altered after it was written: its digest does not match."
         )
     return content
-
-
-def _depth(text: str) -> int:
-    """How deep brackets stand within brackets, of a JSON text."""
-    deepest = depth = 0
-    for bracket in _BRACKET.finditer(text):
-        kind = bracket[0]
-        depth += (kind in ("[", "{")) - (kind in ("]", "}"))
-        deepest = max(deepest, depth)
-    return deepest
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -197,6 +181,8 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     if V["kind"] not in list(LYAPUNOV):
         raise ValueError(f"lyapunov.kind {V['kind']!r:.40} is neither 'linear' nor 'stretches'")
     _require_keys("lyapunov", V, LYAPUNOV[V["kind"]])
+    if signals.get("at", "samples") != "samples":
+        raise ValueError("signals.at must be 'samples', or left out")
     setting = Setting(
         _array_of(plant["A"]),
         _array_of(plant["B"]),
@@ -210,7 +196,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
             _each(signals["dwell_time"], _float),
             _each(signals["maximum_dwell"], lambda x: math.inf if x is None else _float(x)),
             _transitions(signals),
-            _at(signals),
+            "samples" if "at" in signals else "anywhere",
             _float(signals["clock_tolerance"]),
             _count(law, "mode_lag"),
             _count(law, "lost_samples"),
@@ -238,7 +224,7 @@ def _require_keys(name: str, content: dict[str, Any], keys: str) -> None:
 
 
 def claims_too_much(archived: Archived) -> str:
-    """What a file says of itself beyond what its numbers prove, if anything."""
+    """The claim of a file beyond what its numbers prove; empty if it has none."""
     proved, claimed = decay_rate(archived.evidence), archived.decay_rate
     if claimed is not None and not 0.0 <= claimed <= proved:
         return f"it claims a decay rate of {claimed!r} 1/s, its numbers prove {proved!r} at most"
@@ -260,13 +246,6 @@ def _each(value: Any, read: Callable[[Any], float]) -> float | tuple[float, ...]
     if len({*value}) < 2:
         raise ValueError("a time is neither one number nor several, one for each mode")
     return tuple(read(one) for one in value)
-
-
-def _at(signals: dict[str, Any]) -> Instants:
-    """When the mode may change; left out where it may anywhere."""
-    if signals.get("at", "samples") != "samples":
-        raise ValueError("signals.at must be 'samples', or left out")
-    return "samples" if "at" in signals else "anywhere"
 
 
 def _transitions(signals: dict[str, Any]) -> list[list[int]] | None:

@@ -206,7 +206,7 @@ class Box(Steps):
     def pieces(
         self, order: Order, c: int, clock: TimeNumbers, u: Any, f: list[Any]
     ) -> list[InputPiece]:
-        """What input c goes through over a step, at u and at f of the `moving` delays."""
+        """The pieces of input c over a step in order of time, at u and at f of `moving` delays."""
         directions = {at: k for k, at in enumerate(self.moving(order), FIRST)}
         i, j, a, b = order
         first, last = self.intervals[i][c], self.intervals[j][c]
@@ -251,7 +251,7 @@ class Box(Steps):
         return self.laid_out(np.concatenate((self.A[:, mode], self.B[:, mode]), axis=2), c, lag)
 
     def laid_out(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
-        """The same of each [A B] (number, n, n + m)."""
+        """`generator` of each [A B] (number, n, n + m)."""
         n, own = self.A.shape[2], self.own_reads(c)
         result = np.zeros((len(entries), n + len(own), n + len(own)))
         result[:, :n, :n] = entries[:, :, :n]

@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Check:
-    """What came of a check.
+    """The result of a check.
 
     Attributes
     ----------

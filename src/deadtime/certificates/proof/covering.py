@@ -43,7 +43,7 @@ MOST_CELLS = 1500  # of one inequality
 
 
 def enclosures_of(family: Family | Box) -> Enclosures | BoxEnclosures:
-    """What encloses the cells of a family."""
+    """The enclosures of the cells of a family."""
     return BoxEnclosures(family) if isinstance(family, Box) else Enclosures(family)
 
 
@@ -153,7 +153,7 @@ class Covering:
         return max(sizes, key=lambda k: sizes[k])
 
     def _sway(self, enclosure: Enclosure, n: int) -> Sway | None:
-        """What the ellipsoid does, if there is one and W and X are proved; once per enclosure."""
+        """W and X of the ellipsoid, if there is one and they are proved; once per enclosure."""
         if enclosure.sway is None:
             return None
         if id(enclosure) not in self.swayed:  # `known` keeps the enclosure

@@ -74,7 +74,7 @@ def along_axes(by_entry: dict[tuple[int, int, int], Any], axes: np.ndarray) -> A
 
 @dataclass(frozen=True, eq=False)
 class Sway:
-    """What an ellipsoid does to E on a cell (immutable).
+    """A bound of the change of E that an ellipsoid makes on a cell (immutable).
 
     Attributes
     ----------

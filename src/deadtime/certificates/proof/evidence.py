@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Setting(Frozen):
-    """What a certificate is about: plants, a table, and the signals (immutable).
+    """The loop that a certificate is about: plants, a table, and the signals (immutable).
 
     Attributes
     ----------

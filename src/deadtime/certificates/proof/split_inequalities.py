@@ -69,7 +69,7 @@ class SplitInequalities:
         return self.answers[key]
 
     def _ends(self, transition: Transition) -> tuple[int, ...]:
-        """What Θ depends on: where the transition begins and ends; on nothing without S."""
+        """Where the transition begins and ends, on which Θ depends; nothing without S."""
         here, there = self._places(transition)
         ends = (here, transition.age, there, transition.next_age)
         return ends if self.s else ()
@@ -168,6 +168,7 @@ class SplitInequalities:
         half = balls.exact(P[:top, :top]) * arb(0.5) * Z
         across = np.zeros((top, full))
         across[:, n : n + keep] = P[:top, top:]
+        # With half of the corner here, Zᵀ Y + (Zᵀ Y)ᵀ has it once and what is across it, too.
         Y = (half + balls.exact(across)) * (1 / self.rho2)
         wide = balls.exact(self.channels.wide)
         low = Z.transpose() * Y

@@ -97,12 +97,7 @@ class LeavingAges:
 
     @classmethod
     def of(
-        cls,
-        dwell_time: float,
-        maximum_dwell: float,
-        step: float,
-        signals: SignalClass,
-        told: int,
+        cls, dwell_time: float, maximum_dwell: float, step: float, signals: SignalClass, told: int
     ) -> LeavingAges:
         """Of a mode's dwell time and maximum; `told` is the last age at which rows may change.
 
@@ -361,6 +356,7 @@ class SwitchGraph:
             shared |= {a for a in range(1, self.lag + 1) if told[a] != told[a - 1]}
         if self.losses:
             changing += self.losses
+        # A switch takes `bucket` from the level, so it ends at a knot from so much above it.
         shared |= {knot + (self.bucket or 0) for knot in knots}
         transitions = []
         for i, clock in enumerate(self.clocks):

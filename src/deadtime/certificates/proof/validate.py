@@ -1,7 +1,7 @@
-"""What evidence must look like before anything is computed with it.
+"""Shapes, kinds and magnitudes that evidence must have before anything is computed with it.
 
-A certificate's file may say anything. Shapes, kinds and magnitudes are settled here, so that the
-arithmetic of the check neither overflows nor reads a row that the loop would not.
+A certificate's file may say anything. All this is settled here, so that the arithmetic of the check
+neither overflows nor reads a row that the loop would not.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOST_TOLD = 1_000_000  # rows of the table, times the lag of the mode
 
 
 def why_malformed(evidence: Evidence | StretchEvidence) -> str:
-    """What is wrong with the evidence, if anything is; in the order in which parts depend."""
+    """The first fault of the evidence, in the order in which parts depend; empty if it has none."""
     setting = evidence.setting
     return (
         _numbers(setting)

@@ -35,7 +35,7 @@ class Work:
 
 
 class TooMuchWork(Exception):
-    """What is left of the work allowed does not do; `check` makes an answer of it."""
+    """More work is asked for than is allowed; `check` makes an answer of it."""
 
 
 def allowance(numbers: int) -> int:

@@ -182,7 +182,41 @@ def theorem_bound(
     else:
         pair = common_lyapunov(plant, K) if pair is None else pair
         constants = paper_constants(plant, K, dwell_time, pair, form == "corrected")
-    return _bound(form, distance(plant, K), constants)
+    epsilon, star = distance(plant, K), constants.log_epsilon_star
+    x = log(epsilon)
+    holds = x < star
+    mu = constants.decay(x) if holds else None
+    if mu is not None and mu <= 0.0:
+        # The printed ε* does not suffice for (71); in the other forms only rounding leads here.
+        mu, holds = None, form == "printed"
+    log_rho = None if mu is None else constants.log_rho(x)
+    functional = constants if isinstance(constants, FunctionalConstants) else None
+    logs = {name: getattr(functional, f"log_{name}", None) for name in ("nu1", "nu2", "kappa")}
+    return TheoremBound(
+        form=form,
+        epsilon=epsilon,
+        epsilon_star=exp(star),
+        **{name: None if value is None else exp(value) for name, value in logs.items()},
+        b=None if functional is None else exp(functional.log_b),
+        weight=None if functional is None else functional.weight,
+        mu=mu,
+        rho=None if log_rho is None else exp(log_rho),
+        xi=None if mu is None else 0.5 * mu,
+        holds=holds,
+        log10_epsilon_star=star * _PER_DECADE,
+        log10_nu1=_decades(logs["nu1"]),
+        log10_nu2=_decades(logs["nu2"]),
+        log10_kappa=_decades(logs["kappa"]),
+        log10_rho=_decades(log_rho),
+        lyapunov=constants.lyapunov,
+        message=_message(epsilon, star * _PER_DECADE, holds, mu),
+        constants=constants,
+    )
+
+
+def _decades(log: float | None) -> float | None:
+    """A natural logarithm in base 10."""
+    return None if log is None else log * _PER_DECADE
 
 
 def stated_forms(plant: SwitchedSystem) -> tuple[str, ...]:
@@ -190,44 +224,6 @@ def stated_forms(plant: SwitchedSystem) -> tuple[str, ...]:
     if plant.has_one_delay:
         return FORMS
     return ("sharp",) if (plant.delays == plant.delays[0]).all() else ()
-
-
-def _bound(form: str, epsilon: float, constants: Constants) -> TheoremBound:
-    x, star = log(epsilon), constants.log_epsilon_star
-    holds = x < star
-    mu = constants.decay(x) if holds else None
-    if mu is not None and mu <= 0.0:
-        # The printed ε* does not suffice for (71); in the other forms only rounding leads here.
-        mu, holds = None, form == "printed"
-    log_rho = None if mu is None else constants.log_rho(x)
-    return TheoremBound(
-        form=form,
-        epsilon=epsilon,
-        epsilon_star=exp(star),
-        **_of_functional(constants),
-        mu=mu,
-        rho=None if log_rho is None else exp(log_rho),
-        xi=None if mu is None else 0.5 * mu,
-        holds=holds,
-        log10_epsilon_star=star * _PER_DECADE,
-        log10_rho=None if log_rho is None else log_rho * _PER_DECADE,
-        lyapunov=constants.lyapunov,
-        message=_message(epsilon, star * _PER_DECADE, holds, mu),
-        constants=constants,
-    )
-
-
-def _of_functional(constants: Constants) -> dict[str, float | None]:
-    """What a proof by the functional V has, and another has not."""
-    names, result = ("nu1", "nu2", "kappa"), {}
-    functional = constants if isinstance(constants, FunctionalConstants) else None
-    for name in names:
-        value = getattr(functional, f"log_{name}", None)
-        result[name] = None if value is None else exp(value)
-        result[f"log10_{name}"] = None if value is None else value * _PER_DECADE
-    result["b"] = None if functional is None else exp(functional.log_b)
-    result["weight"] = None if functional is None else functional.weight
-    return result
 
 
 def _message(epsilon: float, log10_star: float, holds: bool, mu: float | None) -> str:

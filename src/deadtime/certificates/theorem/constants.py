@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -92,15 +92,22 @@ class FunctionalConstants(Constants):
     log_b: float
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """δ₁ and δ₂ of (47) and (54): |W(t)| ≤ δ₁|X(t)| + δ₂∫|U|, for x = log ε."""
+@dataclass(frozen=True, eq=False)
+class PaperConstants(FunctionalConstants):
+    """The printed or the corrected constants, of the sizes M of (33).
+
+    Attributes
+    ----------
+    corrected : bool
+        Whether the slips in ε* and ρ are mended.
+    """
 
     M_A: float
     M_B: float
     M_K: float
     delay: float
     dwell_time: float
+    corrected: bool
 
     def log_delta1(self, x: float) -> float:
         D = self.delay
@@ -118,35 +125,12 @@ class Mismatch:
         """log(D/τ_d + more); D/τ_d itself may overflow."""
         return log_sum((log(self.delay) - log(self.dwell_time), log(more)))
 
-
-@dataclass(frozen=True, eq=False)
-class PaperConstants(FunctionalConstants):
-    """The printed or the corrected constants.
-
-    Attributes
-    ----------
-    mismatch : Mismatch
-        δ₁ and δ₂.
-    corrected : bool
-        Whether the slips in ε* and ρ are mended.
-    """
-
-    mismatch: Mismatch
-    corrected: bool
-
-    def log_delta1(self, x: float) -> float:
-        return self.mismatch.log_delta1(x)
-
-    def log_delta2(self, x: float) -> float:
-        return self.mismatch.log_delta2(x)
-
     def decay(self, x: float) -> float:
         """μ of (73); positive exactly when both lines of (71) hold."""
-        D = self.mismatch.delay
         q = float(np.linalg.eigvalsh(self.lyapunov.Q)[0])
         largest = float(np.linalg.eigvalsh(self.lyapunov.P)[-1])
-        forcing = math.log(2.0) + D + 2.0 * self.log_lambda(x)
-        log_D_nu1 = log(D) + self.log_nu1
+        forcing = math.log(2.0) + self.delay + 2.0 * self.log_lambda(x)
+        log_D_nu1 = log(self.delay) + self.log_nu1
         window = 1.0 - exp(forcing + log_D_nu1)
         share = exp(forcing + math.log(2.0 / q) + self.log_b + log_one_plus(log_D_nu1))
         return min(window, 0.5 * q * (1.0 - share) / largest)
@@ -167,40 +151,38 @@ def paper_constants(
     corrected: bool,
 ) -> PaperConstants:
     """The constants, printed or corrected."""
-    D = plant.delay
-    mismatch = Mismatch(
-        largest_norm(plant.A), largest_norm(plant.B), largest_norm(gains), D, dwell_time
-    )
-    M_H = largest_norm(closed_loops(plant, gains))
+    D, M_H = plant.delay, largest_norm(closed_loops(plant, gains))
+    M_A, M_B, M_K = (largest_norm(each) for each in (plant.A, plant.B, gains))
     eigenvalues = np.linalg.eigvalsh(lyapunov.P)
     smallest, largest = log(float(eigenvalues[0])), log(float(eigenvalues[-1]))
     log_q = log(float(np.linalg.eigvalsh(lyapunov.Q)[0]))
-    log_b = math.log(2.0) + 2.0 * (log(mismatch.M_B) + largest) - log_q
-    log_nu1 = _log_nu(M_H, mismatch)
+    log_b = math.log(2.0) + 2.0 * (log(M_B) + largest) - log_q
 
+    def log_nu(M: float) -> float:
+        """log ν of (60) and (61): e^{M τ} bounds the transition matrices."""
+        state = math.log(2.0) + 2.0 * log(M_K) + log(D) + 2.0 * M * D
+        return math.log(2.0) + max(state, log_one_plus(state + log(D) + 2.0 * log(M_B)))
+
+    log_nu1 = log_nu(M_H)
     # λ(ε) must stay below both of these: the two lines of (71).
     log_D_nu1 = log(D) + log_nu1
     allowed = -0.5 * (math.log(2.0) + D + log_D_nu1)
     second = log_one_plus(log_D_nu1) if corrected else log_D_nu1
-    forcing = log_q - math.log(2.0) - log(mismatch.M_B) - largest
+    forcing = log_q - math.log(2.0) - log(M_B) - largest
     allowed = min(allowed, forcing - 0.5 * (math.log(2.0) + D + second))
-    star = log_inverse(lambda x: max(mismatch.log_delta1(x), mismatch.log_delta2(x)), allowed)
-
-    return PaperConstants(
+    found = PaperConstants(
         lyapunov=lyapunov,
+        log_epsilon_star=math.nan,  # until λ is there to be inverted
         weight=1.0,
-        log_epsilon_star=star,
         log_nu1=log_nu1,
-        log_nu2=_log_nu(mismatch.M_A, mismatch),
+        log_nu2=log_nu(M_A),
         log_kappa=max(largest, log_b + D) - min(smallest, log_b),
         log_b=log_b,
-        mismatch=mismatch,
+        M_A=M_A,
+        M_B=M_B,
+        M_K=M_K,
+        delay=D,
+        dwell_time=dwell_time,
         corrected=corrected,
     )
-
-
-def _log_nu(M: float, sizes: Mismatch) -> float:
-    """log ν of (60) and (61): e^{M τ} bounds the transition matrices."""
-    D = sizes.delay
-    state = math.log(2.0) + 2.0 * log(sizes.M_K) + log(D) + 2.0 * M * D
-    return math.log(2.0) + max(state, log_one_plus(state + log(D) + 2.0 * log(sizes.M_B)))
+    return replace(found, log_epsilon_star=log_inverse(found.log_lambda, allowed))

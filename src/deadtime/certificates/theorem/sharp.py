@@ -320,10 +320,7 @@ class Groups:
         """log of what |x|_S brings about in each group, m without β/(ω − ξ) and |y|."""
         a, result = self.growth + rate, []
         for d, gain in zip(self.delays, self.gain, strict=True):
-            terms = [
-                log(gain * (norm.euclid + norm.gain)) + log_integral(a, d),
-                log(norm.euclid),
-            ]
+            terms = [log(gain * (norm.euclid + norm.gain)) + log_integral(a, d), log(norm.euclid)]
             if d > self.delays[0]:
                 late = log_integral(a, d - self.delays[0])
                 terms.append(log(gain * self.M_B * norm.euclid) + late)

@@ -159,7 +159,7 @@ def _random_words(sojourns: Sojourns, signals: Admissible, number: int) -> Itera
 
 
 def _tight(cycles: list[Cycle], signals: Admissible) -> list[Cycle]:
-    """The same modes over the shortest whole length, where a dwell time is off the grid."""
+    """Cycles of these modes over the shortest whole length, where a dwell time is off the grid."""
     if all(signals.dwell[i].least == signals.dwell[i].shortest for i in signals.recurring):
         return []
     words = {cycle.modes: cycle for cycle in cycles}

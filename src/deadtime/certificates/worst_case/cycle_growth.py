@@ -105,26 +105,20 @@ class SampledLoop:
         """The periods of a cycle that has been going on without a beginning."""
         step, feedback = self.step, self.feedback
         signal, periods = cycle.signal(step), cycle.periods
+        seen = modes_at(signal, np.arange(periods) * step, step)
         if cycle.lost:
-            rows = self._rows_with_losses(cycle, signal)
+            lost = np.isin(np.arange(periods), cycle.lost)
+            told = np.where(lost, -1, seen)
+            # The first round tells what the law goes by where the second begins.
+            modes, ages = follow(np.tile(told, 2), np.tile(seen, 2), feedback.ages)
+            rows = feedback.rows_at(modes[periods:], ages[periods:])
+            rows = rows + lost * (len(feedback.state_gain) // 2)  # those of lost samples come last
         elif cycle.constant:
             rows = np.full(periods, aged_row(feedback, cycle.modes[0]))
         else:
-            seen = modes_at(signal, np.arange(periods) * step, step)
             rows = np.roll(feedback.rows(np.tile(seen, 2))[periods:], self.lag)
         pieces = self.sampled.along(cuts_of(signal, self.sampled), periods)
         return LoopPeriods.of(pieces, rows, feedback.state_gain, self.G, self.weight)
-
-    def _rows_with_losses(self, cycle: Cycle, signal: SwitchingSignal) -> np.ndarray:
-        """The rows where samples of the cycle are lost: of the mode told last, and of a loss."""
-        feedback, periods = self.feedback, cycle.periods
-        seen = modes_at(signal, np.arange(periods) * self.step, self.step)
-        lost = np.isin(np.arange(periods), cycle.lost)
-        told = np.where(lost, -1, seen)
-        # The first round tells what the law goes by where the second begins.
-        modes, ages = follow(np.tile(told, 2), np.tile(seen, 2), feedback.ages)
-        rows = feedback.rows_at(modes[periods:], ages[periods:])
-        return rows + lost * (len(feedback.state_gain) // 2)
 
     def run(self, table: LoopPeriods, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs

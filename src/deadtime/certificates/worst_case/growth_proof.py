@@ -123,7 +123,9 @@ def _over(loop: SampledLoop, cycle: Cycle) -> Any:
     from flint import arb_mat
 
     n, size = loop.plant.states, loop.past * loop.plant.inputs
-    gains = _gains(loop)
+    F, G = loop.feedback.state_gain, loop.feedback.input_gain
+    taps = G[:, ::-1].transpose(0, 2, 1, 3).reshape(*F.shape[:2], -1)  # the oldest input first
+    gains = [exact_matrix(row).tolist() for row in np.concatenate((F, taps), axis=2)]
     rows, moves = loop.table(cycle).rows.tolist(), _moves(loop, cycle)
     M = exact_matrix(np.eye(loop.order))
     for k in range(0, len(rows), TOGETHER):
@@ -134,16 +136,6 @@ def _over(loop: SampledLoop, cycle: Cycle) -> Any:
     return M
 
 
-def _gains(loop: SampledLoop) -> list[list[list[Any]]]:
-    """The rows of the law's table, as balls: F, then G with the oldest input first."""
-    F, G = loop.feedback.state_gain, loop.feedback.input_gain
-    m = F.shape[1]
-    return [
-        exact_matrix(np.hstack((F[row], G[row, ::-1].transpose(1, 0, 2).reshape(m, -1)))).tolist()
-        for row in range(len(F))
-    ]
-
-
 def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) -> tuple[list, list]:
     """x after some periods, and their inputs, as rows over ζ at the beginning."""
     from flint import arb_mat
@@ -152,6 +144,7 @@ def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) ->
     unit = exact_matrix(np.eye(d)).tolist()
     x, line = unit[:n], unit[n:]
     for count, (gain, move) in enumerate(zip(gains, moves, strict=True)):
+        # Inputs of these periods are at the end of the line; older ones are still entries of ζ.
         recent = min(count * m, len(gain[0]) - n)
         older = len(gain[0]) - n - recent  # of these the rows are those of the unit matrix
         short = arb_mat([row[:n] + row[n + older :] for row in gain])

@@ -44,7 +44,7 @@ SMALLEST = 1e-10  # singular value that is kept, relative
 
 @dataclass(frozen=True, eq=False)
 class Kinds:
-    """What sojourns there are (immutable).
+    """The kinds of sojourn that there are (immutable).
 
     Attributes
     ----------
@@ -129,7 +129,11 @@ def compress(
     loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kinds, signals: Admissible
 ) -> Sojourns:
     """The sojourns of all kinds and these lengths, in samples."""
-    low, high = ranges(lengths, signals)
+    # The first and the last of the lengths that every mode may have, as indices.
+    shortest = [dwell.shortest for dwell in signals.dwell]
+    longest_of = [dwell.longest for dwell in signals.dwell]
+    low = np.searchsorted(lengths, shortest).clip(0, lengths.size - 1)
+    high = np.searchsorted(lengths, longest_of, side="right") - 1
     n, m, W = loop.plant.states, loop.plant.inputs, loop.past
     longest = int(lengths[-1])
     entries = zip(kinds.mode.tolist(), kinds.before.tolist(), kinds.wait.tolist(), strict=True)
@@ -141,6 +145,7 @@ def compress(
     for kind, table in enumerate(tables):
         for column in range(rank):
             states, inputs = loop.run(table, 1, V[:, column])
+            # Row k of the windows has the W inputs before the sample k, as ζ has them.
             line = np.lib.stride_tricks.sliding_window_view(inputs.ravel(), W * m)[::m]
             reached = states[lengths - 1] @ U[:, :n].T + line[lengths] @ U[:, n:].T
             matrix[kind, :, :, column] = reached
@@ -149,14 +154,6 @@ def compress(
         log = np.log(size)
     matrix = matrix / np.maximum(size, 1e-300)[:, :, None, None]
     return Sojourns(lengths, matrix, log, kinds, low, high)
-
-
-def ranges(lengths: np.ndarray, signals: Admissible) -> tuple[np.ndarray, np.ndarray]:
-    """The first and the last of some lengths that every mode may have, as indices."""
-    shortest = [dwell.shortest for dwell in signals.dwell]
-    longest = [dwell.longest for dwell in signals.dwell]
-    low = np.searchsorted(lengths, shortest).clip(0, lengths.size - 1)
-    return low, np.searchsorted(lengths, longest, side="right") - 1
 
 
 def _entry_table(

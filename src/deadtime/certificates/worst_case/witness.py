@@ -139,14 +139,7 @@ class WorstCase(Frozen):
         if self.lost:
             late.append(LostAt(self.lost, self.cycle.periods))
         return simulate(
-            self.plant,
-            self.law,
-            signal,
-            self.x0,
-            horizon,
-            self.step,
-            self.u0,
-            imperfections=late,
+            self.plant, self.law, signal, self.x0, horizon, self.step, self.u0, imperfections=late
         )
 
     def __repr__(self) -> str:
@@ -216,7 +209,7 @@ def of_cycle(
 def _pattern(
     modes: tuple[int, ...], sojourns: tuple[float, ...]
 ) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """What a cycle repeats, were it no whole number of periods.
+    """The modes and sojourns that a cycle repeats, were they no whole number of periods.
 
     Examples
     --------
@@ -270,10 +263,7 @@ def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _how(
-    modes: tuple[int, ...],
-    sojourns: tuple[float, ...],
-    phase: float,
-    dwell_time: tuple[float, ...],
+    modes: tuple[int, ...], sojourns: tuple[float, ...], phase: float, dwell_time: tuple[float, ...]
 ) -> str:
     """The signal in words; a sojourn below the dwell time with all the digits that show it."""
     if len(modes) == 1:

@@ -161,6 +161,7 @@ class _CycleSearch:
         level = level.only(cyclic & (level.bound > self.best - self.tolerance))
         if not level.time.size:
             return
+        # Squarings rank the words; the radius itself is computed of the likely ones alone.
         power, log = level.product, level.log.copy()
         for squaring in range(SQUARINGS):
             power, size = _normalise(power @ power)
@@ -228,7 +229,7 @@ def _each(letters: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _adapt(sojourns: Sojourns, letters: list[np.ndarray], floor: float) -> Sojourns:
-    """The same sojourns in the coordinates of the adapted norm."""
+    """Sojourns in the coordinates of the adapted norm."""
     rank, each = sojourns.matrix.shape[2], _each(letters)
     time, log = sojourns.length[each[1]], sojourns.log[each]
     rate = floor if math.isfinite(floor) else float((log / time).max())

@@ -163,11 +163,7 @@ Rated = tuple[Cycle, Growth]
 
 
 def improve(
-    loop: SampledLoop,
-    signals: Admissible,
-    cycles: list[Cycle],
-    rings: list[Rated],
-    floor: float,
+    loop: SampledLoop, signals: Admissible, cycles: list[Cycle], rings: list[Rated], floor: float
 ) -> tuple[list[Rated], int]:
     """The cycles with their growth, the best of them and of the rings improved off the grid.
 
