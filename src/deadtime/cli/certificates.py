@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import with_names
-from deadtime.cli.application import JUDGE, AllLaws, AsJson, File, ProblemFile, Step, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import JUDGE, app, lines
 from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
-from deadtime.cli.problem_options import (
-    delays_from,
-    kept_by_search,
-    problem_of,
-    signals_and_step,
-    times_from,
-    with_step,
-)
 
 if TYPE_CHECKING:
     from deadtime.certificates import Verification
@@ -47,14 +40,14 @@ if TYPE_CHECKING:
     ),
 )
 def certify(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
-    law: AllLaws = None,
+    law: options.AllLaws = None,
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
     at: Literal["anywhere", "samples"] | None = None,
-    step: Step = None,
+    step: options.Step = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
     mode_lag: int = 0,
@@ -63,8 +56,8 @@ def certify(
     least_dwell_time: bool = False,
     mode: int | None = None,
     longest_mode_lag: bool = False,
-    out: File = None,
-    json_output: AsJson = False,
+    out: options.File = None,
+    json_output: options.AsJson = False,
 ) -> int:
     """Is the loop stable for every switching signal with the dwell time? With a proof, or a signal.
 
@@ -116,7 +109,7 @@ def certify(
     from deadtime.certificates.certificate import require_json
     from deadtime.reports.certificate_tables import certificate_record, judge
 
-    chosen = with_step(problem_of(problem), step)
+    chosen = options.with_step(options.problem_of(problem), step)
     if least_dwell_time:
         one = dwell_time is not None and "," not in dwell_time and mode is None
         given = uncertain or any(option is not None for option in (decay_rate, delays, out))
@@ -126,7 +119,7 @@ def certify(
                 "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
-        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
+        signals = options.kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
         return least_dwell_times(chosen, law, signals, mode, json_output)
     if mode is not None:
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
@@ -138,7 +131,7 @@ def certify(
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
-    asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
+    asked, period = options.signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
     if longest_mode_lag:
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
@@ -146,7 +139,11 @@ def certify(
         out = output_file("--out", require_json("--out", out), kinds=(".json",))
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
-        ranges = None if delays is None else (delays_from(delays[0]), delays_from(delays[1]))
+        ranges = (
+            None
+            if delays is None
+            else (options.delays_from(delays[0]), options.delays_from(delays[1]))
+        )
         judged = judge(
             chosen,
             asked.signals,
@@ -193,7 +190,7 @@ def verify(
     lost_samples: int | None = None,
     uncertain: bool = False,
     limit: float = 1.0,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
 
@@ -241,7 +238,10 @@ def verify(
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
         if uncertain:
             raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
-        times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
+        times = (
+            options.times_from("dwell-time", dwell_time),
+            options.times_from("maximum-dwell", maximum_dwell),
+        )
         least, most = (one_or_all(one) for one in times)
         if chatter is not None:
             late["chatter"] = chatter
@@ -254,9 +254,9 @@ def verify(
             **late,
         )
     else:
-        chosen = with_step(problem_of(problem), step)
+        chosen = options.with_step(options.problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
+        asked, period = options.signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
         dwell, chatter = asked.dwell.value, asked.signals.chatter
         only = None if law is None else laws[law]
         plant = uncertain_plant(chosen) if uncertain else chosen.plant
@@ -348,10 +348,10 @@ def _print_judged(
     ),
 )
 def bound(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
     dwell_time: float | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """What the paper's stability theorem says about a plant: its constants in three forms.
 
@@ -369,7 +369,7 @@ def bound(
         bounds_record,
     )
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     dwell, source = dwell_time_of(chosen, chosen.signal, dwell_time)
     bounds = bounds_of(chosen, dwell)
     if json_output:

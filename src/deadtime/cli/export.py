@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, FirstLaw, ProblemFile, Step, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import BUILD, app, lines
 from deadtime.cli.printing import print_json
-from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
@@ -31,20 +31,20 @@ _FMU = ("path", "version", "binary")
     ),
 )
 def export(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
     c: Path | None = None,
     fmu: Path | None = None,
     plant_fmu: Path | None = None,
-    law: FirstLaw = None,
-    step: Step = None,
+    law: options.FirstLaw = None,
+    step: options.Step = None,
     single: Annotated[bool, Parameter(name="--float", negative="", show_default=False)] = False,
     accuracy: float | None = None,
     rom_budget: int | None = None,
     name: str = "controller",
     prediction: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     fmi: Literal["3.0", "2.0"] = "3.0",
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> int:
     """Write a law of a problem as C99, as an FMU, or both.
 
@@ -82,7 +82,7 @@ def export(
     from deadtime.controller.export import Names, export_c, export_fmu, export_plant_fmu
     from deadtime.reports.verdict import observer_reads_mode
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     controller = _controller(chosen, law, step)
     precision = "float" if single else "double"
     called = next(iter(chosen.laws)) if law is None else law

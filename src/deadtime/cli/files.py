@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import FILES, START, AsJson, Flag, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import FILES, START, app, lines
 from deadtime.cli.printing import print_json, require_writable
 
 Name = Literal["paper", "three-mode", "follower", "motor", "quadrotor"]
@@ -26,8 +27,8 @@ def init(
     path: Path = Path("problem.toml"),
     *,
     example: Annotated[Name, Parameter(name=["--example", "-e"])] = "paper",
-    force: Flag = False,
-    json_output: AsJson = False,
+    force: options.Flag = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Write a commented problem file to start from.
 
@@ -61,7 +62,7 @@ def init(
         "deadtime schema > problem.schema.json",
     ),
 )
-def schema(*, json_output: AsJson = False) -> None:
+def schema(*, json_output: options.AsJson = False) -> None:
     """Print the JSON Schema of problem files, for editors that complete and check TOML.
 
     With and without `--json`.
@@ -83,8 +84,8 @@ Shell = Literal["bash", "zsh", "fish"]
 def completion(
     shell: Shell | None = None,
     *,
-    install: Flag = False,
-    json_output: AsJson = False,
+    install: options.Flag = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Print a script that lets a shell complete commands, options and files, or install it.
 

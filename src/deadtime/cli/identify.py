@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, File, Flag, app, command_line, lines
+from deadtime.cli import options
+from deadtime.cli.application import BUILD, app, command_line, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -20,7 +21,6 @@ from deadtime.cli.printing import (
     save_figure,
     stage_line,
 )
-from deadtime.cli.problem_options import numbers_of, problem_of
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 def identify(
     *logs: Path,
     modes: str = "mode",
-    one_mode: Flag = False,
+    one_mode: options.Flag = False,
     delay: tuple[float, float] = (0.0, 2.0),
-    per_mode: Flag = False,
+    per_mode: options.Flag = False,
     noise: Annotated[bool | None, Parameter(negative="--no-noise")] = None,
     switches: Literal["anywhere", "samples"] = "anywhere",
     states: list[str] | None = None,
@@ -55,10 +55,10 @@ def identify(
     rest: Annotated[bool | None, Parameter(negative="--no-rest")] = None,
     beside: Path | None = None,
     law: str | None = None,
-    out: File = None,
+    out: options.File = None,
     figure: Path | None = None,
     report: Path | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """What plant is this the log of? Matrices, delays and noise, each with its 95 % interval.
 
@@ -224,7 +224,7 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
         return None
     from deadtime.problems.switching_assumptions import step_of
 
-    problem = problem_of(beside)
+    problem = options.problem_of(beside)
     chosen = next(iter(problem.laws)) if name is None else name
     return chosen, problem.law(chosen), step_of(problem)
 
@@ -300,8 +300,8 @@ def fit(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     step: float | None = None,
-    out: File = None,
-    json_output: AsJson = False,
+    out: options.File = None,
+    json_output: options.AsJson = False,
 ) -> None:
     """Fit a model of the switching to logs, and print it as a section for a problem file.
 
@@ -359,7 +359,7 @@ def fit(
         return
     out = output_file("out", out, "fit")
     least, most = (
-        None if text is None else one_or_all(numbers_of(name, text))
+        None if text is None else one_or_all(options.numbers_of(name, text))
         for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
     )
     model = SemiMarkov.fit(

@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from deadtime.cli.application import (
-    JUDGE,
-    AsJson,
-    FirstLaw,
-    Picture,
-    ProblemFile,
-    Step,
-    StepOrIdeal,
-    app,
-    lines,
-)
+from deadtime.cli import options
+from deadtime.cli.application import JUDGE, app, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -23,7 +14,6 @@ from deadtime.cli.printing import (
     progress_bar,
     save_figure,
 )
-from deadtime.cli.problem_options import problem_of, problem_with
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
@@ -46,15 +36,15 @@ _HEADINGS = ("mode", "growth, 1/s", "phase margin", "at, rad/s", "disk margin", 
     ),
 )
 def loop(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
-    law: FirstLaw = None,
-    step: StepOrIdeal = None,
+    law: options.FirstLaw = None,
+    step: options.StepOrIdeal = None,
     at: Literal["input", "output"] = "input",
     channel: int = 0,
     output: int = 0,
-    out: Picture = None,
-    json_output: AsJson = False,
+    out: options.Picture = None,
+    json_output: options.AsJson = False,
 ) -> int:
     """How near −1 is the loop? Bode, Nyquist, sensitivity and step response of every mode.
 
@@ -75,7 +65,7 @@ def loop(
     from deadtime.margins.step_response import step_response
     from deadtime.reports.figures.loop import plot_loop
 
-    chosen = problem_with(problem, step, None, None)
+    chosen = options.problem_with(problem, step, None, None)
     path = output_file("out", out, f"{chosen.name}-loop")
     name = next(iter(chosen.laws)) if law is None else law
     asked = chosen.law(name)
@@ -169,14 +159,14 @@ def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
     ),
 )
 def robustness(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
-    law: FirstLaw = None,
-    step: Step = None,
+    law: options.FirstLaw = None,
+    step: options.Step = None,
     scenarios: int = 20,
     seed: int = 0,
-    out: Picture = None,
-    json_output: AsJson = False,
+    out: options.Picture = None,
+    json_output: options.AsJson = False,
 ) -> None:
     """What does the loop stand? Wrong delay and gain, lost and late samples, late modes, noise.
 
@@ -203,7 +193,7 @@ def robustness(
         plot_robustness,
     )
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     path = output_file("out", out, f"{chosen.name}-robustness")
     name = next(iter(chosen.laws)) if law is None else law
     chosen_law = chosen.law(name)

@@ -8,15 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import (
-    COMPARE,
-    AsJson,
-    FigureWidth,
-    Picture,
-    ProblemFile,
-    app,
-    lines,
-)
+from deadtime.cli import options
+from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import (
     TABLES,
     output_file,
@@ -29,7 +22,6 @@ from deadtime.cli.printing import (
     save_figure,
     save_text,
 )
-from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,7 +43,7 @@ _DATA = (".nc", ".csv")
     ),
 )
 def monte_carlo(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
     scenarios: int = 10_000,
     dwell_time: float | None = None,
@@ -59,11 +51,11 @@ def monte_carlo(
     seed: int = 0,
     backend: str = "numba",
     step: float | None = None,
-    out: Picture = None,
-    width: FigureWidth = None,
+    out: options.Picture = None,
+    width: options.FigureWidth = None,
     data: Path | None = None,
     table: Path | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> int:
     """Run every law of a problem over many random switching signals, all on the same ones.
 
@@ -96,7 +88,7 @@ def monte_carlo(
     from deadtime.scenarios.batch_run import compare
     from deadtime.scenarios.dataset import dataset_of
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     period = _period(chosen, step)
     _require_signals(chosen)
     asked = dwell_time is not None or mean_sojourn is not None

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import COMPARE, AsJson, File, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import output_folder, print_json, progress_bar, save_figure
 
 if TYPE_CHECKING:
@@ -73,8 +74,8 @@ def plot(
     x: str | None = None,
     y: str | None = None,
     where: Annotated[list[str] | None, Parameter(negative="")] = None,
-    out: File = None,
-    json_output: AsJson = False,
+    out: options.File = None,
+    json_output: options.AsJson = False,
 ) -> None:
     """Draw a sweep's store: heat maps, quantile bands, the best law, regret against the oracle.
 
