@@ -337,6 +337,7 @@ def fit(
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
+    picture = output_file("out", out, "fit")
     signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
     if step is not None:
         if family != "auto" or any(one is not None for one in (dwell_time, maximum_dwell, out)):
@@ -357,7 +358,6 @@ def fit(
             )
         print(chain.section())
         return
-    out = output_file("out", out, "fit")
     least, most = (
         None if text is None else one_or_all(options.numbers_of(name, text))
         for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
@@ -367,13 +367,13 @@ def fit(
     )
     texts = {mode: text for text, mode in (labels or {}).items()}
     names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
-    save_figure(plot_fit(model, signals, names, first=first), out)
+    save_figure(plot_fit(model, signals, names, first=first), picture)
     if json_output:
-        print_json(fit_record(model, names), [out])
+        print_json(fit_record(model, names), [picture])
         return
     print_table(HEADINGS, fit_rows(model, names))
     print(f"\n{fit_sentence(model, names)}\n\n{model.section()}")
-    print(f"\nFigure: {out}")
+    print(f"\nFigure: {picture}")
 
 
 def _off_grid(signals: list[SwitchingSignal], step: float) -> dict[str, int]:
