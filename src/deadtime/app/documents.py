@@ -131,7 +131,6 @@ def to_toml(document: Document, draft: Mapping[str, Any]) -> str:
 
 
 def _merge(tree: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """Write into a table of the tree what differs."""
     for key in [key for key in old if key not in new]:
         del tree[key]
     for key, value in new.items():

@@ -124,11 +124,7 @@ def growth_elsewhere(draft: Mapping[str, Any], source: Path, law: str) -> list[f
 
 
 def margin(
-    draft: Mapping[str, Any],
-    source: Path,
-    law: str,
-    bounds: tuple[float, float],
-    dwell_time: float,
+    draft: Mapping[str, Any], source: Path, law: str, bounds: tuple[float, float], dwell_time: float
 ) -> tuple[float, float, str]:
     """Mode distances up to which a law is certified, and from which on it is refuted, or NaN.
 
@@ -157,7 +153,6 @@ def margin(
 
 
 def _problem(draft: Mapping[str, Any], source: Path, law: str) -> tuple[Problem, Law]:
-    """A problem and one of its laws."""
     _, problem, _ = build_what_can(draft, source)
     return problem, problem.law(law)
 

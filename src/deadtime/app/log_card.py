@@ -250,7 +250,6 @@ class LogCard:
         self._page.say(f"{called}, as a problem: its laws run below.")
 
     def _on_done(self, rest: tuple[Picture, bytes]) -> None:
-        """The likelihood and the report are there, too."""
         self._idle()
         picture, self._report = rest
         self.likelihood.object = likelihood_html(picture)

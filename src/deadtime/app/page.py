@@ -276,7 +276,6 @@ class Page:
         self.actions.on_shown()
 
     def _about(self, outcome: ProblemOutcome) -> str:
-        """A line on what is shown."""
         problem, signal = outcome.problem, outcome.signal
         given = self.controls.signal
         kind = "the file's" if given is None else "drawn"

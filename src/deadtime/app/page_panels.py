@@ -220,7 +220,6 @@ def _blank(x_range: Range1d, label: str, height: int) -> Any:
 
 
 def _values(run: Trajectory, row: str) -> np.ndarray | None:
-    """The samples of a panel's row."""
     if row == "w":
         return mismatch_norm(run)
     if row[0] == "y":

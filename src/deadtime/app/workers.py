@@ -235,7 +235,6 @@ class _Worker:
 
 
 def _serve(pipe: Connection) -> None:
-    """Do what comes through the pipe, until it closes."""
     import deadtime.app.jobs  # noqa: F401  what jobs need is loaded before the first comes
 
     with suppress(ImportError):  # not on Windows

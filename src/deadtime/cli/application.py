@@ -161,7 +161,6 @@ def _unforeseen(error: Exception) -> str:
 
 
 def _where_to_look(error: BaseException) -> str:
-    """The help of the command that was asked for wrongly."""
     if not isinstance(error, CycloptsError):
         return ""
     command = " ".join(("deadtime", *(error.command_chain or ()), "--help"))

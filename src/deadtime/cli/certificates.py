@@ -246,12 +246,7 @@ def verify(
         if chatter is not None:
             late["chatter"] = chatter
         result = check(
-            certificate,
-            dwell_time=least,
-            maximum_dwell=most,
-            step=step,
-            limit=limit,
-            **late,
+            certificate, dwell_time=least, maximum_dwell=most, step=step, limit=limit, **late
         )
     else:
         chosen = options.with_step(options.problem_of(problem), step)
@@ -342,10 +337,7 @@ def _print_judged(
 
 @app.command(
     group=JUDGE,
-    help_epilogue=lines(
-        "deadtime bound problem.toml",
-        "deadtime bound paper --dwell-time 0.2",
-    ),
+    help_epilogue=lines("deadtime bound problem.toml", "deadtime bound paper --dwell-time 0.2"),
 )
 def bound(
     problem: options.ProblemFile,

@@ -148,7 +148,6 @@ def design(
 
 
 def _mean(plant, gains):
-    """The mean law with the mean gain."""
     from deadtime.laws import MeanPredictor
 
     return MeanPredictor(plant, gains.mean(axis=0), gains, allow_unstable=True)
@@ -168,7 +167,6 @@ def _initial(states: int, initial: str | None, probability: float | None) -> Ini
 
 
 def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
-    """The noise of a problem's imperfections."""
     import numpy as np
 
     from deadtime.imperfections import Noise, WhiteDisturbance
@@ -198,13 +196,7 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
-    from deadtime.reports.design import (
-        HEADINGS,
-        LIMIT_HEADINGS,
-        STEP,
-        design_rows,
-        limit_rows,
-    )
+    from deadtime.reports.design import HEADINGS, LIMIT_HEADINGS, STEP, design_rows, limit_rows
 
     print_heading(problem.title, [f"{found.message}\n"])
     rows, at = design_rows(found), HEADINGS.index(STEP)

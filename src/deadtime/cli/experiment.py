@@ -116,7 +116,6 @@ def experiment(
 
 
 def _disturbance(problem: Problem, given: str | None) -> ArrayLike:
-    """W as given, or that of the file."""
     from deadtime.imperfections import WhiteDisturbance
 
     if given is not None:

@@ -150,7 +150,6 @@ def _built_in(problem: Problem) -> str:
 def _lines(
     code: Exported | None, precision: str, fmu: ExportedFmu | None, plant: ExportedFmu | None
 ) -> list[str]:
-    """What was written, for a reader."""
     text = [] if code is None else _c_lines(code, precision)
     text += [] if fmu is None else [f"FMU of the controller: {fmu}"]
     return text + ([] if plant is None else [f"FMU of the plant: {plant}"])
@@ -174,7 +173,6 @@ def _c_record(written: Exported) -> dict[str, Any]:
 
 
 def _files_of(told: dict[str, Any]) -> list[Path]:
-    """Every file that the record tells of."""
     written = told.get("c", {"folder": ".", "files": []})
     code = [Path(written["folder"]) / name for name in written["files"]]
     return code + [Path(told[name]["path"]) for name in ("fmu", "plant_fmu") if name in told]

@@ -56,12 +56,7 @@ def init(
     print(f"Wrote {path}. Next: deadtime simulate {path}")
 
 
-@app.command(
-    group=FILES,
-    help_epilogue=lines(
-        "deadtime schema > problem.schema.json",
-    ),
-)
+@app.command(group=FILES, help_epilogue=lines("deadtime schema > problem.schema.json"))
 def schema(*, json_output: options.AsJson = False) -> None:
     """Print the JSON Schema of problem files, for editors that complete and check TOML.
 
@@ -110,7 +105,6 @@ def completion(
 
 
 def _shell() -> Shell:
-    """The shell that the command was given in."""
     from cyclopts.completion.detect import ShellDetectionError, detect_shell
 
     try:

@@ -173,7 +173,6 @@ def _write(
     asked: tuple[Path | None, Path | None, Path | None],
     say: Callable[[str], None],
 ) -> list[Path]:
-    """The problem file, the figure and the report that were asked for."""
     from deadtime.reports.identification_report import write_identification
 
     out, figure, report = asked
@@ -190,7 +189,6 @@ def _write(
 
 
 def _numbered(fit: Identification) -> str:
-    """Which mode is which, where they have names."""
     each = [f"{i} = {name}" for i, name in enumerate(fit.modes)]
     own = any(name not in (str(i), f"mode {i}") for i, name in enumerate(fit.modes))
     return f"; modes {', '.join(each)}" if own else ""
@@ -230,7 +228,6 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
 
 
 def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
-    """The law's delay margin beside the interval."""
     from deadtime.reports.identification_report import law_beside
 
     sizes = [(p.modes, p.states, p.inputs) for p in (fit.plant, law.plant)]

@@ -110,7 +110,6 @@ def _row(name: str, growth: float, view: ModeView) -> list[str]:
 
 
 def _shown(problem: Problem, law: Law, output: int) -> str:
-    """What answers the step, by its name."""
     if problem.tracked:
         return problem.tracked[output]
     if law.outputs is not None:
@@ -125,7 +124,6 @@ def _step_row(name: str, answer: StepResponse) -> list[str]:
 
 
 def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
-    """The figures for JSON."""
     from deadtime.base.json_records import record
 
     figures = (
@@ -154,8 +152,7 @@ def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
 @app.command(
     group=JUDGE,
     help_epilogue=lines(
-        "deadtime robustness problem.toml",
-        "deadtime robustness follower --law mean",
+        "deadtime robustness problem.toml", "deadtime robustness follower --law mean"
     ),
 )
 def robustness(
@@ -186,12 +183,7 @@ def robustness(
     from deadtime.margins.robustness.assess import STEPS
     from deadtime.problems.switching_assumptions import step_of
     from deadtime.problems.unit_checks import unit_checks_of
-    from deadtime.reports.robustness import (
-        DRAWN_HEADINGS,
-        drawn_of,
-        drawn_rows,
-        plot_robustness,
-    )
+    from deadtime.reports.robustness import DRAWN_HEADINGS, drawn_of, drawn_rows, plot_robustness
 
     chosen = options.problem_of(problem)
     path = output_file("out", out, f"{chosen.name}-robustness")
@@ -234,7 +226,6 @@ def robustness(
 def _robustness_record(
     result: Robustness, checks: list[str], drawn: dict[str, DrawnStability]
 ) -> dict[str, Any]:
-    """The figures for JSON."""
     from deadtime.base.json_records import record
     from deadtime.plant.weight import record_of
     from deadtime.reports.robustness import drawn_record

@@ -167,7 +167,6 @@ def _flat(data: xr.Dataset) -> xr.Dataset:
 
 
 def _period(problem: Problem, step: float | None) -> float:
-    """The sampling period, for a loop that is sampled."""
     from deadtime.base.checks import positive
 
     if step is not None:
@@ -220,7 +219,6 @@ def _require_signals(problem: Problem) -> None:
 
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
-    """Dwell time and mean sojourn of the signals."""
     from deadtime.problems.switching_assumptions import mean_sojourn_of
 
     shortest = _dwell_time(problem, problem.given_signal, dwell)
@@ -239,7 +237,6 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
 
 def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> SourcedTime:
-    """The dwell time asked for, or the problem's."""
     from deadtime.problems.switching_assumptions import dwell_time_of
 
     if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
@@ -280,7 +277,6 @@ def _print(
     data: Comparison,
     outcome: Summary,
 ) -> None:
-    """Heading, remarks and tables on the terminal."""
     from deadtime.base.wording import with_names
     from deadtime.problems.unit_checks import unit_checks_of
     from deadtime.reports import metrics
@@ -327,7 +323,6 @@ def _drawn(
     data: Comparison,
     outcome: Summary,
 ) -> str:
-    """How many signals, and what of."""
     signals = "signal" if outcome.scenarios == 1 else "signals"
     if sojourn is None:
         what = f"of the file's [switching], {problem.switching!r}"
@@ -349,7 +344,6 @@ def _record(
     data: Comparison,
     outcome: Summary,
 ) -> dict[str, object]:
-    """The results for JSON."""
     from deadtime.plant.weight import record_of
     from deadtime.reports import metrics
 

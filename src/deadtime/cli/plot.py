@@ -128,7 +128,6 @@ def plot(
 
 
 def _open(store: str) -> xr.Dataset:
-    """The store as a dataset, lazily."""
     from deadtime.scenarios.sweeps import open_sweep
 
     return open_sweep(store)
@@ -194,7 +193,6 @@ def _is_figure(out: Path) -> bool:
 
 
 def _write(plan: PlotPlan, out: Path, single: bool, quiet: bool) -> list[Path]:
-    """Draw and save, in a file or into a folder; the paths."""
     paths = []
     with progress_bar(plan.count, quiet) as advance:
         for name, figure in _figures(plan):

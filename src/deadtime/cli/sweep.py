@@ -180,7 +180,6 @@ def _reasons(data: Any) -> dict[str, tuple[int, str]]:
 
 
 def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
-    """How far a store is, and how much there is to do."""
     if as_json:
         from deadtime.base.json_records import plain
 

@@ -16,10 +16,7 @@ from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
 from deadtime.imperfections.words import in_words
-from deadtime.laws import (
-    ExactPredictor,
-    StateDependentPredictor,
-)
+from deadtime.laws import ExactPredictor, StateDependentPredictor
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Rule, SwitchingModel, SwitchingSignal

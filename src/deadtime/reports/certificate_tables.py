@@ -177,11 +177,7 @@ def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) ->
 
 
 def _judge(
-    problem: Problem,
-    name: str,
-    certified: Future[Certificate],
-    signals: SignalClass,
-    step: float,
+    problem: Problem, name: str, certified: Future[Certificate], signals: SignalClass, step: float
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify

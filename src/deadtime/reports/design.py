@@ -73,11 +73,7 @@ def _pole(pole: complex) -> str:
 
 
 def problem_sections(
-    design: Design,
-    kind: str,
-    plant: SwitchedSystem,
-    gains: np.ndarray,
-    mode: int | None = None,
+    design: Design, kind: str, plant: SwitchedSystem, gains: np.ndarray, mode: int | None = None
 ) -> str:
     """The design as sections [gains], [[law]] and a step, for the problem file of a plant.
 
@@ -180,7 +176,6 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
 
 
 def _costs(designs: Mapping[str, Design]) -> str | None:
-    """What costs are, where they are not the usual ones."""
     texts = dict.fromkeys(text_of(one.weight) for one in designs.values())
     return None if set(texts) == {PLAIN} else plain(f"cost: {'; '.join(texts)}")
 
@@ -211,15 +206,7 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
         (any(_is_chosen(one) for one in designs.values()), Line2D([], [], label="chosen", **_RING)),
         (
             any(_falls_short(one, point) for one, point in drawn),
-            Line2D(
-                [],
-                [],
-                color="grey",
-                mfc="none",
-                marker="o",
-                label=_hollow(designs),
-                **line,
-            ),
+            Line2D([], [], color="grey", mfc="none", marker="o", label=_hollow(designs), **line),
         ),
         (
             any(math.isinf(point.margin) for _, point in drawn),
@@ -330,7 +317,6 @@ def _falls_short(design: Design, point: TradeOff) -> bool:
 
 
 def _dashed(designs: Mapping[str, Design]) -> str:
-    """What dashed lines are: of margins upright, of inputs level."""
     words = {
         "margin": any(one.asked for one in designs.values()),
         "limit": any(one.input_limit is not None for one in designs.values()),

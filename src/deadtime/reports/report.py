@@ -35,12 +35,7 @@ from deadtime.reports.certificate_tables import (
     left_out,
     theorem_refusal,
 )
-from deadtime.reports.figures.runs import (
-    all_laws,
-    plot_signal,
-    plot_verdict,
-    plot_window,
-)
+from deadtime.reports.figures.runs import all_laws, plot_signal, plot_verdict, plot_window
 from deadtime.reports.metrics import metrics_of
 from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, write_page, writing
 from deadtime.reports.verdict import headings_of, table, verdict
@@ -208,7 +203,6 @@ def write_report(
 
 
 def _whose(result: Comparison) -> str:
-    """Which runs have the signal that is shown."""
     given = isinstance(result.problem.signal, SwitchingSignal)
     return "every run" if given else f"the run under the law “{result.lead}”"
 
@@ -337,7 +331,6 @@ def _matrix(array: np.ndarray) -> str:
 
 
 def _setting(problem: Problem) -> dict[str, Any]:
-    """The problem, as the page shows it."""
     plant = problem.plant
     return {
         "problem": problem,

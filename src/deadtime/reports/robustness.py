@@ -52,11 +52,7 @@ def drawn_rows(drawn: dict[str, DrawnStability]) -> list[tuple[str, ...]]:
 def drawn_record(drawn: dict[str, DrawnStability]) -> dict[str, Any]:
     """The same for JSON."""
     return {
-        name: {
-            "plants": len(one.growth),
-            "stable": one.stable,
-            "slowest": float(one.growth.max()),
-        }
+        name: {"plants": len(one.growth), "stable": one.stable, "slowest": float(one.growth.max())}
         for name, one in drawn.items()
     }
 

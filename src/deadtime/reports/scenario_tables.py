@@ -300,7 +300,6 @@ def _grown(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
 
 
 def _lost(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
-    """Where a law diverged."""
     if isinstance(data, Comparison):
         return data.keep(data.results.diverged)
     return data["diverged"].transpose("law", "scenario").values.astype(bool)
@@ -469,7 +468,6 @@ def _figures(runs: Runs, oracle: int) -> np.ndarray:
 
 
 def _row(parts: np.ndarray, metric: str, ratio: bool) -> list[str]:
-    """The figures of one cell and law in words."""
     if math.isnan(parts[0]):
         return ["–"] * (5 if ratio else 3)
     if metric in RATES:  # of either sign; −∞ where runs diverged

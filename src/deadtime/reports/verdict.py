@@ -158,7 +158,6 @@ def _slow_observer(result: Comparison) -> list[str]:
 
 
 def _cost(result: Comparison) -> list[str]:
-    """What the cost is, where that is not the usual one."""
     weight = result.problem.weight
     return [] if weight is None else [f"The cost is {weight.text}."]
 
@@ -245,7 +244,6 @@ def _baseline(result: Comparison, name: str) -> str:
 
 
 def _times(result: Comparison, name: str, other: str) -> str:
-    """How many times the cost of another law a law costs."""
     cost, base = (result.metrics[law]["cost"] for law in (name, other))
     if cost == base:
         return f"{amount(1.0)} times"

@@ -179,7 +179,6 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
 
 
 def _rule(file: schema.ProblemFile, plant: SwitchedSystem) -> Rule | None:
-    """The rule by which the state decides the mode, where there is one."""
     with _section("signal"):
         rule = build_rule(file.signal)
         if rule is not None:
@@ -188,7 +187,6 @@ def _rule(file: schema.ProblemFile, plant: SwitchedSystem) -> Rule | None:
 
 
 def _uncertain(file: schema.ProblemFile, plant: SwitchedSystem) -> UncertainPlant | None:
-    """How well the plant is known, where the file says so."""
     if file.uncertainty is None:
         return None
     with _section("uncertainty"):
@@ -196,7 +194,6 @@ def _uncertain(file: schema.ProblemFile, plant: SwitchedSystem) -> UncertainPlan
 
 
 def _operating_point(file: schema.ProblemFile, plant: SwitchedSystem) -> OperatingPoint | None:
-    """Where the plant rests, where the file says so."""
     if file.operating_point is None:
         return None
     with _section("operating_point"):
@@ -207,7 +204,6 @@ def _operating_point(file: schema.ProblemFile, plant: SwitchedSystem) -> Operati
 
 
 def _start(run: schema.RunSection, plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, float]:
-    """x0, u0 and the horizon."""
     x0 = require_shape("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
     u0 = real_array("u0", np.atleast_1d(run.u0), "(m,)", 1)
     if u0.size == 1:
@@ -303,10 +299,7 @@ def _measured(
 
 
 def _gains(
-    file: schema.ProblemFile,
-    plant: SwitchedSystem,
-    following: FileServo | None,
-    step: float | None,
+    file: schema.ProblemFile, plant: SwitchedSystem, following: FileServo | None, step: float | None
 ) -> np.ndarray:
     """K (modes, m, n), or with a servo (modes, m, z)."""
     if following is None or step is None:

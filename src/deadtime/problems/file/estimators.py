@@ -289,7 +289,6 @@ def _deviations(R: Float[np.ndarray, "p p"]) -> Any:
 
 
 def _options(section: ModeFilterSection, plant: SwitchedSystem) -> dict[str, Any]:
-    """What both kinds of filter take alike."""
     initial = section.initial
     if initial is not None and len(initial) != plant.modes:
         raise ArgumentError(

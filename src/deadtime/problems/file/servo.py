@@ -190,7 +190,6 @@ def _combination(row: Float[np.ndarray, " p"], outputs: Sequence[str]) -> str:
 
 
 def _tracked(given: Any, outputs: Sequence[str]) -> Float[np.ndarray, "tracked p"]:
-    """H, from names or rows."""
     if given is None:
         return np.eye(len(outputs))
     if not given:
@@ -208,7 +207,6 @@ def _tracked(given: Any, outputs: Sequence[str]) -> Float[np.ndarray, "tracked p
 
 
 def _reference(given: Any, size: int, names: Sequence[str], folder: Path) -> Reference:
-    """The reference of so many outputs."""
     match given:
         case ScheduleSection():
             return Reference.of((np.array(given.times), given.values), size)

@@ -59,7 +59,6 @@ def _names(entry: Entry) -> list[str]:
 
 
 def _require_whole(entry: Entry) -> None:
-    """Refuse an entry that lacks something."""
     made, axis, slider = entry.made, entry.axis, entry.slider
     if made is None:
         _refuse(entry, "lacks made: give made = the class of the imperfection.")

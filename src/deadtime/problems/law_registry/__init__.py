@@ -77,7 +77,6 @@ def _names(entry: Entry) -> list[str]:
 
 
 def _require_whole(entry: Entry) -> None:
-    """Refuse an entry that lacks something."""
     if not entry.names:
         _refuse(entry, "lacks names: give names = (Named(…),), by which studies and figures go.")
     unknown = [need for need in entry.needs if need not in NEEDS]

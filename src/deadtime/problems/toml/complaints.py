@@ -208,7 +208,6 @@ def _is_list(field: FieldInfo | None) -> bool:
 
 
 def _models_in(annotation: Any) -> Models:
-    """The models that a field may hold."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [m for part in getattr(annotation, "__args__", ()) for m in _models_in(part)]
@@ -349,7 +348,6 @@ def _in_words_of_pydantic(name: str, items: Sequence[Any]) -> str:
 
 
 def _short(given: Any) -> str:
-    """A value, or its beginning."""
     try:
         text = repr(given)
     except ValueError:  # Python writes no integer of more than some thousand digits
@@ -358,7 +356,6 @@ def _short(given: Any) -> str:
 
 
 def _at(data: Any, path: Keys) -> Any:
-    """What the file says at a path of keys."""
     for key in path:
         data = data[key]
     return data

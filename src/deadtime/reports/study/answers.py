@@ -135,7 +135,6 @@ def _trend_in_dwell_time(fight: xr.Dataset) -> str:
 
 
 def _trend_in_distance(data: xr.Dataset) -> str:
-    """Whether the mean law bears modes that are farther apart."""
     calm = summary(data).stabilised
     dims = [dim for dim in calm.dims if dim not in ("law", "distance")]
     more, fewer, _, total = tally(steadier(data, MEAN, AVERAGED))
@@ -221,7 +220,6 @@ def _middle(values: np.ndarray) -> float:
 
 
 def _gain(fight: xr.Dataset) -> str:
-    """Where knowledge brings something, and where it brings nothing."""
     total, cells = int(fight.ratio.notnull().sum()), (fight.verdict == 1.0) & (fight.ratio < WORTH)
     text = f"It brings at least {percent(1.0 - WORTH)} in {of_cells(int(cells.sum()), total)}"
     if cells.any():
@@ -239,7 +237,6 @@ def _gain(fight: xr.Dataset) -> str:
 
 
 def _cost(fight: xr.Dataset) -> list[str]:
-    """Where knowledge costs something."""
     cells = (fight.verdict == -1.0) & (fight.ratio > 1.0 / WORTH)
     if not cells.any():
         return []
@@ -340,7 +337,6 @@ def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
 
 
 def _where_any_will_do(data: xr.Dataset, laws: list[str]) -> list[str]:
-    """Where the laws hardly differ."""
     regret = summary(data).regret.sel(law=[law for law in laws if not law.endswith(CRUDE)])
     if regret.sizes["law"] < 2:
         return []

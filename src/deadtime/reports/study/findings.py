@@ -105,7 +105,6 @@ def against_best(data: xr.Dataset, law: str, rivals: Sequence[str]) -> xr.Datase
 
 
 def _ranking(data: xr.Dataset, laws: Sequence[str]) -> Ranking:
-    """The laws by regret."""
     return ranking_of(summary(data).regret.sel(law=list(laws)).transpose(..., "law").values)
 
 

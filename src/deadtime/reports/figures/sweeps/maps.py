@@ -155,7 +155,6 @@ def keys_of(empty: xr.DataArray, waiting: xr.DataArray) -> list[Patch]:
 
 
 def _distance(ratio: float) -> str:
-    """The runner-up's figure over the winner's."""
     return "" if np.isnan(ratio) else short(1.0 / ratio if ratio else np.inf)
 
 

@@ -37,10 +37,7 @@ def score_of(data: xr.Dataset, metric: str) -> xr.DataArray:
 
 
 def reduce(
-    data: xr.Dataset,
-    metric: str,
-    rivals: Sequence[str] = (),
-    oracle: str = "",
+    data: xr.Dataset, metric: str, rivals: Sequence[str] = (), oracle: str = ""
 ) -> xr.Dataset:
     """Quantiles of a metric, and where asked for the best of some laws, and regret.
 

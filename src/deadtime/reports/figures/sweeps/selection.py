@@ -84,7 +84,6 @@ def short(value: float) -> str:
 
 
 def _power(value: float) -> str:
-    """A number by its first digit and its power of ten."""
     mantissa, exponent = f"{value:.0e}".split("e")
     return f"{mantissa}e{int(exponent)}"
 
