@@ -382,10 +382,10 @@ class ProvedBracket(NamedTuple):
 
     def record(self) -> dict[str, object]:
         """For JSON; the dwell times of each mode where they are not one and the same."""
-        found = self._asdict()
-        return (
-            found if _several(self) else {name: found[name] for name in ProvedBracket._fields[:3]}
-        )
+        each = self.certified_each, self.refuted_each
+        several = any(len(set(one)) > 1 for one in each if one)
+        kept = self._fields if several else self._fields[:3]
+        return {name: getattr(self, name) for name in kept}
 
 
 def least_dwell_times(
@@ -394,42 +394,26 @@ def least_dwell_times(
     """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
     from deadtime.problems.switching_assumptions import step_of
-    from deadtime.reports.certificate_tables import left_out
 
-    period = step_of(problem)
+    period, modes = step_of(problem), problem.plant.modes
 
     def bracket(one: Law) -> ProvedBracket:
         margin = least_dwell_time(problem.plant, one, period, dwell_time=signals, mode=mode)
         return ProvedBracket(*(getattr(margin, field) for field in ProvedBracket._fields))
 
-    brackets = _brackets(problem, law, bracket, json_output)
-    if json_output:
-        record = about(problem, period) | for_json(signals, problem.plant.modes)
-        if mode is not None:
-            record["mode"] = mode
-        elif not isinstance(record["dwell_time"], tuple):
-            del record["dwell_time"]
-        each = {name: one.record() for name, one in brackets.items()}
-        print_json(record | {"least_dwell_times": each})
-    else:
-        said = [
-            f"Sampling period {period:g} s.",
-            *_limits(signals, problem.plant.modes, mode),
-            *left_out(problem),
-        ]
-        print("\n".join((problem.title, *(with_names(one, problem.modes) for one in said), "")))
-        rows = [
-            (
-                name,
-                _seconds(one.certified, one.certified_each, up=True),
-                _seconds(one.refuted, one.refuted_each),
-            )
-            for name, one in brackets.items()
-        ]
-        print_table(("law", "proved from", "refuted up to"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {with_names(one.message, problem.modes)}")
-    return 0 if law is None or brackets[law].certified is not None else 1
+    def cells(one: ProvedBracket) -> tuple[str, str]:
+        proved = _seconds(one.certified, one.certified_each, up=True)
+        return proved, _seconds(one.refuted, one.refuted_each)
+
+    record = about(problem, period) | for_json(signals, modes)
+    if mode is not None:
+        record["mode"] = mode
+    elif not isinstance(record["dwell_time"], tuple):
+        del record["dwell_time"]
+    kept = (with_names(one, problem.modes) for one in _limits(signals, modes, mode))
+    said = [f"Sampling period {period:g} s.", *kept]
+    table = ("law", "proved from", "refuted up to"), cells
+    return _answer(problem, law, bracket, ("least_dwell_times", record), said, table, json_output)
 
 
 def longest_mode_lags(
@@ -437,7 +421,6 @@ def longest_mode_lags(
 ) -> int:
     """The bracket of every law, or of one, in periods; 1 if that one has none."""
     from deadtime.margins import longest_mode_lag
-    from deadtime.reports.certificate_tables import left_out
 
     signals = asked.signals
     if signals.chatter > 1:
@@ -450,25 +433,29 @@ def longest_mode_lags(
         found = longest_mode_lag(problem.plant, one, signals, period)
         return ProvedBracket(found.certified_seconds, found.refuted_seconds, found.message)
 
-    brackets = _brackets(problem, law, bracket, json_output)
-    if json_output:
-        record = about(problem, period) | for_json(signals, problem.plant.modes)
-        each = {name: one.record() for name, one in brackets.items()}
-        print_json(record | {"longest_mode_lags": each})
-    else:
-        said = asked.in_words(problem.modes, period)
-        print("\n".join((problem.title, said, *left_out(problem), "")))
-        rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
-        print_table(("law", "proved up to", "refuted at"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {with_names(one.message, problem.modes)}")
-    return 0 if law is None or brackets[law].certified is not None else 1
+    def cells(one: ProvedBracket) -> tuple[str, str]:
+        ends = one.certified, one.refuted
+        low, high = ("–" if seconds is None else f"{seconds:.4g} s" for seconds in ends)
+        return low, high
+
+    record = about(problem, period) | for_json(signals, problem.plant.modes)
+    said, table = [asked.in_words(problem.modes, period)], ("law", "proved up to", "refuted at")
+    given = ("longest_mode_lags", record), said, (table, cells)
+    return _answer(problem, law, bracket, *given, json_output)
 
 
-def _brackets(
-    problem: Problem, law: str | None, bracket: Callable[[Law], ProvedBracket], json_output: bool
-) -> dict[str, ProvedBracket]:
-    """The bracket of every law, with what refuses it in place of one, or of one law."""
+def _answer(
+    problem: Problem,
+    law: str | None,
+    bracket: Callable[[Law], ProvedBracket],
+    record: tuple[str, dict[str, object]],
+    said: list[str],
+    table: tuple[tuple[str, ...], Callable[[ProvedBracket], tuple[str, str]]],
+    json_output: bool,
+) -> int:
+    """Print the bracket of every law, with what refuses it in place of one, or of one law."""
+    from deadtime.reports.certificate_tables import left_out
+
     names, found = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
     laws = [problem.law(name) for name in names]
     with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
@@ -480,7 +467,16 @@ def _brackets(
                     raise
                 found[name] = ProvedBracket(None, None, str(error))
             advance(name)
-    return found
+    if json_output:
+        key, about_them = record
+        print_json(about_them | {key: {name: one.record() for name, one in found.items()}})
+    else:
+        print("\n".join((problem.title, *said, *left_out(problem), "")))
+        headings, cells = table
+        print_table(headings, [(name, *cells(one)) for name, one in found.items()])
+        for name, one in found.items():
+            print(f"• {name}: {with_names(one.message, problem.modes)}")
+    return 0 if law is None or found[law].certified is not None else 1
 
 
 def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
@@ -522,19 +518,10 @@ def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
     return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
 
 
-def _lag(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{seconds:.4g} s"
-
-
 def about(problem: Problem, step: float) -> dict[str, object]:
     """What the answers are about, for JSON."""
     without = problem.imperfections_in_words
     return {"problem": problem.name, "step": step, "imperfections_left_out": without}
-
-
-def _several(one: ProvedBracket) -> bool:
-    """Whether modes have dwell times of their own."""
-    return any(len(set(each)) > 1 for each in (one.certified_each, one.refuted_each) if each)
 
 
 def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = False) -> str:

@@ -282,17 +282,25 @@ def _print(
     from deadtime.reports import metrics
 
     print_heading(problem.title)
-    print(_drawn(problem, model, sojourn, data, outcome))
-    if _is_limited(problem):
+    limited, about = _is_limited(problem), []
+    if sojourn is None:
+        what = f"of the file's [switching], {problem.switching!r}"
+    elif limited:
+        what = f"of {model!r}"
+    else:
+        (dwell, shortest), (mean, whole) = sojourn
+        what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
+        about = [f"Dwell time {dwell:g} s: {shortest}. Mean sojourn {mean:g} s: {whole}."]
+    if limited:
         assert problem.constraint is not None
         switches = with_names(problem.constraint.in_words()[1], problem.modes)
-        print(f"• Every signal {switches}.")
-    elif sojourn is not None:
-        print(
-            f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "
-            f"Mean sojourn {sojourn.mean.value:g} s: {sojourn.mean.source}."
-        )
-    for sentence in unit_checks_of(problem, data.attributes["step"]):
+        about = [f"Every signal {switches}."]
+    print(
+        f"{outcome.scenarios:,} random signal{'s' * (outcome.scenarios != 1)}, {what}, "
+        f"{problem.horizon:g} s each, sampled every {data.attributes['step']:g} s, seed "
+        f"{data.attributes['seed']}."
+    )
+    for sentence in (*about, *unit_checks_of(problem, data.attributes["step"])):
         print(f"• {sentence}")
     if data.attributes["imperfections"]:
         print(f"• Imperfect: {', '.join(data.attributes['imperfections'])}.")
@@ -314,27 +322,6 @@ def _print(
         print(f"\n{metrics.heading_of(problem, i)}, medians")
         print_table(metrics.HEADINGS, rows)
     print_never(shown)
-
-
-def _drawn(
-    problem: Problem,
-    model: SwitchingModel,
-    sojourn: Sojourn | None,
-    data: Comparison,
-    outcome: Summary,
-) -> str:
-    signals = "signal" if outcome.scenarios == 1 else "signals"
-    if sojourn is None:
-        what = f"of the file's [switching], {problem.switching!r}"
-    elif _is_limited(problem):
-        what = f"of {model!r}"
-    else:
-        dwell, mean = sojourn.dwell.value, sojourn.mean.value
-        what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
-    return (
-        f"{outcome.scenarios:,} random {signals}, {what}, {problem.horizon:g} s each, "
-        f"sampled every {data.attributes['step']:g} s, seed {data.attributes['seed']}."
-    )
 
 
 def _record(

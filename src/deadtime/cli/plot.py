@@ -104,8 +104,10 @@ def plot(
         The figure, PNG, SVG, PDF or PGF, where there is one; or a folder for PNG files, by default
         next to where you are and named after the store.
     """
+    from deadtime.scenarios.sweeps import open_sweep
+
     out = Path(f"{Path(store).stem}-plots") if out is None else out
-    plan = _plan(_open(store), kind, metric, law, (x, y), _where(where or []))
+    plan = _plan(open_sweep(store), kind, metric, law, (x, y), _where(where or []))
     single = _is_figure(out)
     if single and plan.count != 1:
         raise ArgumentError(
@@ -118,19 +120,18 @@ def plot(
     except OSError as error:
         reason = error.strerror
         raise ArgumentError(f"out {str(folder)!r} cannot be written: {reason}.") from None
-    paths = _write(plan, out, single, quiet=json_output)
+    paths = []
+    with progress_bar(plan.count, quiet=json_output) as advance:
+        for name, figure in _figures(plan):
+            paths.append(out if single else out / f"{name}.png")
+            save_figure(figure, paths[-1])
+            advance(name)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)
         return
     print("\n".join(map(str, paths)))
     if plan.kind == "all" and plan.left_out:
         print(plan.left_out)
-
-
-def _open(store: str) -> xr.Dataset:
-    from deadtime.scenarios.sweeps import open_sweep
-
-    return open_sweep(store)
 
 
 def _where(texts: Sequence[str]) -> dict[str, str]:
@@ -190,16 +191,6 @@ def _is_figure(out: Path) -> bool:
 
     known = Figure().canvas.get_supported_filetypes()
     return out.suffix[1:].lower() in known and not out.is_dir()
-
-
-def _write(plan: PlotPlan, out: Path, single: bool, quiet: bool) -> list[Path]:
-    paths = []
-    with progress_bar(plan.count, quiet) as advance:
-        for name, figure in _figures(plan):
-            paths.append(out if single else out / f"{name}.png")
-            save_figure(figure, paths[-1])
-            advance(name)
-    return paths
 
 
 def _figures(plan: PlotPlan) -> Iterator[tuple[str, Figure]]:
