@@ -21,16 +21,8 @@ _READS_FILES = {"signal": "log", "switching": "fitted"}
 class Document:
     """A problem file as it was opened (immutable).
 
-    Attributes
-    ----------
-    name : str
-        Of the file, without its ending.
-    text : str
-        What it says.
-    draft : mapping
-        The same as nested dictionaries and lists.
-    source : Path
-        Where it lies: its relative paths start at this file's folder.
+    `name` is the file's without its ending, `draft` the `text` as nested dictionaries and lists;
+    relative paths start at the folder of `source`.
     """
 
     name: str
@@ -59,13 +51,7 @@ def open_named(name: str) -> Document:
 def open_upload(name: str, content: bytes, folder: Path) -> Document:
     """A problem file that came through a browser: nothing it says is trusted.
 
-    Parameters
-    ----------
-    name : str
-        Its name on the machine of the person.
-    content : bytes
-    folder : Path
-        An empty folder to check it in.
+    `name` is that on the machine of the person, `folder` an empty one to check it in.
 
     Raises
     ------

@@ -130,13 +130,7 @@ class CardPage(Protocol):
 
 
 class LogCard:
-    """What a page shows of a log.
-
-    Parameters
-    ----------
-    page : Shown
-    workers : Workers
-    """
+    """The card that a page shows of a log."""
 
     def __init__(self, page: CardPage, workers: Workers) -> None:
         self._page, self._jobs = page, BackgroundJobs(workers)

@@ -35,23 +35,10 @@ _SLOW = 1.0  # seconds of a processor above which a page cannot follow every mov
 
 
 class Page:
-    """A page (one per session).
+    """A page, one per session, which begins with a document.
 
-    Parameters
-    ----------
-    document : Document
-        What it begins with.
-    workers : Workers
-        Who does what takes longer than a moment.
-    first_view : FirstView, optional
-        The document's, made once where many pages begin with it.
-
-    Attributes
-    ----------
-    document : Document
-        The problem file that was opened.
-    outcome : Outcome
-        What is shown.
+    `workers` do what takes longer than a moment; `first_view` is the document's, made once where
+    many pages begin with it. What is shown is the `outcome` of the `document` that was opened.
     """
 
     def __init__(

@@ -28,16 +28,8 @@ class ProblemPanels:
     """The panels of one problem: states, outputs, inputs, the switching signal, the mismatch.
 
     A reference is drawn beside the state that follows it, or beside an output where that is no
-    state that is shown. Where no run has a mismatch, there is no panel of it.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        What is shown first.
-    laws : sequence of str
-        All that may be shown; they share the colours.
-    states : sequence of int
-        Which states have a panel.
+    state that is shown. Where no run has a mismatch, there is no panel of it. All `laws` that may
+    be shown share the colours; `states` are those with a panel.
     """
 
     def __init__(self, outcome: ProblemOutcome, laws: Sequence[str], states: Sequence[int]) -> None:

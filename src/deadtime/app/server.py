@@ -34,15 +34,7 @@ _REST = 1.0  # seconds after the end of a session in which others may end too
 
 
 class Sessions:
-    """The sessions of one server.
-
-    Parameters
-    ----------
-    make : callable
-        Makes the page of a session.
-    most : int
-        How many there may be at once.
-    """
+    """The sessions of one server: `make` makes the page of one, `most` there may be at once."""
 
     def __init__(self, make: Callable[[], Page], most: int = MOST) -> None:
         self._make, self._most = make, most

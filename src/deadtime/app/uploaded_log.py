@@ -192,19 +192,10 @@ def _is_of_numbers(column: Any) -> bool:
 def open_log(
     name: str, content: bytes, folder: Path, asked: LogRequest, tell: Tell = lambda _: None
 ) -> tuple[IdentifiedPlant, Identification]:
-    """Identify the plant of a log: nothing that it says is trusted.
+    """Identify the plant of a log, CSV with a column t: nothing that it says is trusted.
 
-    Parameters
-    ----------
-    name : str
-        Its name on the machine of the person.
-    content : bytes
-        CSV with a column t.
-    folder : Path
-        An empty folder to work in.
-    asked : Asked
-    tell : callable
-        Told what is being done.
+    `name` is that on the machine of the person, `folder` an empty one to work in; `tell` is told
+    what is being done.
 
     Raises
     ------

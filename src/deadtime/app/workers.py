@@ -47,13 +47,7 @@ class _NotBegunError(Exception):
 
 
 class Workers:
-    """A few processes, started at once, that run one job each at a time.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-    """
+    """A few processes, started at once, that run one job each at a time."""
 
     def __init__(self, count: int = 1) -> None:
         self._idle: queue.Queue[_Worker] = queue.Queue()

@@ -105,17 +105,12 @@ Figures = Mapping[str, Mapping[str, np.ndarray]]  # law → figure → one entry
 
 @dataclass(frozen=True, eq=False)
 class AuditEvidence:
-    """What the claims about the example are judged by.
+    """The runs that the claims about the example are judged by.
 
-    Attributes
-    ----------
-    problem : Problem
-    dwell_time : float
-        Of the random signals, in seconds.
-    one, many : mapping
-        Law → figure → array over the signals: the problem's own signal, and the random ones.
-        Figures are those of `figures_of_run` and `figures_of_transient`, and `command_error`,
-        the rms of `commands` minus `exact_commands` along the run of law (2).
+    `one` is of the problem's own signal, `many` of random ones with the dwell time, in seconds: law
+    → figure → array over the signals. Figures are those of `figures_of_run` and
+    `figures_of_transient`, and `command_error`, the rms of `commands` minus `exact_commands` along
+    the run of law (2).
     """
 
     problem: Problem

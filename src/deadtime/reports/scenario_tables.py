@@ -18,7 +18,7 @@ from deadtime.base.json_records import plain
 from deadtime.base.latex import booktabs
 from deadtime.base.wording import compact
 from deadtime.reports.figures.sweeps.panels import symbol_of
-from deadtime.reports.figures.sweeps.reduction import score_of
+from deadtime.reports.figures.sweeps.reduction import quantiles, score_of
 from deadtime.reports.figures.sweeps.selection import (
     RATES,
     RUNS,
@@ -317,25 +317,8 @@ def relative_costs(data: xr.Dataset | Comparison) -> Float[np.ndarray, "law scen
     return np.where(np.isinf(cost), np.inf, ratios)
 
 
-def quantile(values: Float[np.ndarray, " scenario"], level: float) -> float:
-    """The linear quantile that numpy has, also where some values are infinite.
-
-    Examples
-    --------
-    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.25)
-    2.5
-    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.5)
-    inf
-    """
-    # Between a finite value and ∞, interpolation has ∞ − ∞ in it.
-    if np.isinf(np.quantile(values, level, method="higher")):
-        return math.inf
-    highest = values[np.isfinite(values)].max()
-    return float(np.quantile(np.minimum(values, highest), level))
-
-
 def _quantiles(values: np.ndarray) -> ThreeQuantiles:
-    return ThreeQuantiles(*(quantile(values, level) for level in LEVELS))
+    return ThreeQuantiles(*quantiles(values, LEVELS).tolist())
 
 
 def interval_text(low: float, high: float) -> str:

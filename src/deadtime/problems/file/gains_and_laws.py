@@ -105,18 +105,8 @@ def _pole(given: float | str) -> complex:
 class Laws:
     """Builds the laws of a file.
 
-    Attributes
-    ----------
-    file : ProblemFile
-    plant : SwitchedSystem
-        That of [plant].
-    gains : (modes, m, n), or (modes, m, z) with a servo
-    model, rule, weight
-        As in `LawSetting`.
-    step : float or None
-        The sampling period; None for an ideal loop.
-    following : FileServo or None
-        The servo, where outputs follow a reference.
+    `gains` are (modes, m, n), or (modes, m, z) with a servo, `following`, where outputs follow a
+    reference; `model`, `rule`, `weight` are as in `LawSetting`; `step` is None for an ideal loop.
     """
 
     file: schema.ProblemFile

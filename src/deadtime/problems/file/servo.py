@@ -82,18 +82,10 @@ class ServoSection(Section):
 
 @dataclass(frozen=True, eq=False)
 class FileServo:
-    """What a [servo] makes of plants.
+    """The servos of plants, as a [servo] describes them.
 
-    Attributes
-    ----------
-    section : ServoSection
-    C : (p, n) or (modes, p, n)
-        What is measured.
-    outputs : sequence of str
-        Names of these.
-    H : (tracked, p)
-        What is tracked of them.
-    reference : Reference
+    C, (p, n) or (modes, p, n), is measured, by the names `outputs`; H, (tracked, p), picks what of
+    it follows the reference.
     """
 
     section: ServoSection

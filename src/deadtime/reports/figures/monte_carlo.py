@@ -16,12 +16,12 @@ from deadtime.base.figure_files import Width, inches, legend_columns, new_figure
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
+from deadtime.reports.figures.sweeps.reduction import quantiles
 from deadtime.reports.scenario_tables import (
     count_of,
     losses,
     measure_in,
     names_of,
-    quantile,
     reference_of,
     relative_costs,
 )
@@ -152,9 +152,10 @@ def _limits(values: Float[np.ndarray, "law scenario"]) -> tuple[float, float] | 
         return (0.1, 10.0) if np.isfinite(values).any() else None
     medians = [float(np.median(row)) for row in rows]
     best = min(medians)
-    near = [i for i, row in enumerate(rows) if quantile(row, 0.05) <= _FAR * best]
-    low = min(quantile(rows[i], 0.002) for i in near)
-    tops = [min(quantile(rows[i], 0.99), _TAIL * max(medians[i], best)) for i in near]
+    ends = [quantiles(row, (0.002, 0.05, 0.99)).tolist() for row in rows]
+    near = [i for i, (_, low, _) in enumerate(ends) if low <= _FAR * best]
+    low = min(ends[i][0] for i in near)
+    tops = [min(ends[i][2], _TAIL * max(medians[i], best)) for i in near]
     high = min(max(tops), _FAR * _TAIL * best)
     # Air on both sides, also where all laws cost the same.
     air = max((high / low) ** 0.03, 1.02)
