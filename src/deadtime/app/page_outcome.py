@@ -119,10 +119,11 @@ def require_size(draft: Mapping[str, Any]) -> None:
         ]
     elif step == "ideal" and (shortest := shortest_delay(draft)) > 0.0:
         sizes = [("run.horizon", run["horizon"] / shortest, MOST_TAPS, "delays")]
+    columns = len(plant["B"][0][0]) if plant["B"] and plant["B"][0] else 0
     sizes += [
         ("plant.A", len(plant["A"]), MOST_MODES, "modes"),
         ("plant.A", len(plant["A"][0]) if plant["A"] else 0, MOST_STATES, "states"),
-        ("plant.B", _columns(plant["B"]), MOST_INPUTS, "inputs"),
+        ("plant.B", columns, MOST_INPUTS, "inputs"),
         ("law", len(draft.get("law", [])), MOST_LAWS, "laws"),
         ("imperfection", len(draft.get("imperfection", [])), MOST_LAWS, "imperfections"),
     ]
@@ -132,11 +133,6 @@ def require_size(draft: Mapping[str, Any]) -> None:
                 f"{name} makes {size:,.0f} {unit}, the explorer takes at most {most:,}: use "
                 "`deadtime simulate` for larger ones."
             )
-
-
-def _columns(matrices: Any) -> int:
-    """Columns of the first matrix, as far as there is one."""
-    return len(matrices[0][0]) if matrices and matrices[0] else 0
 
 
 def run_draft(draft: Mapping[str, Any], source: Path) -> ProblemOutcome:

@@ -42,18 +42,14 @@ class Sessions:
 
     def begin(self) -> pmui.Page:
         """What the visitor sees whose session begins now."""
-        if self._full():
+        context = pn.state.curdoc.session_context if pn.state.curdoc else None
+        if context is not None and len(context.server_context.sessions) >= self._most:
             view, close = self._refusal(), lambda: None
         else:
             page = self._make()
             view, close = page.view(), page.close
         self._when_over(view, close)
         return view
-
-    def _full(self) -> bool:
-        """Whether the session that begins now is one too many."""
-        context = pn.state.curdoc.session_context if pn.state.curdoc else None
-        return context is not None and len(context.server_context.sessions) >= self._most
 
     def _refusal(self) -> pmui.Page:
         """For a visitor for whom there is no room."""

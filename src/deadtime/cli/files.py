@@ -94,7 +94,9 @@ def completion(
         Write the script where the shell looks for it, and let its start-up file load it.
     """
     chosen = shell or _shell()
-    script = _script(chosen)
+    script = app.generate_completion(shell=chosen)
+    if chosen == "bash":  # so that folders end in a slash and go on
+        script = script.replace("complete -F", "complete -o filenames -F")
     written = [_install(chosen, script)] if install else []
     if json_output:
         print_json({"shell": chosen, "script": script}, written)
@@ -117,13 +119,6 @@ def _shell() -> Shell:
         "shell must be one of bash, zsh, fish where it cannot be told, got none: "
         "deadtime completion bash."
     )
-
-
-def _script(shell: Shell) -> str:
-    script = app.generate_completion(shell=shell)
-    if shell == "bash":  # so that folders end in a slash and go on
-        script = script.replace("complete -F", "complete -o filenames -F")
-    return script
 
 
 def _install(shell: Shell, script: str) -> Path:

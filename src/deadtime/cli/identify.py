@@ -25,8 +25,10 @@ from deadtime.cli.printing import (
 if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.identification import Identification
-    from deadtime.identification.hidden_modes import HiddenModes
     from deadtime.switching import SwitchingSignal
+
+
+_OF_HIDDEN = ("numbers", "bic", "chain", "sure", "widening", "starts", "agreed")
 
 
 @app.command(
@@ -239,8 +241,12 @@ def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
 
 
 def _record(fit: Identification, said: list[str]) -> dict:
+    from deadtime.base.json_records import record
     from deadtime.reports.identification_report import listed_names
 
+    point, rest = fit.operating_point, None
+    if point is not None:
+        rest = {"x": point.x, "u": point.u, "x_error": fit.rest_error, "offset": fit.offset}
     return {
         "samples": fit.samples,
         "step": fit.step,
@@ -249,32 +255,13 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "B": fit.plant.B,
         "delays": fit.delays,
         "delay_interval": fit.delay_interval,
-        "operating_point": _operating_point(fit),
+        "operating_point": rest,
         "disturbance": fit.disturbance,
         "noise": fit.noise,
         "intervals": {name: list(fit.interval(name)) for name in listed_names(fit)},
         "log_likelihood": fit.log_likelihood,
-        "hidden": None if fit.hidden is None else _hidden(fit.hidden),
+        "hidden": fit.hidden and record(fit.hidden, *_OF_HIDDEN),
         "sentences": said,
-    }
-
-
-def _operating_point(fit: Identification) -> dict | None:
-    point = fit.operating_point
-    if point is None:
-        return None
-    return {"x": point.x, "u": point.u, "x_error": fit.rest_error, "offset": fit.offset}
-
-
-def _hidden(hidden: HiddenModes) -> dict:
-    return {
-        "numbers": hidden.numbers,
-        "bic": hidden.bic,
-        "chain": hidden.chain,
-        "sure": hidden.sure,
-        "widening": hidden.widening,
-        "starts": hidden.starts,
-        "agreed": hidden.agreed,
     }
 
 

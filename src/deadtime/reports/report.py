@@ -150,10 +150,11 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
         "Switching instants and modes in [t, t + D]: what the exact predictor must know at t.",
         plot_window(signal, delay, end, problem.modes),
     )
+    given = isinstance(problem.signal, SwitchingSignal)
+    whose = "every run" if given else f"the run under the law “{result.lead}”"
     yield (
         "signal",
-        f"The switching signal of {_whose(result)}: active mode in blue, switching instants in "
-        "black.",
+        f"The switching signal of {whose}: active mode in blue, switching instants in black.",
         plot_signal(signal, end, problem.modes),
     )
     states, inputs = problem.curve_names
@@ -202,11 +203,6 @@ def write_report(
     return Report(folder / PAGE, sentences, result)
 
 
-def _whose(result: Comparison) -> str:
-    given = isinstance(result.problem.signal, SwitchingSignal)
-    return "every run" if given else f"the run under the law “{result.lead}”"
-
-
 def _is_shown(problem: Problem, law: str) -> bool:
     """Whether a law has a figure of its own: all but a baseline that others are held against."""
     return len(problem.laws) == 1 or not isinstance(problem.laws[law], DelayedStateFeedback)
@@ -243,7 +239,10 @@ def _write(
             for name, caption, figure in certified["figures"]
         ]
     progress("writing: data")
-    _write_data(result, folder)
+    for number, (name, run) in enumerate(result.runs.items(), 1):
+        path = folder / "data" / f"{number}-{file_name(name)}.csv"
+        run.to_csv(path, problem.states, problem.inputs, problem.tracked)
+    write_metrics(metrics_of(result), folder)
     progress("writing: report")
     write_page(
         folder,
@@ -315,14 +314,6 @@ def _constants(result: Comparison) -> dict[str, Any]:
         "dwell_time": dwell_time,
         "source": source,
     }
-
-
-def _write_data(result: Comparison, folder: Path) -> None:
-    problem = result.problem
-    for number, (name, run) in enumerate(result.runs.items(), 1):
-        path = folder / "data" / f"{number}-{file_name(name)}.csv"
-        run.to_csv(path, problem.states, problem.inputs, problem.tracked)
-    write_metrics(metrics_of(result), folder)
 
 
 def _matrix(array: np.ndarray) -> str:

@@ -128,7 +128,7 @@ class Summary:
             [
                 one.law,
                 *map(compact, getattr(one, self.measure)),
-                _share(one.best),
+                f"{100.0 * one.best:.1f} %",
                 compact(one.relative),
                 f"{one.grew:,}",
             ]
@@ -170,7 +170,7 @@ class Summary:
         """The laws as a LaTeX table of the package booktabs: what ranks them, with intervals."""
         both = zip(self.rows(), self.interval_rows(), strict=True)
         rows = [
-            [*row[:3], more[2], *row[3:5], _shares(one.best_interval), row[5], more[4], row[6]]
+            [*row[:3], more[2], *row[3:5], _shares(*one.best_interval), row[5], more[4], row[6]]
             for (row, more), one in zip(both, self.laws, strict=True)
         ]
         low, median, high = self.headings[1:4]
@@ -337,12 +337,8 @@ def _interval(values: np.ndarray) -> Interval:
     return Interval(float(low), float(high))
 
 
-def _shares(interval: Interval) -> str:
-    return f"{100.0 * interval.low:.1f} to {100.0 * interval.high:.1f} %"
-
-
-def _share(share: float) -> str:
-    return f"{100.0 * share:.1f} %"
+def _shares(low: float, high: float) -> str:
+    return f"{100.0 * low:.1f} to {100.0 * high:.1f} %"
 
 
 Runs = Float[np.ndarray, "*cell law scenario"]

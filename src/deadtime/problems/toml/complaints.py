@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.toml.sections import Shape
+from deadtime.problems.toml.sections import Shape, kinds_of
 
 # What follows a repetition may be missing, so that none is gone back on and no text costs more than
 # its length. (To forbid it, `*+`, is wrong for groups before Python 3.11.5.)
@@ -176,13 +176,8 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: boo
     inside = bool(path) and isinstance(path[-1], int)
     listed = bool(models) and not inside and _is_list(field)
     elsewhere = [one for one in others if path and path[-1] in one.model_fields]
-    kinds = tuple(kind for one in elsewhere for kind in _kinds_of(one))
+    kinds = tuple(kind for one in elsewhere for kind in kinds_of(one))
     return Place(tuple(path), field, siblings, bool(models), listed, tuple(item), kinds)
-
-
-def _kinds_of(model: type[BaseModel]) -> tuple[str, ...]:
-    kind = model.model_fields.get("kind")
-    return () if kind is None else getattr(kind.annotation, "__args__", ())
 
 
 def _is_no_key(part: str, models: Models) -> bool:
@@ -195,12 +190,7 @@ def _choose(part: str, models: Models) -> Models:
     named = [model for model in models if model.__name__ == part]
     if len(models) == 1:  # a kind was chosen before: the part is a key
         return named
-    return named or [
-        model
-        for model in models
-        if (kind := model.model_fields.get("kind")) is not None
-        and part in getattr(kind.annotation, "__args__", ())
-    ]
+    return named or [model for model in models if part in kinds_of(model)]
 
 
 def _is_list(field: FieldInfo | None) -> bool:
