@@ -175,7 +175,7 @@ class Controls:
         self.original.on_click(lambda _: self.choose(None))
 
     def settings(self) -> Settings:
-        """What was moved, what was chosen."""
+        """All that was moved and chosen."""
         values: dict[str, Any] = {}
         for name, slider in self.sliders.items():
             one = self.ranges[name]
@@ -212,7 +212,7 @@ class Controls:
             self._changed()
 
     def _on_drawn(self, _: Any) -> None:
-        """What the switching is drawn from was moved: the signal is drawn again."""
+        """Draw the signal again, since its model was moved."""
         if not self._quiet:
             self.choose(DrawnSignal(int(self.seed.value or 0)))
 

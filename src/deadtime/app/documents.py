@@ -81,7 +81,7 @@ def open_upload(name: str, content: bytes, folder: Path) -> Document:
 
 
 def too_large(name: str, size: int) -> ProblemFileError:
-    """What to say of a file that is larger than a problem file can be."""
+    """The refusal of a file that is larger than a problem file can be."""
     return ProblemFileError(
         f"{file_stem(name)}.toml has {size / 1e6:.1f} MB, a problem file at most "
         f"{MOST_BYTES / 1e6:.0f} MB: choose another file."

@@ -119,7 +119,7 @@ def growth_rates(problem: Problem, law: str) -> list[float]:
 
 
 def growth_elsewhere(draft: Mapping[str, Any], source: Path, law: str) -> list[float]:
-    """The same of a problem as plain data."""
+    """`growth_rates` of a problem as plain data."""
     return growth_rates(_problem(draft, source, law)[0], law)
 
 

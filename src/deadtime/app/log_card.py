@@ -79,7 +79,7 @@ class LogForm:
         return tuple(name for name, one in self.roles.items() if one.value == role)
 
     def asked(self) -> LogRequest:
-        """What the form asks.
+        """The question that the form asks.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class LogForm:
         return not self._of(MODE) and self.modes.value == HIDDEN
 
     def _on_modes(self, _: Any = None) -> None:
-        """What is asked of modes depends on whether there are several, and who knows of them."""
+        """Show what can be asked of modes, which depends on who knows of them."""
         logged, hidden = bool(self._of(MODE)), self._hidden()
         self.modes.visible = not logged
         self.least.visible = self.most.visible = hidden
@@ -269,7 +269,7 @@ class LogCard:
             self._page.refuse(str(error))
 
     def _command(self) -> str:
-        """What asks the same without a limit."""
+        """The command that asks this without a limit."""
         return "" if self._asked is None else self._asked.command(self._name)
 
     def _without_likelihood(self, why: str) -> None:

@@ -220,7 +220,7 @@ class Page:
         return draft_of(self.document, self.offer, replace(settings, values=values))
 
     def toml(self) -> str:
-        """The same as text, of what is shown: without laws that were added and do not run."""
+        """The problem file of what is shown, without laws that were added and do not run."""
         draft = dict(self._shown)
         own = self.document.draft.get("law", [])
         if "law" in draft:

@@ -49,7 +49,7 @@ _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 @dataclass(frozen=True, eq=False)
 class ProblemOutcome:
-    """What a problem does (immutable).
+    """The runs of a problem's laws, and the oracle's measure (immutable).
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class ProblemOutcome:
 
     @cached_property
     def notes(self) -> list[str]:
-        """What to look at: a signal that tests nothing, numbers that do not fit each other."""
+        """Sentences on a signal that tests nothing, and on numbers that do not fit each other."""
         law, run = next(iter(self.runs.items()))
         said = why_untested(run, self.endings[law])
         return [*([said] if said else []), *unit_checks_of(self.problem)]

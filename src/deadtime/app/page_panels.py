@@ -131,7 +131,7 @@ class ProblemPanels:
         }
 
     def _columns(self, run: Trajectory) -> dict[str, np.ndarray]:
-        """What the panels read, of at most so many samples as can be told apart."""
+        """The columns that the panels read, of at most so many samples as can be told apart."""
         rows = {row: _values(run, row) for row in self._rows}
         kept = _samples_to_draw(run.time.size, [row for row in rows.values() if row is not None])
         columns = {"t": run.time[kept]}

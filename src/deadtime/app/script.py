@@ -201,7 +201,7 @@ def _given(value: Any, name: str, default: Any) -> Any:
 
 
 def _given_servo(servo: Servo, name: str) -> Any:
-    """What a servo was given: its parts, of which `plant` and `C` are those with more states."""
+    """An argument of a servo, whose `plant` and `C` have more states than it was given."""
     if name == "plant":
         return servo.base
     if name == "C":

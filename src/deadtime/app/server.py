@@ -41,7 +41,7 @@ class Sessions:
         self._sweeps = False
 
     def begin(self) -> pmui.Page:
-        """What the visitor sees whose session begins now."""
+        """The page for the visitor whose session begins now."""
         context = pn.state.curdoc.session_context if pn.state.curdoc else None
         if context is not None and len(context.server_context.sessions) >= self._most:
             view, close = self._refusal(), lambda: None

@@ -1,4 +1,4 @@
-"""What a person has chosen or drawn on a page, and the problem file that it makes."""
+"""Settings that a person has chosen or drawn on a page, and the problem file that they make."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Settings:
 
 
 def draft_of(document: Document, offer: Mapping[str, Section], settings: Settings) -> Draft:
-    """What a problem file of the settings says.
+    """The problem file that the settings make, as nested dictionaries and lists.
 
     Examples
     --------

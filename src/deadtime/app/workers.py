@@ -1,4 +1,4 @@
-"""What takes longer than a moment runs in processes of its own, each with a limit of time.
+"""Processes for jobs that take longer than a moment, each with a limit of time.
 
 A page stays as quick as it is while they work, and a problem that never ends hurts nobody: its
 process is ended, and another takes its place. Jobs go in and out as plain data.

@@ -114,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _mend_surroundings() -> None:
-    """What a process may be started with that libraries stumble over."""
+    """Mend what a process may be started with that libraries stumble over."""
     # Closed, as by `>&-`: what is opened first would be taken for it.
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
@@ -151,7 +151,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _unforeseen(error: Exception) -> str:
-    """What to say of a bug: what it was, and who wants to know."""
+    """A bug in a line: what it was, and who wants to know."""
     if os.environ.get("DEADTIME_DEBUG"):
         traceback.print_exception(error)
     return (

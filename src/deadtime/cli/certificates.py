@@ -372,7 +372,7 @@ def bound(
 
 
 class ProvedBracket(NamedTuple):
-    """What is proved of a law and what refuted, seconds; None where nothing is known."""
+    """The ends of a bracket, proved and refuted, in seconds; None where nothing is known."""
 
     certified: float | None
     refuted: float | None
@@ -480,7 +480,7 @@ def _answer(
 
 
 def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
-    """What the search keeps of the signals, where it keeps anything."""
+    """Sentences on what a search for dwell times keeps of the signals."""
     limits, found = signals.limits(modes), []
     if mode is not None:
         found.append(f"The dwell time of mode {mode} moves; the others stay.")
@@ -519,7 +519,7 @@ def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
 
 
 def about(problem: Problem, step: float) -> dict[str, object]:
-    """What the answers are about, for JSON."""
+    """The problem and the loop that answers are about, for JSON."""
     without = problem.imperfections_in_words
     return {"problem": problem.name, "step": step, "imperfections_left_out": without}
 

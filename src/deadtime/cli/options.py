@@ -167,7 +167,7 @@ def kept_by_search(
     chatter: int | None,
     at: Instants | None,
 ) -> SignalClass:
-    """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
+    """The signals of a search for the least dwell time, which keeps proportions and limits."""
     from deadtime.margins.dwell_time import SHORT
     from deadtime.problems.switching_assumptions import signals_of, step_of
 

@@ -23,7 +23,7 @@ Kind = Literal["heat", "bands", "wins", "regret", "all"]
 
 @dataclass(frozen=True, eq=False)
 class PlotPlan:
-    """What to draw: the cells, the laws of heat maps and regret, and what laws are held against.
+    """The cells to draw, the laws of heat maps and regret, and what laws are held against.
 
     `rivals` are the laws to choose the best of, `oracle` the law of the future; both are empty
     where such maps are not asked for, or the sweep has none. `left_out` says why bands cannot be
@@ -157,7 +157,7 @@ def _plan(
     sides: tuple[str | None, str | None],
     held: dict[str, str],
 ) -> PlotPlan:
-    """What to draw; all that can be refused is refused here, before the store is read."""
+    """The figures to draw; all that can be refused is refused here, before the store is read."""
     from deadtime.reports.figures.sweeps import selection
     from deadtime.reports.figures.sweeps.bands import panes
     from deadtime.reports.figures.sweeps.heat import grid_for

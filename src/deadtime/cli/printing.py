@@ -1,4 +1,4 @@
-"""What the commands print: verdicts, tables, JSON, progress; and figures on disk."""
+"""Printing of verdicts, tables, JSON and progress; figures on disk."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
 
 
 def print_never(tables: Iterable[Sequence[Sequence[str]]]) -> None:
-    """What a dash in the tables stands for, where there is one."""
+    """Explain the dash in the tables, where there is one."""
     from deadtime.reports.metrics import LEGEND, NEVER
 
     if any(NEVER in row for rows in tables for row in rows):

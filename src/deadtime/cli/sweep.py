@@ -157,7 +157,7 @@ def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
 
 
 def _verify(place: str) -> list[str]:
-    """What of the store is damaged, now absent; coordinates are written anew."""
+    """Forget what of the store is damaged, and name it; coordinates are written anew."""
     from deadtime.scenarios.sweeps.store import open_store, place_of
 
     target = open_store(place_of(place))

@@ -80,7 +80,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """What the numbers alone say.
+        """The answer of the numbers alone.
 
         A claim "holds" when no signal drawn contradicts it, "holds on most signals" when its
         whole confidence interval lies above one half (which the first also needs), "does not
@@ -192,7 +192,7 @@ def exact_commands(run: Trajectory) -> Float[np.ndarray, "T m"]:
 
 
 def commands(run: Trajectory, table: Feedback) -> Float[np.ndarray, "T m"]:
-    """What a law of one row commands, given the states and past inputs of a run (of another)."""
+    """Commands of a law of one row, given the states and past inputs of a run (of another)."""
     assert isinstance(run.record, DigitalRecord)
     inputs, first = run.record.inputs, run.record.past - 1
     result = run.states.T @ table.state_gain[0].T

@@ -55,7 +55,7 @@ def _row(name: str, point: TradeOff, missed: str) -> tuple[str, ...]:
 
 
 def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
-    """What any linear controller can tolerate, mode by mode."""
+    """Delay margins that any linear controller can have, mode by mode."""
     return [
         (
             name,

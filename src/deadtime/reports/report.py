@@ -131,7 +131,7 @@ SCENARIOS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What was written, and what it says."""
+    """The path of a report, its verdict and the comparison behind it."""
 
     path: Path
     sentences: list[str]

@@ -1,4 +1,4 @@
-"""What a loop tolerates as a figure, and how many of the plants left open every law stabilises."""
+"""Errors that a loop tolerates as a figure, and how many drawn plants every law stabilises."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def drawn_rows(drawn: dict[str, DrawnStability]) -> list[tuple[str, ...]]:
 
 
 def drawn_record(drawn: dict[str, DrawnStability]) -> dict[str, Any]:
-    """The same for JSON."""
+    """Drawn plants and how many of them are stable, for JSON."""
     return {
         name: {"plants": len(one.growth), "stable": one.stable, "slowest": float(one.growth.max())}
         for name, one in drawn.items()

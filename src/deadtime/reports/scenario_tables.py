@@ -123,7 +123,7 @@ class Summary:
         return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "|x| grows"]
 
     def rows(self) -> list[list[str]]:
-        """What ranks the laws, for a terminal, a row for each law."""
+        """A row for each law: the metric that ranks them, for a terminal."""
         return [
             [
                 one.law,
@@ -159,7 +159,7 @@ class Summary:
 
     @property
     def notes(self) -> tuple[str, str]:
-        """What the ratio is, and what intervals are."""
+        """Sentences on the ratio and on the intervals."""
         return (
             f"/ {self.reference}: the median of the ratio on the same signal.",
             "Intervals hold the true median at 95 % or more: order statistics, whatever the "
@@ -306,7 +306,7 @@ def _lost(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
 
 
 def relative_costs(data: xr.Dataset | Comparison) -> Float[np.ndarray, "law scenario"]:
-    """What ranks the laws, over that of the reference law.
+    """The metric that ranks the laws, over that of the reference law.
 
     1 where both are 0, infinite where a law diverged.
     """

@@ -61,7 +61,7 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Tightness:
-    """What `tightness` found.
+    """Distances that certificates reach, as `tightness` found them.
 
     Attributes
     ----------

@@ -105,7 +105,7 @@ def _headline(result: Comparison) -> str:
 
 
 def _imperfections(result: Comparison) -> list[str]:
-    """What the runs have that laws do not know of."""
+    """Imperfections of the runs, which laws do not know of."""
     problem, parts = result.problem, []
     if problem.model is not None:
         pairs = {

@@ -70,7 +70,7 @@ def servo_mean_gain(
     step: float,
     mean: SwitchedSystem,
 ) -> Float[np.ndarray, "m z"]:
-    """The same of the mean of plants that a servo has extended."""
+    """`mean_gain` for the mean of plants that a servo has extended."""
     if _differ(section):
         return gains.mean(axis=0)
     return servo_gains(following.of_mean(mean), section, step)[0]
@@ -138,7 +138,7 @@ class Laws:
         return (laws, servos) if laws else self._usual(setting)
 
     def _setting(self) -> LawSetting:
-        """What a law of the file's own plant is made from."""
+        """The setting of a law of the file's own plant."""
         file, design, weight = self.file, self.file.gains.lqr, self.weight
         if weight is None and file.cost is None and design is not None and not self.following:
             weight = Weight(design.Q, design.R)
@@ -155,7 +155,7 @@ class Laws:
         )
 
     def _mode_filter(self) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
-        """What makes the filter of a law that believes in a plant, where the file has one."""
+        """A function from the plant of a law to its mode filter, where the file has one."""
         file, step = self.file, self.step
         with _section("mode_filter"):
             observed = None

@@ -167,7 +167,7 @@ def _told(values: Float[np.ndarray, " size"]) -> str:
 
 
 def watching(servo: Servo, step: float) -> Observer:
-    """What stands for an observer where the whole state is measured: x̂ = y."""
+    """The observer of a state that is measured whole: x̂ = y."""
     return Observer(servo.model, servo.C, np.eye(servo.base.states), step)
 
 

@@ -26,7 +26,7 @@ from deadtime.switching.signal_class import Instants
 def promise_of(
     file: schema.ProblemFile, model: SwitchingModel | None, modes: int
 ) -> SwitchingConstraint | None:
-    """What the file says of every signal: [signal] where it states something, else [switching].
+    """Limits of every signal: of [signal] where it states some, else of [switching].
 
     None where neither states anything.
     """

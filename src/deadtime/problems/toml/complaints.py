@@ -41,7 +41,7 @@ Keys = tuple[str | int, ...]
 
 
 def excess(text: str) -> str:
-    """What of a text is more than anything a file of ours says, if anything; before it is parsed.
+    """Why a text is more than any file of ours says, if it is; before it is parsed.
 
     Examples
     --------
@@ -211,7 +211,7 @@ _WORDS = {dict: "a table", list: "a list", str: "a text", bool: "true or false"}
 
 
 class Fault(NamedTuple):
-    """What is wrong with one key: its path, and a sentence."""
+    """A fault of one key: its path, and a sentence."""
 
     path: Keys
     sentence: str
@@ -256,7 +256,7 @@ def faults(
 
 
 def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
-    """What is wrong with a key, and what to do about it."""
+    """The fault of a key, and what to do about it."""
     (item, place), kind = group[0], group[0][0]["type"]
     name = ".".join(map(str, place.path)) or "file"
     if kind == "missing":
@@ -322,7 +322,7 @@ def _no_table(name: str, given: Any, place: Place) -> str:
 
 
 def _in_words_of_pydantic(name: str, items: Sequence[Any]) -> str:
-    """What pydantic says of a value, or of each kind that it could have had."""
+    """The message of pydantic on a value, or on each kind that it could have had."""
     messages: list[str] = []
     for item in items:
         message = _ASIDE.sub("", item["msg"].removeprefix("Value error, "))

@@ -116,7 +116,7 @@ def plot_laws(
 
 
 class _Curves(NamedTuple):
-    """What a panel shows: a row of every law's run, and what it is to follow."""
+    """The curves of a panel: a row of every law's run, and its reference."""
 
     label: str
     rows: Mapping[str, np.ndarray]
@@ -283,7 +283,7 @@ def plot_tracking(
     title: str | None = None,
     width: Width | None = None,
 ) -> Figure:
-    """What follows a reference under several laws, beside the reference: a panel per output.
+    """Outputs that follow a reference under several laws, beside the reference: a panel for each.
 
     More than five laws are shared out among panels; a run far above the others leaves the frame.
 

@@ -1,4 +1,4 @@
-"""What a study's data say, cell by cell: regret, signals stabilised, and which law is better.
+"""Findings of a study, cell by cell: regret, signals stabilised, and which law is better.
 
 Laws are compared on the same signals, by the quotient of their ∫|x|² and its geometric mean over
 the signals. ∫|x|² itself depends on the signal, above all on its first mode, more than on the law;

@@ -38,7 +38,7 @@ class Answer:
 
 
 def change(ratio: float) -> str:
-    """What a quotient of two ∫|x|² means.
+    """A quotient of two ∫|x|² in words.
 
     Examples
     --------

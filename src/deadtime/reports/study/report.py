@@ -32,7 +32,7 @@ FEWER_KNOWN = {
 
 @dataclass(frozen=True, eq=False)
 class StudyReport:
-    """What was written, what it says, and what it is made from."""
+    """The path of a study's report, its answers and its data."""
 
     path: Path
     answers: list[Answer]

@@ -134,7 +134,7 @@ def _columns(width: float, longest: int) -> int:
 
 
 def keys_of(empty: xr.DataArray, waiting: xr.DataArray) -> list[Patch]:
-    """What the cells without a figure are, as far as there are any."""
+    """Keys for cells without a figure, as far as there are any."""
     keys = []
     if bool((empty & ~waiting).any()):
         keys.append(Patch(facecolor=NOT_BUILT, label=f"{EMPTY}  could not be built"))
