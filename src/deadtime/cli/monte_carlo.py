@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from deadtime.problems.switching_assumptions import SourcedTime
     from deadtime.reports.scenario_tables import Summary
     from deadtime.scenarios.dataset import Comparison
-    from deadtime.switching import SwitchingModel, SwitchingSignal
+    from deadtime.switching import SwitchingModel
 
 _DATA = (".nc", ".csv")
 
@@ -219,9 +219,15 @@ def _require_signals(problem: Problem) -> None:
 
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
-    from deadtime.problems.switching_assumptions import mean_sojourn_of
+    from deadtime.problems.switching_assumptions import dwell_time_of, mean_sojourn_of
 
-    shortest = _dwell_time(problem, problem.given_signal, dwell)
+    signal = problem.given_signal
+    if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
+        raise ArgumentError(
+            f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
+            "time: give one, --dwell-time 0.2."
+        )
+    shortest = dwell_time_of(problem, signal, dwell)
     least = shortest.value
     whole = mean_sojourn_of(problem, least, mean)
     if least < 0.0 or least == whole.value == 0.0:
@@ -234,17 +240,6 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
             f"({whole.source}): give a longer one with --mean-sojourn."
         )
     return Sojourn(shortest, whole)
-
-
-def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> SourcedTime:
-    from deadtime.problems.switching_assumptions import dwell_time_of
-
-    if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
-        raise ArgumentError(
-            f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
-            "time: give one, --dwell-time 0.2."
-        )
-    return dwell_time_of(problem, signal, dwell)
 
 
 def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SwitchingModel:
