@@ -153,7 +153,7 @@ def crash(*_):
 
 
 def test_a_bug_is_one_line_with_code_70_and_a_traceback_on_request(monkeypatch, capsys):
-    monkeypatch.setattr("deadtime.cli.certificates.problem_of", crash)
+    monkeypatch.setattr("deadtime.cli.options.problem_of", crash)
     for debug in ("", "1"):
         monkeypatch.setenv("DEADTIME_DEBUG", debug)
         with pytest.raises(SystemExit) as stopped:
@@ -171,7 +171,7 @@ def test_too_little_memory_is_no_bug(monkeypatch, capsys):
     def large(*_):
         raise MemoryError("Unable to allocate 7 TiB")
 
-    monkeypatch.setattr("deadtime.cli.certificates.problem_of", large)
+    monkeypatch.setattr("deadtime.cli.options.problem_of", large)
     with pytest.raises(SystemExit) as stopped:
         main(["bound", "paper"])
     assert stopped.value.code == 2

@@ -11,7 +11,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.cli.problem_options import with_step
+from deadtime.cli.options import with_step
 from deadtime.problems.file import load_problem
 from deadtime.problems.switching_assumptions import random_model, signals_of
 

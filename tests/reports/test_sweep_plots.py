@@ -1,7 +1,6 @@
 """Pictures of a sweep: what stands in a cell, which law wins, bands, and what is refused."""
 
 import json
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -332,8 +331,7 @@ def run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def command(data, *arguments):
-        module = import_module("deadtime.cli.plot")
-        monkeypatch.setattr(module, "_open", lambda store: data)
+        monkeypatch.setattr("deadtime.scenarios.sweeps.open_sweep", lambda store: data)
         with pytest.raises(SystemExit) as stopped:
             main(("plot", "mine.zarr", *arguments))
         printed = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""What buttons of a page do: downloads, drawing by keyboard, the worst signal, the chart."""
+"""Actions of the buttons: downloads, drawing by keyboard, the worst signal, the chart."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ cursor.tags = [timer];
 
 
 class ActionPage(Protocol):
-    """What the buttons act on: the page that shows them."""
+    """The page that shows the buttons, and on which they act."""
 
     document: Document
     offer: Mapping[str, Any]
@@ -278,7 +278,7 @@ class Actions:
 
 
 def verdict(law: str, modes: Sequence[str], rates: Sequence[float]) -> str:
-    """What a law's loop does if switching stops, in a sentence."""
+    """A sentence on the growth of a law's loop if switching stops."""
     if not rates:
         return ""
     said = ", ".join(

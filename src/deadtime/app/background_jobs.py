@@ -16,13 +16,7 @@ from deadtime.app.workers import Job, Told, Workers
 
 
 class BackgroundJobs:
-    """Jobs that are out, of one part of a page.
-
-    Parameters
-    ----------
-    workers : Workers
-        Who does them.
-    """
+    """Jobs that are out, of one part of a page."""
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
@@ -87,13 +81,7 @@ _TICK = 1000  # milliseconds between looks at the clock
 
 
 class ProgressBar:
-    """A bar, and a line on what is being done.
-
-    Parameters
-    ----------
-    limit : float
-        Seconds after which it is given up.
-    """
+    """A bar, and a line on what is being done; after `limit` seconds that is given up."""
 
     def __init__(self, limit: float) -> None:
         self._limit, self._stage, self._began = limit, "", 0.0

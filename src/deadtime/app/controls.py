@@ -69,20 +69,11 @@ def ranges_of(document: Document) -> list[Range]:
         label = f"{name} at t = 0"
         ranges.append(Range(f"run.x0.{i}", label, "Run", float(x), -most, most, most / 100.0))
     size = max(abs(float(x)) for x in run["x0"]) or 1.0
-    group = "Imperfections"
+    group, off = "Imperfections", 100.0 * delay_error(draft)
     return [
         *ranges,
         _wide("horizon", "Horizon T (s)", "Run", horizon),
-        Range(
-            "delay_error",
-            "True delay off by (%)",
-            group,
-            100.0 * delay_error(draft),
-            -20.0,
-            20.0,
-            0.1,
-            0.01,
-        ),
+        Range("delay_error", "True delay off by (%)", group, off, -20.0, 20.0, 0.1, 0.01),
         *(
             _imperfect(name, group, slider, _imperfection(draft, kind, slider.key), size)
             for name, (kind, _, slider) in SWEPT.items()
@@ -143,17 +134,9 @@ WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 10)}
 
 
 class Controls:
-    """The widgets for one document.
+    """The widgets for one document; `changed` is called after a person changed anything.
 
-    Parameters
-    ----------
-    document : Document
-    offer : dict
-        The laws on offer, by name.
-    chosen : tuple of str
-        The laws of the file.
-    changed : callable
-        Called after a person changed anything.
+    `offer` are the laws on offer by name, `chosen` those of the file.
     """
 
     def __init__(
@@ -192,7 +175,7 @@ class Controls:
         self.original.on_click(lambda _: self.choose(None))
 
     def settings(self) -> Settings:
-        """What was moved, what was chosen."""
+        """All that was moved and chosen."""
         values: dict[str, Any] = {}
         for name, slider in self.sliders.items():
             one = self.ranges[name]
@@ -229,7 +212,7 @@ class Controls:
             self._changed()
 
     def _on_drawn(self, _: Any) -> None:
-        """What the switching is drawn from was moved: the signal is drawn again."""
+        """Draw the signal again, since its model was moved."""
         if not self._quiet:
             self.choose(DrawnSignal(int(self.seed.value or 0)))
 

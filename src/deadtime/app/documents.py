@@ -21,16 +21,8 @@ _READS_FILES = {"signal": "log", "switching": "fitted"}
 class Document:
     """A problem file as it was opened (immutable).
 
-    Attributes
-    ----------
-    name : str
-        Of the file, without its ending.
-    text : str
-        What it says.
-    draft : mapping
-        The same as nested dictionaries and lists.
-    source : Path
-        Where it lies: its relative paths start at this file's folder.
+    `name` is the file's without its ending, `draft` the `text` as nested dictionaries and lists;
+    relative paths start at the folder of `source`.
     """
 
     name: str
@@ -59,13 +51,7 @@ def open_named(name: str) -> Document:
 def open_upload(name: str, content: bytes, folder: Path) -> Document:
     """A problem file that came through a browser: nothing it says is trusted.
 
-    Parameters
-    ----------
-    name : str
-        Its name on the machine of the person.
-    content : bytes
-    folder : Path
-        An empty folder to check it in.
+    `name` is that on the machine of the person, `folder` an empty one to check it in.
 
     Raises
     ------
@@ -95,7 +81,7 @@ def open_upload(name: str, content: bytes, folder: Path) -> Document:
 
 
 def too_large(name: str, size: int) -> ProblemFileError:
-    """What to say of a file that is larger than a problem file can be."""
+    """The refusal of a file that is larger than a problem file can be."""
     return ProblemFileError(
         f"{file_stem(name)}.toml has {size / 1e6:.1f} MB, a problem file at most "
         f"{MOST_BYTES / 1e6:.0f} MB: choose another file."
@@ -131,7 +117,6 @@ def to_toml(document: Document, draft: Mapping[str, Any]) -> str:
 
 
 def _merge(tree: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """Write into a table of the tree what differs."""
     for key in [key for key in old if key not in new]:
         del tree[key]
     for key, value in new.items():

@@ -36,7 +36,7 @@ def _values(given: Any) -> list[float]:
 
 
 def moved_delays(draft: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
-    """What is moved of the delays: by which name, under which label, and where it stands.
+    """Delays that can be moved: name, label and value of each.
 
     One that all inputs have in all modes; else one per input where modes share them, and one per
     mode and input where they do not.

@@ -126,7 +126,6 @@ class FileUpload(JSComponent):
         self._take, self._refuse = take, refuse
 
     def _handle_msg(self, data: Any) -> None:
-        """A file came, or several did."""
         if "count" in data:
             self._refuse(f"{data['count']} files came at once: drop one at a time.")
             return

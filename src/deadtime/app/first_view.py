@@ -72,15 +72,7 @@ def _sections_by_name(document: Document, draft: Mapping[str, Any]) -> list[tupl
 class FirstView:
     """A document as a page first shows it (immutable): all pages that begin with it share one.
 
-    Attributes
-    ----------
-    document : Document
-    offer : dict
-        The laws on offer, by name.
-    chosen : tuple of str
-        The laws of the file.
-    outcome : Outcome
-        What its laws do.
+    `offer` are the laws on offer by name, `chosen` those of the file, whose `outcome` is shown.
     """
 
     document: Document

@@ -83,7 +83,7 @@ def worst_signal(
 ) -> dict[str, Any]:
     """The worst admissible signal of a law: its switches up to the horizon, its growth, 1/s."""
     problem, chosen = _problem(draft, source, law)
-    asked = SignalClass(dwell_time, at=problem.switches_at)
+    asked = SignalClass(dwell_time, at=problem.signals.at)
     worst = falsify(problem.plant, chosen, asked, step=_step(problem), budget=_BUDGET)
     cycles = int(np.ceil(problem.horizon / worst.length)) + 1
     signal = worst.simulate(cycles).signal
@@ -91,7 +91,7 @@ def worst_signal(
     return {
         "times": signal.times[inside].tolist(),
         "modes": signal.modes[inside].tolist(),
-        "at": problem.switches_at,
+        "at": problem.signals.at,
         "growth_rate": worst.growth_rate,
         "message": worst.message,
     }
@@ -119,16 +119,12 @@ def growth_rates(problem: Problem, law: str) -> list[float]:
 
 
 def growth_elsewhere(draft: Mapping[str, Any], source: Path, law: str) -> list[float]:
-    """The same of a problem as plain data."""
+    """`growth_rates` of a problem as plain data."""
     return growth_rates(_problem(draft, source, law)[0], law)
 
 
 def margin(
-    draft: Mapping[str, Any],
-    source: Path,
-    law: str,
-    bounds: tuple[float, float],
-    dwell_time: float,
+    draft: Mapping[str, Any], source: Path, law: str, bounds: tuple[float, float], dwell_time: float
 ) -> tuple[float, float, str]:
     """Mode distances up to which a law is certified, and from which on it is refuted, or NaN.
 
@@ -147,7 +143,7 @@ def margin(
         return problem.plant, chosen
 
     problem, _ = _problem(draft, source, law)
-    step, asked = _step(problem), SignalClass(dwell_time, at=problem.switches_at)
+    step, asked = _step(problem), SignalClass(dwell_time, at=problem.signals.at)
     try:
         found = stability_margin(problem_at, bounds, asked, step=step, ratio=RATIO)
     except ArgumentError as error:
@@ -157,7 +153,6 @@ def margin(
 
 
 def _problem(draft: Mapping[str, Any], source: Path, law: str) -> tuple[Problem, Law]:
-    """A problem and one of its laws."""
     _, problem, _ = build_what_can(draft, source)
     return problem, problem.law(law)
 

@@ -79,7 +79,7 @@ class LogForm:
         return tuple(name for name, one in self.roles.items() if one.value == role)
 
     def asked(self) -> LogRequest:
-        """What the form asks.
+        """The question that the form asks.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class LogForm:
         return not self._of(MODE) and self.modes.value == HIDDEN
 
     def _on_modes(self, _: Any = None) -> None:
-        """What is asked of modes depends on whether there are several, and who knows of them."""
+        """Show what can be asked of modes, which depends on who knows of them."""
         logged, hidden = bool(self._of(MODE)), self._hidden()
         self.modes.visible = not logged
         self.least.visible = self.most.visible = hidden
@@ -130,13 +130,7 @@ class CardPage(Protocol):
 
 
 class LogCard:
-    """What a page shows of a log.
-
-    Parameters
-    ----------
-    page : Shown
-    workers : Workers
-    """
+    """The card that a page shows of a log."""
 
     def __init__(self, page: CardPage, workers: Workers) -> None:
         self._page, self._jobs = page, BackgroundJobs(workers)
@@ -250,7 +244,6 @@ class LogCard:
         self._page.say(f"{called}, as a problem: its laws run below.")
 
     def _on_done(self, rest: tuple[Picture, bytes]) -> None:
-        """The likelihood and the report are there, too."""
         self._idle()
         picture, self._report = rest
         self.likelihood.object = likelihood_html(picture)
@@ -276,7 +269,7 @@ class LogCard:
             self._page.refuse(str(error))
 
     def _command(self) -> str:
-        """What asks the same without a limit."""
+        """The command that asks this without a limit."""
         return "" if self._asked is None else self._asked.command(self._name)
 
     def _without_likelihood(self, why: str) -> None:

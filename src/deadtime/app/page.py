@@ -35,23 +35,10 @@ _SLOW = 1.0  # seconds of a processor above which a page cannot follow every mov
 
 
 class Page:
-    """A page (one per session).
+    """A page, one per session, which begins with a document.
 
-    Parameters
-    ----------
-    document : Document
-        What it begins with.
-    workers : Workers
-        Who does what takes longer than a moment.
-    first_view : FirstView, optional
-        The document's, made once where many pages begin with it.
-
-    Attributes
-    ----------
-    document : Document
-        The problem file that was opened.
-    outcome : Outcome
-        What is shown.
+    `workers` do what takes longer than a moment; `first_view` is the document's, made once where
+    many pages begin with it. What is shown is the `outcome` of the `document` that was opened.
     """
 
     def __init__(
@@ -233,7 +220,7 @@ class Page:
         return draft_of(self.document, self.offer, replace(settings, values=values))
 
     def toml(self) -> str:
-        """The same as text, of what is shown: without laws that were added and do not run."""
+        """The problem file of what is shown, without laws that were added and do not run."""
         draft = dict(self._shown)
         own = self.document.draft.get("law", [])
         if "law" in draft:
@@ -276,7 +263,6 @@ class Page:
         self.actions.on_shown()
 
     def _about(self, outcome: ProblemOutcome) -> str:
-        """A line on what is shown."""
         problem, signal = outcome.problem, outcome.signal
         given = self.controls.signal
         kind = "the file's" if given is None else "drawn"
@@ -298,7 +284,7 @@ class Page:
     def draw_by_hand(self, at: float, mode: int) -> None:
         """Switch to a mode at an instant, as `drawing.switch_at` does."""
         problem, signal = self.outcome.problem, self.outcome.signal
-        at, instants = min(max(at, 0.0), problem.horizon), problem.switches_at
+        at, instants = min(max(at, 0.0), problem.horizon), problem.signals.at
         if instants == "samples" and problem.step is not None:
             at = problem.step * round(at / problem.step)
         at = round(at, 3 if instants == "anywhere" else 12)

@@ -49,7 +49,7 @@ _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 @dataclass(frozen=True, eq=False)
 class ProblemOutcome:
-    """What a problem does (immutable).
+    """The runs of a problem's laws, and the oracle's measure (immutable).
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class ProblemOutcome:
 
     @cached_property
     def notes(self) -> list[str]:
-        """What to look at: a signal that tests nothing, numbers that do not fit each other."""
+        """Sentences on a signal that tests nothing, and on numbers that do not fit each other."""
         law, run = next(iter(self.runs.items()))
         said = why_untested(run, self.endings[law])
         return [*([said] if said else []), *unit_checks_of(self.problem)]
@@ -119,10 +119,11 @@ def require_size(draft: Mapping[str, Any]) -> None:
         ]
     elif step == "ideal" and (shortest := shortest_delay(draft)) > 0.0:
         sizes = [("run.horizon", run["horizon"] / shortest, MOST_TAPS, "delays")]
+    columns = len(plant["B"][0][0]) if plant["B"] and plant["B"][0] else 0
     sizes += [
         ("plant.A", len(plant["A"]), MOST_MODES, "modes"),
         ("plant.A", len(plant["A"][0]) if plant["A"] else 0, MOST_STATES, "states"),
-        ("plant.B", _columns(plant["B"]), MOST_INPUTS, "inputs"),
+        ("plant.B", columns, MOST_INPUTS, "inputs"),
         ("law", len(draft.get("law", [])), MOST_LAWS, "laws"),
         ("imperfection", len(draft.get("imperfection", [])), MOST_LAWS, "imperfections"),
     ]
@@ -132,11 +133,6 @@ def require_size(draft: Mapping[str, Any]) -> None:
                 f"{name} makes {size:,.0f} {unit}, the explorer takes at most {most:,}: use "
                 "`deadtime simulate` for larger ones."
             )
-
-
-def _columns(matrices: Any) -> int:
-    """Columns of the first matrix, as far as there is one."""
-    return len(matrices[0][0]) if matrices and matrices[0] else 0
 
 
 def run_draft(draft: Mapping[str, Any], source: Path) -> ProblemOutcome:

@@ -28,16 +28,8 @@ class ProblemPanels:
     """The panels of one problem: states, outputs, inputs, the switching signal, the mismatch.
 
     A reference is drawn beside the state that follows it, or beside an output where that is no
-    state that is shown. Where no run has a mismatch, there is no panel of it.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        What is shown first.
-    laws : sequence of str
-        All that may be shown; they share the colours.
-    states : sequence of int
-        Which states have a panel.
+    state that is shown. Where no run has a mismatch, there is no panel of it. All `laws` that may
+    be shown share the colours; `states` are those with a panel.
     """
 
     def __init__(self, outcome: ProblemOutcome, laws: Sequence[str], states: Sequence[int]) -> None:
@@ -139,7 +131,7 @@ class ProblemPanels:
         }
 
     def _columns(self, run: Trajectory) -> dict[str, np.ndarray]:
-        """What the panels read, of at most so many samples as can be told apart."""
+        """The columns that the panels read, of at most so many samples as can be told apart."""
         rows = {row: _values(run, row) for row in self._rows}
         kept = _samples_to_draw(run.time.size, [row for row in rows.values() if row is not None])
         columns = {"t": run.time[kept]}
@@ -220,7 +212,6 @@ def _blank(x_range: Range1d, label: str, height: int) -> Any:
 
 
 def _values(run: Trajectory, row: str) -> np.ndarray | None:
-    """The samples of a panel's row."""
     if row == "w":
         return mismatch_norm(run)
     if row[0] == "y":

@@ -77,10 +77,7 @@ def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
         "u0": np.broadcast_to(np.asarray(problem.u0, dtype=float), (problem.plant.inputs,)),
     }
     if problem.imperfections:
-        arguments |= {
-            "imperfections": list(problem.imperfections),
-            "predict": problem.predict,
-        }
+        arguments |= {"imperfections": list(problem.imperfections), "predict": problem.predict}
     if problem.imperfections or any(law.draws for law in problem.laws.values()):
         arguments["seed"] = problem.seed
     lines = [f"{name}={writer.code(value)}," for name, value in arguments.items()]
@@ -160,7 +157,6 @@ class _Writer:
         return repr(value)
 
     def _distribution(self, value: Any) -> str:
-        """A frozen distribution of scipy.stats."""
         self.imports.add("from scipy import stats")
         given = [self.code(one) for one in value.args]
         given += [f"{name}={self.code(one)}" for name, one in value.kwds.items()]
@@ -197,7 +193,6 @@ def _indent(lines: list[str], columns: int) -> str:
 
 
 def _given(value: Any, name: str, default: Any) -> Any:
-    """What an object was given for an argument."""
     if name == "delay" and isinstance(value, SwitchedSystem):
         return value.delay_data
     if isinstance(value, Servo):
@@ -206,7 +201,7 @@ def _given(value: Any, name: str, default: Any) -> Any:
 
 
 def _given_servo(servo: Servo, name: str) -> Any:
-    """What a servo was given: its parts, of which `plant` and `C` are those with more states."""
+    """An argument of a servo, whose `plant` and `C` have more states than it was given."""
     if name == "plant":
         return servo.base
     if name == "C":

@@ -34,34 +34,22 @@ _REST = 1.0  # seconds after the end of a session in which others may end too
 
 
 class Sessions:
-    """The sessions of one server.
-
-    Parameters
-    ----------
-    make : callable
-        Makes the page of a session.
-    most : int
-        How many there may be at once.
-    """
+    """The sessions of one server: `make` makes the page of one, `most` there may be at once."""
 
     def __init__(self, make: Callable[[], Page], most: int = MOST) -> None:
         self._make, self._most = make, most
         self._sweeps = False
 
     def begin(self) -> pmui.Page:
-        """What the visitor sees whose session begins now."""
-        if self._full():
+        """The page for the visitor whose session begins now."""
+        context = pn.state.curdoc.session_context if pn.state.curdoc else None
+        if context is not None and len(context.server_context.sessions) >= self._most:
             view, close = self._refusal(), lambda: None
         else:
             page = self._make()
             view, close = page.view(), page.close
         self._when_over(view, close)
         return view
-
-    def _full(self) -> bool:
-        """Whether the session that begins now is one too many."""
-        context = pn.state.curdoc.session_context if pn.state.curdoc else None
-        return context is not None and len(context.server_context.sessions) >= self._most
 
     def _refusal(self) -> pmui.Page:
         """For a visitor for whom there is no room."""

@@ -1,4 +1,4 @@
-"""What a person has chosen or drawn on a page, and the problem file that it makes."""
+"""Settings that a person has chosen or drawn on a page, and the problem file that they make."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Settings:
         paths in the file, such as ``run.x0.0``.
     laws : tuple of str, or None
         Names of the laws that run; None: the file's.
-    signal : Drawn, Given or None
+    signal : DrawnSignal, GivenSignal or None
         What takes the place of the file's signal.
     """
 
@@ -56,7 +56,7 @@ class Settings:
 
 
 def draft_of(document: Document, offer: Mapping[str, Section], settings: Settings) -> Draft:
-    """What a problem file of the settings says.
+    """The problem file that the settings make, as nested dictionaries and lists.
 
     Examples
     --------
@@ -124,9 +124,9 @@ def switch_at(
     Examples
     --------
     >>> switch_at([0.0], [0], 1.5, 1, 2)
-    GivenSignal(times=(0.0, 1.5), modes=(0, 1), about='drawn by hand')
+    GivenSignal(times=(0.0, 1.5), modes=(0, 1), about='drawn by hand', at='anywhere')
     >>> switch_at([0.0, 1.5], [0, 1], 2.0, 1, 2)
-    GivenSignal(times=(0.0,), modes=(0,), about='drawn by hand')
+    GivenSignal(times=(0.0,), modes=(0,), about='drawn by hand', at='anywhere')
     """
     if not 0 <= mode < count:
         raise ArgumentError(f"mode must be in 0..{count - 1}, got {mode}.")

@@ -45,7 +45,7 @@ Tell = Callable[[Any], None]
 
 
 class LogRequest(NamedTuple):
-    """What is asked of a log.
+    """A question to a log: its columns, and the ranges of modes and delays.
 
     states, inputs : their columns
     modes : the column of the mode, None for a plant of one, or the least and the largest number
@@ -79,7 +79,7 @@ class LogRequest(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """What a log has, at a look, and what is asked of it where nobody says otherwise.
+    """The columns of a log at a look, and a guess of what is asked of it.
 
     rows, step : how many, and the median of the time between two, seconds
     names : all columns but that of the time
@@ -116,7 +116,7 @@ class IdentifiedPlant(NamedTuple):
 
 
 def too_large(name: str, size: int) -> ArgumentError:
-    """What to say of a log that is larger than a page takes."""
+    """The refusal of a log that is larger than a page takes."""
     return ArgumentError(
         f"{file_stem(name)}.csv has {size / 1e6:.1f} MB, a page takes logs of at most "
         f"{MOST_BYTES / 1e6:.0f} MB and {MOST_ROWS:,} rows: use `deadtime identify`, which has no "
@@ -191,19 +191,10 @@ def _is_of_numbers(column: Any) -> bool:
 def open_log(
     name: str, content: bytes, folder: Path, asked: LogRequest, tell: Tell = lambda _: None
 ) -> tuple[IdentifiedPlant, Identification]:
-    """Identify the plant of a log: nothing that it says is trusted.
+    """Identify the plant of a log, CSV with a column t: nothing that it says is trusted.
 
-    Parameters
-    ----------
-    name : str
-        Its name on the machine of the person.
-    content : bytes
-        CSV with a column t.
-    folder : Path
-        An empty folder to work in.
-    asked : Asked
-    tell : callable
-        Told what is being done.
+    `name` is that on the machine of the person, `folder` an empty one to work in; `tell` is told
+    what is being done.
 
     Raises
     ------
@@ -275,7 +266,7 @@ def _without_folder(error: DeadtimeError, source: Path) -> ArgumentError:
 
 
 def _verdicts(fit: Identification, saved: Path) -> tuple[str, ...]:
-    """What each law of the problem bears, beside what the log leaves open."""
+    """Delays that each law of the problem tolerates, beside those that the log leaves open."""
     said, refused = [], ""
     for name, law in load_problem(saved).laws.items():
         if law.foresees:  # to compare with: no plant offers what it knows

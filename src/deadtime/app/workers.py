@@ -1,4 +1,4 @@
-"""What takes longer than a moment runs in processes of its own, each with a limit of time.
+"""Processes for jobs that take longer than a moment, each with a limit of time.
 
 A page stays as quick as it is while they work, and a problem that never ends hurts nobody: its
 process is ended, and another takes its place. Jobs go in and out as plain data.
@@ -47,13 +47,7 @@ class _NotBegunError(Exception):
 
 
 class Workers:
-    """A few processes, started at once, that run one job each at a time.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-    """
+    """A few processes, started at once, that run one job each at a time."""
 
     def __init__(self, count: int = 1) -> None:
         self._idle: queue.Queue[_Worker] = queue.Queue()
@@ -235,7 +229,6 @@ class _Worker:
 
 
 def _serve(pipe: Connection) -> None:
-    """Do what comes through the pipe, until it closes."""
     import deadtime.app.jobs  # noqa: F401  what jobs need is loaded before the first comes
 
     with suppress(ImportError):  # not on Windows

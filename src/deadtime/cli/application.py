@@ -13,10 +13,9 @@ import traceback
 from collections.abc import Sequence
 from contextvars import ContextVar
 from io import TextIOWrapper
-from pathlib import Path
-from typing import Annotated, Literal, NoReturn, TypeAlias
+from typing import NoReturn
 
-from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
+from cyclopts import App, CycloptsError, Group, UnusedCliTokensError
 
 from deadtime.base import notices
 from deadtime.base.errors import DeadtimeError
@@ -60,52 +59,6 @@ app = App(
     group_commands=_OPTIONS,
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
 )
-
-# Options that several commands have; what one alone has is described by its docstring.
-AsJson = Annotated[
-    bool,
-    Parameter(
-        name="--json",
-        negative="",
-        show_default=False,
-        help="Print the result as JSON instead of text.",
-    ),
-]
-ProblemFile = Annotated[Path, Parameter(help="A problem file, or paper, three-mode, follower.")]
-StudyFile = Annotated[Path, Parameter(help="A study file; studies/paper.toml is a commented one.")]
-CellSignals = Annotated[
-    int | None, Parameter(help="Signals per cell of the grid, instead of the file's.")
-]
-FirstLaw = Annotated[
-    str | None, Parameter(help="One law of the problem, by its name; the first by default.")
-]
-AllLaws = Annotated[
-    str | None, Parameter(help="One law of the problem, by its name; all by default.")
-]
-_PERIOD = "Sampling period in seconds{}; the problem's by default{}."
-Step = Annotated[float | None, Parameter(help=_PERIOD.format("", ", 0.01 where its loop is ideal"))]
-StepOrIdeal = Annotated[
-    float | Literal["ideal"] | None, Parameter(help=_PERIOD.format(", or ideal", ""))
-]
-Picture = Annotated[
-    Path | None,
-    Parameter(
-        alias="-o",
-        help="The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, "
-        "by default.",
-    ),
-]
-Flag = Annotated[bool, Parameter(negative="", show_default=False)]
-Folder = Annotated[Path, Parameter(alias="-o")]
-File = Annotated[Path | None, Parameter(alias="-o")]
-FigureWidth: TypeAlias = Annotated[
-    Literal["column", "page"] | float | None,
-    Parameter(
-        help="Of pictures: column (3.5 in), page (7.16 in), or inches; by default as their "
-        "panels need."
-    ),
-]
-
 
 _asked: ContextVar[tuple[str, ...]] = ContextVar("asked", default=())
 
@@ -161,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _mend_surroundings() -> None:
-    """What a process may be started with that libraries stumble over."""
+    """Mend what a process may be started with that libraries stumble over."""
     # Closed, as by `>&-`: what is opened first would be taken for it.
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
@@ -198,7 +151,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _unforeseen(error: Exception) -> str:
-    """What to say of a bug: what it was, and who wants to know."""
+    """A bug in a line: what it was, and who wants to know."""
     if os.environ.get("DEADTIME_DEBUG"):
         traceback.print_exception(error)
     return (
@@ -208,7 +161,6 @@ def _unforeseen(error: Exception) -> str:
 
 
 def _where_to_look(error: BaseException) -> str:
-    """The help of the command that was asked for wrongly."""
     if not isinstance(error, CycloptsError):
         return ""
     command = " ".join(("deadtime", *(error.command_chain or ()), "--help"))

@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import with_names
-from deadtime.cli.application import JUDGE, AllLaws, AsJson, File, ProblemFile, Step, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import JUDGE, app, lines
 from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
-from deadtime.cli.problem_options import (
-    delays_from,
-    kept_by_search,
-    problem_of,
-    signals_and_step,
-    times_from,
-    with_step,
-)
 
 if TYPE_CHECKING:
     from deadtime.certificates import Verification
@@ -47,14 +40,14 @@ if TYPE_CHECKING:
     ),
 )
 def certify(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
-    law: AllLaws = None,
+    law: options.AllLaws = None,
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     chatter: int | None = None,
     at: Literal["anywhere", "samples"] | None = None,
-    step: Step = None,
+    step: options.Step = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
     mode_lag: int = 0,
@@ -63,8 +56,8 @@ def certify(
     least_dwell_time: bool = False,
     mode: int | None = None,
     longest_mode_lag: bool = False,
-    out: File = None,
-    json_output: AsJson = False,
+    out: options.File = None,
+    json_output: options.AsJson = False,
 ) -> int:
     """Is the loop stable for every switching signal with the dwell time? With a proof, or a signal.
 
@@ -116,7 +109,7 @@ def certify(
     from deadtime.certificates.certificate import require_json
     from deadtime.reports.certificate_tables import certificate_record, judge
 
-    chosen = with_step(problem_of(problem), step)
+    chosen = options.with_step(options.problem_of(problem), step)
     if least_dwell_time:
         one = dwell_time is not None and "," not in dwell_time and mode is None
         given = uncertain or any(option is not None for option in (decay_rate, delays, out))
@@ -126,7 +119,7 @@ def certify(
                 "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
-        signals = kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
+        signals = options.kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
         return least_dwell_times(chosen, law, signals, mode, json_output)
     if mode is not None:
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
@@ -138,7 +131,7 @@ def certify(
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
-    asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
+    asked, period = options.signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
     if longest_mode_lag:
         return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
@@ -146,7 +139,11 @@ def certify(
         out = output_file("--out", require_json("--out", out), kinds=(".json",))
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
-        ranges = None if delays is None else (delays_from(delays[0]), delays_from(delays[1]))
+        ranges = (
+            None
+            if delays is None
+            else (options.delays_from(delays[0]), options.delays_from(delays[1]))
+        )
         judged = judge(
             chosen,
             asked.signals,
@@ -193,7 +190,7 @@ def verify(
     lost_samples: int | None = None,
     uncertain: bool = False,
     limit: float = 1.0,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
 
@@ -241,22 +238,20 @@ def verify(
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
         if uncertain:
             raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
-        times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
+        times = (
+            options.times_from("dwell-time", dwell_time),
+            options.times_from("maximum-dwell", maximum_dwell),
+        )
         least, most = (one_or_all(one) for one in times)
         if chatter is not None:
             late["chatter"] = chatter
         result = check(
-            certificate,
-            dwell_time=least,
-            maximum_dwell=most,
-            step=step,
-            limit=limit,
-            **late,
+            certificate, dwell_time=least, maximum_dwell=most, step=step, limit=limit, **late
         )
     else:
-        chosen = with_step(problem_of(problem), step)
+        chosen = options.with_step(options.problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
+        asked, period = options.signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
         dwell, chatter = asked.dwell.value, asked.signals.chatter
         only = None if law is None else laws[law]
         plant = uncertain_plant(chosen) if uncertain else chosen.plant
@@ -342,16 +337,13 @@ def _print_judged(
 
 @app.command(
     group=JUDGE,
-    help_epilogue=lines(
-        "deadtime bound problem.toml",
-        "deadtime bound paper --dwell-time 0.2",
-    ),
+    help_epilogue=lines("deadtime bound problem.toml", "deadtime bound paper --dwell-time 0.2"),
 )
 def bound(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
     dwell_time: float | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """What the paper's stability theorem says about a plant: its constants in three forms.
 
@@ -369,7 +361,7 @@ def bound(
         bounds_record,
     )
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     dwell, source = dwell_time_of(chosen, chosen.signal, dwell_time)
     bounds = bounds_of(chosen, dwell)
     if json_output:
@@ -380,7 +372,7 @@ def bound(
 
 
 class ProvedBracket(NamedTuple):
-    """What is proved of a law and what refuted, seconds; None where nothing is known."""
+    """The ends of a bracket, proved and refuted, in seconds; None where nothing is known."""
 
     certified: float | None
     refuted: float | None
@@ -390,10 +382,10 @@ class ProvedBracket(NamedTuple):
 
     def record(self) -> dict[str, object]:
         """For JSON; the dwell times of each mode where they are not one and the same."""
-        found = self._asdict()
-        return (
-            found if _several(self) else {name: found[name] for name in ProvedBracket._fields[:3]}
-        )
+        each = self.certified_each, self.refuted_each
+        several = any(len(set(one)) > 1 for one in each if one)
+        kept = self._fields if several else self._fields[:3]
+        return {name: getattr(self, name) for name in kept}
 
 
 def least_dwell_times(
@@ -402,42 +394,26 @@ def least_dwell_times(
     """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
     from deadtime.problems.switching_assumptions import step_of
-    from deadtime.reports.certificate_tables import left_out
 
-    period = step_of(problem)
+    period, modes = step_of(problem), problem.plant.modes
 
     def bracket(one: Law) -> ProvedBracket:
         margin = least_dwell_time(problem.plant, one, period, dwell_time=signals, mode=mode)
         return ProvedBracket(*(getattr(margin, field) for field in ProvedBracket._fields))
 
-    brackets = _brackets(problem, law, bracket, json_output)
-    if json_output:
-        record = about(problem, period) | for_json(signals, problem.plant.modes)
-        if mode is not None:
-            record["mode"] = mode
-        elif not isinstance(record["dwell_time"], tuple):
-            del record["dwell_time"]
-        each = {name: one.record() for name, one in brackets.items()}
-        print_json(record | {"least_dwell_times": each})
-    else:
-        said = [
-            f"Sampling period {period:g} s.",
-            *_limits(signals, problem.plant.modes, mode),
-            *left_out(problem),
-        ]
-        print("\n".join((problem.title, *(with_names(one, problem.modes) for one in said), "")))
-        rows = [
-            (
-                name,
-                _seconds(one.certified, one.certified_each, up=True),
-                _seconds(one.refuted, one.refuted_each),
-            )
-            for name, one in brackets.items()
-        ]
-        print_table(("law", "proved from", "refuted up to"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {with_names(one.message, problem.modes)}")
-    return 0 if law is None or brackets[law].certified is not None else 1
+    def cells(one: ProvedBracket) -> tuple[str, str]:
+        proved = _seconds(one.certified, one.certified_each, up=True)
+        return proved, _seconds(one.refuted, one.refuted_each)
+
+    record = about(problem, period) | for_json(signals, modes)
+    if mode is not None:
+        record["mode"] = mode
+    elif not isinstance(record["dwell_time"], tuple):
+        del record["dwell_time"]
+    kept = (with_names(one, problem.modes) for one in _limits(signals, modes, mode))
+    said = [f"Sampling period {period:g} s.", *kept]
+    table = ("law", "proved from", "refuted up to"), cells
+    return _answer(problem, law, bracket, ("least_dwell_times", record), said, table, json_output)
 
 
 def longest_mode_lags(
@@ -445,7 +421,6 @@ def longest_mode_lags(
 ) -> int:
     """The bracket of every law, or of one, in periods; 1 if that one has none."""
     from deadtime.margins import longest_mode_lag
-    from deadtime.reports.certificate_tables import left_out
 
     signals = asked.signals
     if signals.chatter > 1:
@@ -458,25 +433,29 @@ def longest_mode_lags(
         found = longest_mode_lag(problem.plant, one, signals, period)
         return ProvedBracket(found.certified_seconds, found.refuted_seconds, found.message)
 
-    brackets = _brackets(problem, law, bracket, json_output)
-    if json_output:
-        record = about(problem, period) | for_json(signals, problem.plant.modes)
-        each = {name: one.record() for name, one in brackets.items()}
-        print_json(record | {"longest_mode_lags": each})
-    else:
-        said = asked.in_words(problem.modes, period)
-        print("\n".join((problem.title, said, *left_out(problem), "")))
-        rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
-        print_table(("law", "proved up to", "refuted at"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {with_names(one.message, problem.modes)}")
-    return 0 if law is None or brackets[law].certified is not None else 1
+    def cells(one: ProvedBracket) -> tuple[str, str]:
+        ends = one.certified, one.refuted
+        low, high = ("–" if seconds is None else f"{seconds:.4g} s" for seconds in ends)
+        return low, high
+
+    record = about(problem, period) | for_json(signals, problem.plant.modes)
+    said, table = [asked.in_words(problem.modes, period)], ("law", "proved up to", "refuted at")
+    given = ("longest_mode_lags", record), said, (table, cells)
+    return _answer(problem, law, bracket, *given, json_output)
 
 
-def _brackets(
-    problem: Problem, law: str | None, bracket: Callable[[Law], ProvedBracket], json_output: bool
-) -> dict[str, ProvedBracket]:
-    """The bracket of every law, with what refuses it in place of one, or of one law."""
+def _answer(
+    problem: Problem,
+    law: str | None,
+    bracket: Callable[[Law], ProvedBracket],
+    record: tuple[str, dict[str, object]],
+    said: list[str],
+    table: tuple[tuple[str, ...], Callable[[ProvedBracket], tuple[str, str]]],
+    json_output: bool,
+) -> int:
+    """Print the bracket of every law, with what refuses it in place of one, or of one law."""
+    from deadtime.reports.certificate_tables import left_out
+
     names, found = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
     laws = [problem.law(name) for name in names]
     with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
@@ -488,11 +467,20 @@ def _brackets(
                     raise
                 found[name] = ProvedBracket(None, None, str(error))
             advance(name)
-    return found
+    if json_output:
+        key, about_them = record
+        print_json(about_them | {key: {name: one.record() for name, one in found.items()}})
+    else:
+        print("\n".join((problem.title, *said, *left_out(problem), "")))
+        headings, cells = table
+        print_table(headings, [(name, *cells(one)) for name, one in found.items()])
+        for name, one in found.items():
+            print(f"• {name}: {with_names(one.message, problem.modes)}")
+    return 0 if law is None or found[law].certified is not None else 1
 
 
 def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
-    """What the search keeps of the signals, where it keeps anything."""
+    """Sentences on what a search for dwell times keeps of the signals."""
     limits, found = signals.limits(modes), []
     if mode is not None:
         found.append(f"The dwell time of mode {mode} moves; the others stay.")
@@ -530,19 +518,10 @@ def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
     return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
 
 
-def _lag(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{seconds:.4g} s"
-
-
 def about(problem: Problem, step: float) -> dict[str, object]:
-    """What the answers are about, for JSON."""
+    """The problem and the loop that answers are about, for JSON."""
     without = problem.imperfections_in_words
     return {"problem": problem.name, "step": step, "imperfections_left_out": without}
-
-
-def _several(one: ProvedBracket) -> bool:
-    """Whether modes have dwell times of their own."""
-    return any(len(set(each)) > 1 for each in (one.certified_each, one.refuted_each) if each)
 
 
 def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = False) -> str:

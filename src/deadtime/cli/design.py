@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, Flag, Folder, ProblemFile, Step, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import BUILD, app, lines
 from deadtime.cli.printing import (
     PICTURES,
     output_file,
@@ -19,7 +20,6 @@ from deadtime.cli.printing import (
     require_name,
     save_figure,
 )
-from deadtime.cli.problem_options import numbers_of, one_or_several, problem_of
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
@@ -38,22 +38,22 @@ Kind = Literal["averaged", "mean"]
     ),
 )
 def design(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
     delay_margin: float | None = None,
     law: Kind = "averaged",
     mode: int | None = None,
-    step: Step = None,
+    step: options.Step = None,
     longest_step: float | None = None,
     decay_rate: float = 0.0,
     input_limit: str | None = None,
     initial: str | None = None,
     probability: float | None = None,
-    noise: Flag = False,
+    noise: options.Flag = False,
     filtered: Annotated[bool | None, Parameter(negative="--unfiltered")] = None,
     budget: int = 800,
-    out: Folder = Path("design"),
-    json_output: AsJson = False,
+    out: options.Folder = Path("design"),
+    json_output: options.AsJson = False,
 ) -> int:
     """Gains and a law with a delay margin in every constant mode, at the least cost found.
 
@@ -97,7 +97,7 @@ def design(
     from deadtime.reports.design import design_record, plot_designs, problem_sections
     from deadtime.synthesis import design as designed
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     require_name("out", out)
     both = ((".toml",), PICTURES)
     written = [output_file("out", Path(f"{out}{kinds[0]}"), kinds=kinds) for kinds in both]
@@ -117,7 +117,7 @@ def design(
         raise ArgumentError("--noise and --initial both say what moves the inputs: give one.")
     source = _noise(chosen, probability) if noise else None
     source = source or _initial(plant.states, initial, probability)
-    limit = None if input_limit is None else one_or_several("input-limit", input_limit)
+    limit = None if input_limit is None else options.one_or_several("input-limit", input_limit)
     with progress_bar(budget, quiet=json_output) as advance:
         found = designed(
             plant,
@@ -148,7 +148,6 @@ def design(
 
 
 def _mean(plant, gains):
-    """The mean law with the mean gain."""
     from deadtime.laws import MeanPredictor
 
     return MeanPredictor(plant, gains.mean(axis=0), gains, allow_unstable=True)
@@ -160,7 +159,7 @@ def _initial(states: int, initial: str | None, probability: float | None) -> Ini
 
     from deadtime.synthesis import InitialStates
 
-    sizes = [1.0] if initial is None else numbers_of("initial", initial)
+    sizes = [1.0] if initial is None else options.numbers_of("initial", initial)
     if probability is not None:
         deviations = np.array(sizes * states if len(sizes) == 1 else sizes)
         return InitialStates.normal(deviations**2, probability)
@@ -168,7 +167,6 @@ def _initial(states: int, initial: str | None, probability: float | None) -> Ini
 
 
 def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
-    """The noise of a problem's imperfections."""
     import numpy as np
 
     from deadtime.imperfections import Noise, WhiteDisturbance
@@ -198,13 +196,7 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
-    from deadtime.reports.design import (
-        HEADINGS,
-        LIMIT_HEADINGS,
-        STEP,
-        design_rows,
-        limit_rows,
-    )
+    from deadtime.reports.design import HEADINGS, LIMIT_HEADINGS, STEP, design_rows, limit_rows
 
     print_heading(problem.title, [f"{found.message}\n"])
     rows, at = design_rows(found), HEADINGS.index(STEP)

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import BUILD, app, lines
 from deadtime.cli.printing import output_file, print_heading, print_json, print_table
-from deadtime.cli.problem_options import one_or_several, problem_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -42,7 +42,7 @@ def experiment(
     hold: int = 1,
     seed: int = 0,
     out: Path = Path("experiment.csv"),
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """What to send to a plant so that its log tells the delays best: a table of inputs, CSV.
 
@@ -84,19 +84,21 @@ def experiment(
     from deadtime.problems.switching_assumptions import step_of
 
     out = output_file("out", out, kinds=(".csv",))
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     period = step_of(chosen) if step is None else positive("step", step)
     length = chosen.horizon if horizon is None else positive("horizon", horizon)
     found = design_experiment(
         chosen.plant,
         length,
         period,
-        one_or_several("input-limit", input_limit),
+        options.one_or_several("input-limit", input_limit),
         disturbance=_disturbance(chosen, disturbance),
         noise=_noise(chosen, noise),
         signal=_signal(chosen, length, sojourn, seed),
         law=None if law is None else chosen.law(law),
-        state_limit=None if state_limit is None else one_or_several("state-limit", state_limit),
+        state_limit=None
+        if state_limit is None
+        else options.one_or_several("state-limit", state_limit),
         criterion=criterion,
         hold=hold,
         seed=seed,
@@ -114,11 +116,10 @@ def experiment(
 
 
 def _disturbance(problem: Problem, given: str | None) -> ArrayLike:
-    """W as given, or that of the file."""
     from deadtime.imperfections import WhiteDisturbance
 
     if given is not None:
-        return one_or_several("disturbance", given)
+        return options.one_or_several("disturbance", given)
     for one in problem.imperfections:
         if isinstance(one, WhiteDisturbance):
             return one.intensity
@@ -135,7 +136,7 @@ def _noise(problem: Problem, given: str | None) -> ArrayLike:
     from deadtime.imperfections import Noise
 
     if given is not None:
-        return one_or_several("noise", given)
+        return options.one_or_several("noise", given)
     stds = [np.asarray(one.std, float) for one in problem.imperfections if isinstance(one, Noise)]
     if stds and problem.outputs:
         raise ArgumentError(

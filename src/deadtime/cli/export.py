@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, FirstLaw, ProblemFile, Step, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import BUILD, app, lines
 from deadtime.cli.printing import print_json
-from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
-    from deadtime.controller.export import Exported, ExportedFmu
     from deadtime.problems import Problem
 
 _FMU = ("path", "version", "binary")
@@ -31,20 +30,20 @@ _FMU = ("path", "version", "binary")
     ),
 )
 def export(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
     c: Path | None = None,
     fmu: Path | None = None,
     plant_fmu: Path | None = None,
-    law: FirstLaw = None,
-    step: Step = None,
+    law: options.FirstLaw = None,
+    step: options.Step = None,
     single: Annotated[bool, Parameter(name="--float", negative="", show_default=False)] = False,
     accuracy: float | None = None,
     rom_budget: int | None = None,
     name: str = "controller",
     prediction: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     fmi: Literal["3.0", "2.0"] = "3.0",
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> int:
     """Write a law of a problem as C99, as an FMU, or both.
 
@@ -82,7 +81,7 @@ def export(
     from deadtime.controller.export import Names, export_c, export_fmu, export_plant_fmu
     from deadtime.reports.verdict import observer_reads_mode
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     controller = _controller(chosen, law, step)
     precision = "float" if single else "double"
     called = next(iter(chosen.laws)) if law is None else law
@@ -113,27 +112,28 @@ def export(
                 staging=staging,
             )
     if json_output:
-        from deadtime.base.json_records import record
-
-        made = {
-            "c": code and _c_record(code),
-            "fmu": law_fmu and record(law_fmu, *_FMU),
-            "plant_fmu": model and record(model, *_FMU),
-        }
-        told = {"law": called, "step": controller.step, "operating_point": _point(chosen)}
-        told |= {kind: one for kind, one in made.items() if one is not None}
-        print_json(told, _files_of(told))
+        point = chosen.operating_point
+        told: dict[str, Any] = {"law": called, "step": controller.step}
+        told["operating_point"] = None if point is None else {"x": point.x, "u": point.u}
+        if code is not None:
+            parts = record(code, "folder", "files", "form", "rom", "ram", "error")
+            told["c"] = parts | {"passed": code.check.passed, "check": code.check.message}
+        fmus = {"fmu": law_fmu, "plant_fmu": model}
+        told |= {key: record(one, *_FMU) for key, one in fmus.items() if one is not None}
+        written = [] if code is None else [Path(code.folder) / name for name in code.files]
+        print_json(told, [*written, *(Path(told[key]["path"]) for key in fmus if key in told)])
     else:
         print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}{_built_in(chosen)}")
         for sentence in observer_reads_mode(chosen, [called]):
             print(sentence)
-        print("\n".join(_lines(code, precision, law_fmu, model)))
+        if code is not None:
+            print(f"C, {precision}: {code.folder}: {', '.join(code.files)}")
+            print(f"  {code.form}\n  ROM {code.rom:,} bytes, RAM {code.ram:,} bytes")
+            print(f"  self-check: {code.check.message}")
+        for of, fmu_file in (("controller", law_fmu), ("plant", model)):
+            if fmu_file is not None:
+                print(f"FMU of the {of}: {fmu_file}")
     return 1 if code is not None and code.check.passed is False else 0
-
-
-def _point(problem: Problem) -> dict[str, Any] | None:
-    point = problem.operating_point
-    return None if point is None else {"x": point.x, "u": point.u}
 
 
 def _built_in(problem: Problem) -> str:
@@ -145,39 +145,6 @@ def _built_in(problem: Problem) -> str:
         "\nWhat is measured goes in and inputs come out as absolute values: the operating point, "
         f"{point.in_words(problem.states, problem.inputs)}, is built in."
     )
-
-
-def _lines(
-    code: Exported | None, precision: str, fmu: ExportedFmu | None, plant: ExportedFmu | None
-) -> list[str]:
-    """What was written, for a reader."""
-    text = [] if code is None else _c_lines(code, precision)
-    text += [] if fmu is None else [f"FMU of the controller: {fmu}"]
-    return text + ([] if plant is None else [f"FMU of the plant: {plant}"])
-
-
-def _c_lines(written: Exported, precision: str) -> list[str]:
-    return [
-        f"C, {precision}: {written.folder}: {', '.join(written.files)}",
-        f"  {written.form}",
-        f"  ROM {written.rom:,} bytes, RAM {written.ram:,} bytes",
-        f"  self-check: {written.check.message}",
-    ]
-
-
-def _c_record(written: Exported) -> dict[str, Any]:
-    from deadtime.base.json_records import record
-
-    check = written.check
-    whole = record(written, "folder", "files", "form", "rom", "ram", "error")
-    return whole | {"passed": check.passed, "check": check.message}
-
-
-def _files_of(told: dict[str, Any]) -> list[Path]:
-    """Every file that the record tells of."""
-    written = told.get("c", {"folder": ".", "files": []})
-    code = [Path(written["folder"]) / name for name in written["files"]]
-    return code + [Path(told[name]["path"]) for name in ("fmu", "plant_fmu") if name in told]
 
 
 def _controller(problem: Problem, law: str | None, step: float | None) -> Controller:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import BUILD, AsJson, File, Flag, app, command_line, lines
+from deadtime.cli import options
+from deadtime.cli.application import BUILD, app, command_line, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -20,13 +21,14 @@ from deadtime.cli.printing import (
     save_figure,
     stage_line,
 )
-from deadtime.cli.problem_options import numbers_of, problem_of
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.identification import Identification
-    from deadtime.identification.estimate import HiddenModes
     from deadtime.switching import SwitchingSignal
+
+
+_OF_HIDDEN = ("numbers", "bic", "chain", "sure", "widening", "starts", "agreed")
 
 
 @app.command(
@@ -42,9 +44,9 @@ if TYPE_CHECKING:
 def identify(
     *logs: Path,
     modes: str = "mode",
-    one_mode: Flag = False,
+    one_mode: options.Flag = False,
     delay: tuple[float, float] = (0.0, 2.0),
-    per_mode: Flag = False,
+    per_mode: options.Flag = False,
     noise: Annotated[bool | None, Parameter(negative="--no-noise")] = None,
     switches: Literal["anywhere", "samples"] = "anywhere",
     states: list[str] | None = None,
@@ -55,10 +57,10 @@ def identify(
     rest: Annotated[bool | None, Parameter(negative="--no-rest")] = None,
     beside: Path | None = None,
     law: str | None = None,
-    out: File = None,
+    out: options.File = None,
     figure: Path | None = None,
     report: Path | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """What plant is this the log of? Matrices, delays and noise, each with its 95 % interval.
 
@@ -173,7 +175,6 @@ def _write(
     asked: tuple[Path | None, Path | None, Path | None],
     say: Callable[[str], None],
 ) -> list[Path]:
-    """The problem file, the figure and the report that were asked for."""
     from deadtime.reports.identification_report import write_identification
 
     out, figure, report = asked
@@ -190,7 +191,6 @@ def _write(
 
 
 def _numbered(fit: Identification) -> str:
-    """Which mode is which, where they have names."""
     each = [f"{i} = {name}" for i, name in enumerate(fit.modes)]
     own = any(name not in (str(i), f"mode {i}") for i, name in enumerate(fit.modes))
     return f"; modes {', '.join(each)}" if own else ""
@@ -224,13 +224,12 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
         return None
     from deadtime.problems.switching_assumptions import step_of
 
-    problem = problem_of(beside)
+    problem = options.problem_of(beside)
     chosen = next(iter(problem.laws)) if name is None else name
     return chosen, problem.law(chosen), step_of(problem)
 
 
 def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
-    """The law's delay margin beside the interval."""
     from deadtime.reports.identification_report import law_beside
 
     sizes = [(p.modes, p.states, p.inputs) for p in (fit.plant, law.plant)]
@@ -242,8 +241,12 @@ def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
 
 
 def _record(fit: Identification, said: list[str]) -> dict:
+    from deadtime.base.json_records import record
     from deadtime.reports.identification_report import listed_names
 
+    point, rest = fit.operating_point, None
+    if point is not None:
+        rest = {"x": point.x, "u": point.u, "x_error": fit.rest_error, "offset": fit.offset}
     return {
         "samples": fit.samples,
         "step": fit.step,
@@ -252,32 +255,13 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "B": fit.plant.B,
         "delays": fit.delays,
         "delay_interval": fit.delay_interval,
-        "operating_point": _operating_point(fit),
+        "operating_point": rest,
         "disturbance": fit.disturbance,
         "noise": fit.noise,
         "intervals": {name: list(fit.interval(name)) for name in listed_names(fit)},
         "log_likelihood": fit.log_likelihood,
-        "hidden": None if fit.hidden is None else _hidden(fit.hidden),
+        "hidden": fit.hidden and record(fit.hidden, *_OF_HIDDEN),
         "sentences": said,
-    }
-
-
-def _operating_point(fit: Identification) -> dict | None:
-    point = fit.operating_point
-    if point is None:
-        return None
-    return {"x": point.x, "u": point.u, "x_error": fit.rest_error, "offset": fit.offset}
-
-
-def _hidden(hidden: HiddenModes) -> dict:
-    return {
-        "numbers": hidden.numbers,
-        "bic": hidden.bic,
-        "chain": hidden.chain,
-        "sure": hidden.sure,
-        "widening": hidden.widening,
-        "starts": hidden.starts,
-        "agreed": hidden.agreed,
     }
 
 
@@ -300,8 +284,8 @@ def fit(
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     step: float | None = None,
-    out: File = None,
-    json_output: AsJson = False,
+    out: options.File = None,
+    json_output: options.AsJson = False,
 ) -> None:
     """Fit a model of the switching to logs, and print it as a section for a problem file.
 
@@ -337,6 +321,7 @@ def fit(
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
+    picture = output_file("out", out, "fit")
     signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
     if step is not None:
         if family != "auto" or any(one is not None for one in (dwell_time, maximum_dwell, out)):
@@ -357,9 +342,8 @@ def fit(
             )
         print(chain.section())
         return
-    out = output_file("out", out, "fit")
     least, most = (
-        None if text is None else one_or_all(numbers_of(name, text))
+        None if text is None else one_or_all(options.numbers_of(name, text))
         for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
     )
     model = SemiMarkov.fit(
@@ -367,13 +351,13 @@ def fit(
     )
     texts = {mode: text for text, mode in (labels or {}).items()}
     names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
-    save_figure(plot_fit(model, signals, names, first=first), out)
+    save_figure(plot_fit(model, signals, names, first=first), picture)
     if json_output:
-        print_json(fit_record(model, names), [out])
+        print_json(fit_record(model, names), [picture])
         return
     print_table(HEADINGS, fit_rows(model, names))
     print(f"\n{fit_sentence(model, names)}\n\n{model.section()}")
-    print(f"\nFigure: {out}")
+    print(f"\nFigure: {picture}")
 
 
 def _off_grid(signals: list[SwitchingSignal], step: float) -> dict[str, int]:

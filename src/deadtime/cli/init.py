@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import FILES, START, AsJson, Flag, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import FILES, START, app, lines
 from deadtime.cli.printing import print_json, require_writable
 
 Name = Literal["paper", "three-mode", "follower", "motor", "quadrotor"]
@@ -26,8 +27,8 @@ def init(
     path: Path = Path("problem.toml"),
     *,
     example: Annotated[Name, Parameter(name=["--example", "-e"])] = "paper",
-    force: Flag = False,
-    json_output: AsJson = False,
+    force: options.Flag = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Write a commented problem file to start from.
 
@@ -55,13 +56,8 @@ def init(
     print(f"Wrote {path}. Next: deadtime simulate {path}")
 
 
-@app.command(
-    group=FILES,
-    help_epilogue=lines(
-        "deadtime schema > problem.schema.json",
-    ),
-)
-def schema(*, json_output: AsJson = False) -> None:
+@app.command(group=FILES, help_epilogue=lines("deadtime schema > problem.schema.json"))
+def schema(*, json_output: options.AsJson = False) -> None:
     """Print the JSON Schema of problem files, for editors that complete and check TOML.
 
     With and without `--json`.
@@ -83,8 +79,8 @@ Shell = Literal["bash", "zsh", "fish"]
 def completion(
     shell: Shell | None = None,
     *,
-    install: Flag = False,
-    json_output: AsJson = False,
+    install: options.Flag = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Print a script that lets a shell complete commands, options and files, or install it.
 
@@ -98,7 +94,9 @@ def completion(
         Write the script where the shell looks for it, and let its start-up file load it.
     """
     chosen = shell or _shell()
-    script = _script(chosen)
+    script = app.generate_completion(shell=chosen)
+    if chosen == "bash":  # so that folders end in a slash and go on
+        script = script.replace("complete -F", "complete -o filenames -F")
     written = [_install(chosen, script)] if install else []
     if json_output:
         print_json({"shell": chosen, "script": script}, written)
@@ -109,7 +107,6 @@ def completion(
 
 
 def _shell() -> Shell:
-    """The shell that the command was given in."""
     from cyclopts.completion.detect import ShellDetectionError, detect_shell
 
     try:
@@ -122,13 +119,6 @@ def _shell() -> Shell:
         "shell must be one of bash, zsh, fish where it cannot be told, got none: "
         "deadtime completion bash."
     )
-
-
-def _script(shell: Shell) -> str:
-    script = app.generate_completion(shell=shell)
-    if shell == "bash":  # so that folders end in a slash and go on
-        script = script.replace("complete -F", "complete -o filenames -F")
-    return script
 
 
 def _install(shell: Shell, script: str) -> Path:

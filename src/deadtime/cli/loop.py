@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from deadtime.cli.application import (
-    JUDGE,
-    AsJson,
-    FirstLaw,
-    Picture,
-    ProblemFile,
-    Step,
-    StepOrIdeal,
-    app,
-    lines,
-)
+from deadtime.cli import options
+from deadtime.cli.application import JUDGE, app, lines
 from deadtime.cli.printing import (
     output_file,
     print_heading,
@@ -23,7 +14,6 @@ from deadtime.cli.printing import (
     progress_bar,
     save_figure,
 )
-from deadtime.cli.problem_options import problem_of, problem_with
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
@@ -46,15 +36,15 @@ _HEADINGS = ("mode", "growth, 1/s", "phase margin", "at, rad/s", "disk margin", 
     ),
 )
 def loop(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
-    law: FirstLaw = None,
-    step: StepOrIdeal = None,
+    law: options.FirstLaw = None,
+    step: options.StepOrIdeal = None,
     at: Literal["input", "output"] = "input",
     channel: int = 0,
     output: int = 0,
-    out: Picture = None,
-    json_output: AsJson = False,
+    out: options.Picture = None,
+    json_output: options.AsJson = False,
 ) -> int:
     """How near −1 is the loop? Bode, Nyquist, sensitivity and step response of every mode.
 
@@ -75,7 +65,7 @@ def loop(
     from deadtime.margins.step_response import step_response
     from deadtime.reports.figures.loop import plot_loop
 
-    chosen = problem_with(problem, step, None, None)
+    chosen = options.problem_with(problem, step, None, None)
     path = output_file("out", out, f"{chosen.name}-loop")
     name = next(iter(chosen.laws)) if law is None else law
     asked = chosen.law(name)
@@ -120,7 +110,6 @@ def _row(name: str, growth: float, view: ModeView) -> list[str]:
 
 
 def _shown(problem: Problem, law: Law, output: int) -> str:
-    """What answers the step, by its name."""
     if problem.tracked:
         return problem.tracked[output]
     if law.outputs is not None:
@@ -135,7 +124,6 @@ def _step_row(name: str, answer: StepResponse) -> list[str]:
 
 
 def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
-    """The figures for JSON."""
     from deadtime.base.json_records import record
 
     figures = (
@@ -164,19 +152,18 @@ def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
 @app.command(
     group=JUDGE,
     help_epilogue=lines(
-        "deadtime robustness problem.toml",
-        "deadtime robustness follower --law mean",
+        "deadtime robustness problem.toml", "deadtime robustness follower --law mean"
     ),
 )
 def robustness(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
-    law: FirstLaw = None,
-    step: Step = None,
+    law: options.FirstLaw = None,
+    step: options.Step = None,
     scenarios: int = 20,
     seed: int = 0,
-    out: Picture = None,
-    json_output: AsJson = False,
+    out: options.Picture = None,
+    json_output: options.AsJson = False,
 ) -> None:
     """What does the loop stand? Wrong delay and gain, lost and late samples, late modes, noise.
 
@@ -196,14 +183,9 @@ def robustness(
     from deadtime.margins.robustness import STEPS
     from deadtime.problems.switching_assumptions import step_of
     from deadtime.problems.unit_checks import unit_checks_of
-    from deadtime.reports.robustness import (
-        DRAWN_HEADINGS,
-        drawn_of,
-        drawn_rows,
-        plot_robustness,
-    )
+    from deadtime.reports.robustness import DRAWN_HEADINGS, drawn_of, drawn_rows, plot_robustness
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     path = output_file("out", out, f"{chosen.name}-robustness")
     name = next(iter(chosen.laws)) if law is None else law
     chosen_law = chosen.law(name)
@@ -244,7 +226,6 @@ def robustness(
 def _robustness_record(
     result: Robustness, checks: list[str], drawn: dict[str, DrawnStability]
 ) -> dict[str, Any]:
-    """The figures for JSON."""
     from deadtime.base.json_records import record
     from deadtime.plant.weight import record_of
     from deadtime.reports.robustness import drawn_record

@@ -8,15 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import (
-    COMPARE,
-    AsJson,
-    FigureWidth,
-    Picture,
-    ProblemFile,
-    app,
-    lines,
-)
+from deadtime.cli import options
+from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import (
     TABLES,
     output_file,
@@ -29,7 +22,6 @@ from deadtime.cli.printing import (
     save_figure,
     save_text,
 )
-from deadtime.cli.problem_options import problem_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,7 +30,7 @@ if TYPE_CHECKING:
     from deadtime.problems.switching_assumptions import SourcedTime
     from deadtime.reports.scenario_tables import Summary
     from deadtime.scenarios.dataset import Comparison
-    from deadtime.switching import SwitchingModel, SwitchingSignal
+    from deadtime.switching import SwitchingModel
 
 _DATA = (".nc", ".csv")
 
@@ -51,7 +43,7 @@ _DATA = (".nc", ".csv")
     ),
 )
 def monte_carlo(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
     scenarios: int = 10_000,
     dwell_time: float | None = None,
@@ -59,11 +51,11 @@ def monte_carlo(
     seed: int = 0,
     backend: str = "numba",
     step: float | None = None,
-    out: Picture = None,
-    width: FigureWidth = None,
+    out: options.Picture = None,
+    width: options.FigureWidth = None,
     data: Path | None = None,
     table: Path | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> int:
     """Run every law of a problem over many random switching signals, all on the same ones.
 
@@ -96,7 +88,7 @@ def monte_carlo(
     from deadtime.scenarios.batch_run import compare
     from deadtime.scenarios.dataset import dataset_of
 
-    chosen = problem_of(problem)
+    chosen = options.problem_of(problem)
     period = _period(chosen, step)
     _require_signals(chosen)
     asked = dwell_time is not None or mean_sojourn is not None
@@ -175,7 +167,6 @@ def _flat(data: xr.Dataset) -> xr.Dataset:
 
 
 def _period(problem: Problem, step: float | None) -> float:
-    """The sampling period, for a loop that is sampled."""
     from deadtime.base.checks import positive
 
     if step is not None:
@@ -228,10 +219,15 @@ def _require_signals(problem: Problem) -> None:
 
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
-    """Dwell time and mean sojourn of the signals."""
-    from deadtime.problems.switching_assumptions import mean_sojourn_of
+    from deadtime.problems.switching_assumptions import dwell_time_of, mean_sojourn_of
 
-    shortest = _dwell_time(problem, problem.given_signal, dwell)
+    signal = problem.given_signal
+    if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
+        raise ArgumentError(
+            f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
+            "time: give one, --dwell-time 0.2."
+        )
+    shortest = dwell_time_of(problem, signal, dwell)
     least = shortest.value
     whole = mean_sojourn_of(problem, least, mean)
     if least < 0.0 or least == whole.value == 0.0:
@@ -244,18 +240,6 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
             f"({whole.source}): give a longer one with --mean-sojourn."
         )
     return Sojourn(shortest, whole)
-
-
-def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> SourcedTime:
-    """The dwell time asked for, or the problem's."""
-    from deadtime.problems.switching_assumptions import dwell_time_of
-
-    if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
-        raise ArgumentError(
-            f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
-            "time: give one, --dwell-time 0.2."
-        )
-    return dwell_time_of(problem, signal, dwell)
 
 
 def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SwitchingModel:
@@ -288,22 +272,29 @@ def _print(
     data: Comparison,
     outcome: Summary,
 ) -> None:
-    """Heading, remarks and tables on the terminal."""
     from deadtime.base.wording import with_names
     from deadtime.problems.unit_checks import unit_checks_of
     from deadtime.reports import metrics
 
     print_heading(problem.title)
-    print(_drawn(problem, model, sojourn, data, outcome))
-    if _is_limited(problem):
+    limited, about = _is_limited(problem), []
+    if sojourn is None:
+        what = f"of the file's [switching], {problem.switching!r}"
+    elif limited:
+        what = f"of {model!r}"
+    else:
+        (dwell, shortest), (mean, whole) = sojourn
+        what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
+        about = [f"Dwell time {dwell:g} s: {shortest}. Mean sojourn {mean:g} s: {whole}."]
+    if limited:
         switches = with_names(problem.limits.in_words()[1], problem.modes)
-        print(f"• Every signal {switches}.")
-    elif sojourn is not None:
-        print(
-            f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "
-            f"Mean sojourn {sojourn.mean.value:g} s: {sojourn.mean.source}."
-        )
-    for sentence in unit_checks_of(problem, data.attributes["step"]):
+        about = [f"Every signal {switches}."]
+    print(
+        f"{outcome.scenarios:,} random signal{'s' * (outcome.scenarios != 1)}, {what}, "
+        f"{problem.horizon:g} s each, sampled every {data.attributes['step']:g} s, seed "
+        f"{data.attributes['seed']}."
+    )
+    for sentence in (*about, *unit_checks_of(problem, data.attributes["step"])):
         print(f"• {sentence}")
     if data.attributes["imperfections"]:
         print(f"• Imperfect: {', '.join(data.attributes['imperfections'])}.")
@@ -327,28 +318,6 @@ def _print(
     print_never(shown)
 
 
-def _drawn(
-    problem: Problem,
-    model: SwitchingModel,
-    sojourn: Sojourn | None,
-    data: Comparison,
-    outcome: Summary,
-) -> str:
-    """How many signals, and what of."""
-    signals = "signal" if outcome.scenarios == 1 else "signals"
-    if sojourn is None:
-        what = f"of the file's [switching], {problem.switching!r}"
-    elif _is_limited(problem):
-        what = f"of {model!r}"
-    else:
-        dwell, mean = sojourn.dwell.value, sojourn.mean.value
-        what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
-    return (
-        f"{outcome.scenarios:,} random {signals}, {what}, {problem.horizon:g} s each, "
-        f"sampled every {data.attributes['step']:g} s, seed {data.attributes['seed']}."
-    )
-
-
 def _record(
     problem: Problem,
     model: SwitchingModel,
@@ -356,7 +325,6 @@ def _record(
     data: Comparison,
     outcome: Summary,
 ) -> dict[str, object]:
-    """The results for JSON."""
     from deadtime.plant.weight import record_of
     from deadtime.reports import metrics
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import COMPARE, AsJson, File, app, lines
+from deadtime.cli import options
+from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import output_folder, print_json, progress_bar, save_figure
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ Kind = Literal["heat", "bands", "wins", "regret", "all"]
 
 @dataclass(frozen=True, eq=False)
 class PlotPlan:
-    """What to draw: the cells, the laws of heat maps and regret, and what laws are held against.
+    """The cells to draw, the laws of heat maps and regret, and what laws are held against.
 
     `rivals` are the laws to choose the best of, `oracle` the law of the future; both are empty
     where such maps are not asked for, or the sweep has none. `left_out` says why bands cannot be
@@ -73,8 +74,8 @@ def plot(
     x: str | None = None,
     y: str | None = None,
     where: Annotated[list[str] | None, Parameter(negative="")] = None,
-    out: File = None,
-    json_output: AsJson = False,
+    out: options.File = None,
+    json_output: options.AsJson = False,
 ) -> None:
     """Draw a sweep's store: heat maps, quantile bands, the best law, regret against the oracle.
 
@@ -103,8 +104,10 @@ def plot(
         The figure, PNG, SVG, PDF or PGF, where there is one; or a folder for PNG files, by default
         next to where you are and named after the store.
     """
+    from deadtime.scenarios.sweeps import open_sweep
+
     out = Path(f"{Path(store).stem}-plots") if out is None else out
-    plan = _plan(_open(store), kind, metric, law, (x, y), _where(where or []))
+    plan = _plan(open_sweep(store), kind, metric, law, (x, y), _where(where or []))
     single = _is_figure(out)
     if single and plan.count != 1:
         raise ArgumentError(
@@ -117,20 +120,18 @@ def plot(
     except OSError as error:
         reason = error.strerror
         raise ArgumentError(f"out {str(folder)!r} cannot be written: {reason}.") from None
-    paths = _write(plan, out, single, quiet=json_output)
+    paths = []
+    with progress_bar(plan.count, quiet=json_output) as advance:
+        for name, figure in _figures(plan):
+            paths.append(out if single else out / f"{name}.png")
+            save_figure(figure, paths[-1])
+            advance(name)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)
         return
     print("\n".join(map(str, paths)))
     if plan.kind == "all" and plan.left_out:
         print(plan.left_out)
-
-
-def _open(store: str) -> xr.Dataset:
-    """The store as a dataset, lazily."""
-    from deadtime.scenarios.sweeps import open_sweep
-
-    return open_sweep(store)
 
 
 def _where(texts: Sequence[str]) -> dict[str, str]:
@@ -156,7 +157,7 @@ def _plan(
     sides: tuple[str | None, str | None],
     held: dict[str, str],
 ) -> PlotPlan:
-    """What to draw; all that can be refused is refused here, before the store is read."""
+    """The figures to draw; all that can be refused is refused here, before the store is read."""
     from deadtime.reports.figures.sweeps import selection
     from deadtime.reports.figures.sweeps.bands import panes
     from deadtime.reports.figures.sweeps.heat import grid_for
@@ -190,17 +191,6 @@ def _is_figure(out: Path) -> bool:
 
     known = Figure().canvas.get_supported_filetypes()
     return out.suffix[1:].lower() in known and not out.is_dir()
-
-
-def _write(plan: PlotPlan, out: Path, single: bool, quiet: bool) -> list[Path]:
-    """Draw and save, in a file or into a folder; the paths."""
-    paths = []
-    with progress_bar(plan.count, quiet) as advance:
-        for name, figure in _figures(plan):
-            paths.append(out if single else out / f"{name}.png")
-            save_figure(figure, paths[-1])
-            advance(name)
-    return paths
 
 
 def _figures(plan: PlotPlan) -> Iterator[tuple[str, Figure]]:

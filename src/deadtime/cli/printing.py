@@ -1,4 +1,4 @@
-"""What the commands print: verdicts, tables, JSON, progress; and figures on disk."""
+"""Printing of verdicts, tables, JSON and progress; figures on disk."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.progress import Progress, ProgressColumn
 
-    from deadtime.cli.application import FigureWidth
+    from deadtime.cli import options
     from deadtime.problems import Problem
     from deadtime.problems.comparison import Comparison
     from deadtime.reports.study.phrases import Answer
@@ -67,7 +67,7 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
 
 
 def print_never(tables: Iterable[Sequence[Sequence[str]]]) -> None:
-    """What a dash in the tables stands for, where there is one."""
+    """Explain the dash in the tables, where there is one."""
     from deadtime.reports.metrics import LEGEND, NEVER
 
     if any(NEVER in row for rows in tables for row in rows):
@@ -200,7 +200,7 @@ def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) 
     raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
-def require_width(width: FigureWidth) -> None:
+def require_width(width: options.FigureWidth) -> None:
     """Refuse the width of a figure that cannot be drawn, before there is work to lose."""
     if width is not None:
         from deadtime.base.figure_files import inches

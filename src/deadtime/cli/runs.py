@@ -11,18 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import (
-    START,
-    AllLaws,
-    AsJson,
-    FigureWidth,
-    File,
-    Folder,
-    ProblemFile,
-    StepOrIdeal,
-    app as commands,
-    lines,
-)
+from deadtime.cli import options
+from deadtime.cli.application import START, app as commands, lines
 from deadtime.cli.printing import (
     output_file,
     output_folder,
@@ -33,7 +23,6 @@ from deadtime.cli.printing import (
     save_figure,
     stage_line,
 )
-from deadtime.cli.problem_options import problem_of, problem_with
 
 if TYPE_CHECKING:
     from deadtime.problems.comparison import Comparison
@@ -48,11 +37,11 @@ if TYPE_CHECKING:
     ),
 )
 def reproduce(
-    problem: ProblemFile = Path("paper"),
+    problem: options.ProblemFile = Path("paper"),
     *,
-    out: Folder = Path("report"),
+    out: options.Folder = Path("report"),
     certificates: bool = True,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Run a problem under every law and write a report: the paper's comparison by default.
 
@@ -66,7 +55,7 @@ def reproduce(
     from deadtime.reports.metrics import metrics_of
     from deadtime.reports.report import steps_of, write_report
 
-    chosen, out = problem_of(problem), output_folder("out", out)
+    chosen, out = options.problem_of(problem), output_folder("out", out)
     command = f"deadtime reproduce {problem}" + ("" if certificates else " --no-certificates")
     with progress_bar(steps_of(chosen, certificates), quiet=json_output) as advance:
         report = write_report(chosen, out, advance, command, certificates)
@@ -87,16 +76,16 @@ def reproduce(
     ),
 )
 def simulate(
-    problem: ProblemFile,
+    problem: options.ProblemFile,
     *,
-    law: AllLaws = None,
-    step: StepOrIdeal = None,
+    law: options.AllLaws = None,
+    step: options.StepOrIdeal = None,
     horizon: float | None = None,
     x0: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    out: File = None,
-    width: FigureWidth = None,
+    out: options.File = None,
+    width: options.FigureWidth = None,
     csv: Path | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Simulate a problem file: a verdict, metrics and a figure.
 
@@ -120,7 +109,7 @@ def simulate(
 
     require_width(width)
     log = None if csv is None else output_file("csv", csv, kinds=(".csv",))
-    chosen = problem_with(problem, step, horizon, x0)
+    chosen = options.problem_with(problem, step, horizon, x0)
     picture = output_file("out", out, chosen.name)
     if law is not None:
         chosen = replace(chosen, laws={law: chosen.law(law)})
@@ -153,7 +142,7 @@ def _save_logs(result: Comparison, path: Path) -> list[Path]:
     return saved
 
 
-def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Path]:
+def _save_figures(result: Comparison, path: Path, width: options.FigureWidth) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
     from deadtime.reports.figures.runs import all_laws
     from deadtime.simulation.run_figure import plot_run
@@ -181,14 +170,14 @@ def _save_figures(result: Comparison, path: Path, width: FigureWidth) -> list[Pa
     ),
 )
 def app(
-    problem: ProblemFile = Path("paper"),
+    problem: options.ProblemFile = Path("paper"),
     *,
     port: int | None = None,
     address: str = "127.0.0.1",
     origin: tuple[str, ...] = (),
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
     sessions: int = 40,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Explore a problem on a page: move it, draw its signal, watch every law.
 

@@ -10,16 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.application import (
-    COMPARE,
-    AsJson,
-    CellSignals,
-    Flag,
-    Folder,
-    StudyFile,
-    app,
-    lines,
-)
+from deadtime.cli import options
+from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import (
     TABLES,
     on_terminal,
@@ -53,17 +45,17 @@ _EVERY = 10.0  # seconds between lines about a cluster's progress
     ),
 )
 def sweep(
-    file: StudyFile,
+    file: options.StudyFile,
     *,
     store: str | None = None,
-    scenarios: CellSignals = None,
+    scenarios: options.CellSignals = None,
     scheduler: str | None = None,
     workers: int | None = None,
-    status: Flag = False,
-    dry_run: Flag = False,
-    verify: Flag = False,
+    status: options.Flag = False,
+    dry_run: options.Flag = False,
+    verify: options.Flag = False,
     table: Path | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> int:
     """Run every cell of a study's grid into a Zarr store: here, or on a Dask cluster.
 
@@ -165,7 +157,7 @@ def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
 
 
 def _verify(place: str) -> list[str]:
-    """What of the store is damaged, now absent; coordinates are written anew."""
+    """Forget what of the store is damaged, and name it; coordinates are written anew."""
     from deadtime.scenarios.sweeps.store import open_store, place_of
 
     target = open_store(place_of(place))
@@ -188,7 +180,6 @@ def _reasons(data: Any) -> dict[str, tuple[int, str]]:
 
 
 def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
-    """How far a store is, and how much there is to do."""
     if as_json:
         from deadtime.base.json_records import plain
 
@@ -292,13 +283,13 @@ class Lines:
     ),
 )
 def study(
-    file: StudyFile,
+    file: options.StudyFile,
     *,
-    out: Folder = Path("study-report"),
-    scenarios: CellSignals = None,
+    out: options.Folder = Path("study-report"),
+    scenarios: options.CellSignals = None,
     workers: int | None = None,
     scheduler: str | None = None,
-    json_output: AsJson = False,
+    json_output: options.AsJson = False,
 ) -> None:
     """Run laws over a grid of plants and switching, and write a report with maps and answers.
 

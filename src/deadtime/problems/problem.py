@@ -121,7 +121,7 @@ class Problem(Frozen):
 
     @property
     def operating_sentences(self) -> tuple[str, ...]:
-        """What states and inputs are deviations from, where they are; nothing elsewhere."""
+        """A sentence on what states and inputs are deviations from, where they are."""
         if self.operating_point is None:
             return ()
         where = self.operating_point.in_words(self.states, self.inputs)
@@ -162,7 +162,7 @@ class Problem(Frozen):
 
     @property
     def imperfections_in_words(self) -> list[str]:
-        """What is imperfect, as headings and sentences name it.
+        """The imperfections, as headings and sentences name them.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""What a problem is asked about: the one source of its dwell time and mean sojourn, with words.
+"""The signals that a problem is asked about: the one source of dwell time and mean sojourn.
 
 Certificates, the theorem's bound, Monte Carlo and reports all ask here, so that they speak of the
 same signals, and each says where its number comes from.
@@ -39,7 +39,7 @@ class AssumedSignals(NamedTuple):
     signals: SignalClass
 
     def in_words(self, modes: Sequence[str], step: float) -> str:
-        """What is asked about: the signals, by the names of the modes, and the sampling.
+        """The signals, by the names of the modes, and the sampling, in a sentence.
 
         Examples
         --------

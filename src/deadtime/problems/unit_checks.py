@@ -20,7 +20,7 @@ _APART = 0.1  # relative: growth rates further apart do not agree
 
 
 def unit_checks_of(problem: Problem, step: float | None = None) -> list[str]:
-    """What does not fit: a delay beyond the horizon, a step beyond the horizon or the dwell time.
+    """Sentences on a delay beyond the horizon, and on a step beyond that or the dwell time.
 
     Parameters
     ----------

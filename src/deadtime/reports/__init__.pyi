@@ -7,10 +7,7 @@ from .design import (
     plot_designs as plot_designs,
     problem_sections as problem_sections,
 )
-from .figures.certificates import (
-    plot_chart as plot_chart,
-    plot_witness as plot_witness,
-)
+from .figures.certificates import plot_chart as plot_chart, plot_witness as plot_witness
 from .figures.loop import plot_loop as plot_loop
 from .figures.monte_carlo import plot_monte_carlo as plot_monte_carlo
 from .figures.runs import (

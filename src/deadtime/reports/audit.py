@@ -247,7 +247,7 @@ def pairs(problem: Problem, own: SwitchingSignal, signals: list[SwitchingSignal]
 
 
 def at_the_example(evidence: AuditEvidence, count: int) -> Pairs:
-    """The same from the evidence at the example's own dwell time and distance."""
+    """The runs of the evidence, at the example's own dwell time and distance."""
     joined = {
         name: {
             key: np.concatenate((evidence.one[name][key], evidence.many[name][key][:count]))
@@ -282,7 +282,7 @@ def move_modes(problem: Problem, alpha: float) -> tuple[Problem, float]:
 def claims_about_dwell_time(
     evidence: AuditEvidence, count: int, seed: int, progress: Progress
 ) -> Iterator[Claim]:
-    """What happens to law (2), alone and against (80), as the dwell time decreases."""
+    """Claims on law (2), alone and against (80), as the dwell time decreases."""
     problem, runs = evidence.problem, []
     times = tuple(evidence.dwell_time * factor for factor in STRETCH)
     for factor, time in zip(STRETCH, times, strict=True):

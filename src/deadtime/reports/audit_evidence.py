@@ -80,7 +80,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """What the numbers alone say.
+        """The answer of the numbers alone.
 
         A claim "holds" when no signal drawn contradicts it, "holds on most signals" when its
         whole confidence interval lies above one half (which the first also needs), "does not
@@ -105,17 +105,12 @@ Figures = Mapping[str, Mapping[str, np.ndarray]]  # law → figure → one entry
 
 @dataclass(frozen=True, eq=False)
 class AuditEvidence:
-    """What the claims about the example are judged by.
+    """The runs that the claims about the example are judged by.
 
-    Attributes
-    ----------
-    problem : Problem
-    dwell_time : float
-        Of the random signals, in seconds.
-    one, many : mapping
-        Law → figure → array over the signals: the problem's own signal, and the random ones.
-        Figures are those of `figures_of_run` and `figures_of_transient`, and `command_error`,
-        the rms of `commands` minus `exact_commands` along the run of law (2).
+    `one` is of the problem's own signal, `many` of random ones with the dwell time, in seconds: law
+    → figure → array over the signals. Figures are those of `figures_of_run` and
+    `figures_of_transient`, and `command_error`, the rms of `commands` minus `exact_commands` along
+    the run of law (2).
     """
 
     problem: Problem
@@ -197,7 +192,7 @@ def exact_commands(run: Trajectory) -> Float[np.ndarray, "T m"]:
 
 
 def commands(run: Trajectory, table: Feedback) -> Float[np.ndarray, "T m"]:
-    """What a law of one row commands, given the states and past inputs of a run (of another)."""
+    """Commands of a law of one row, given the states and past inputs of a run (of another)."""
     assert isinstance(run.record, DigitalRecord)
     inputs, first = run.record.inputs, run.record.past - 1
     result = run.states.T @ table.state_gain[0].T

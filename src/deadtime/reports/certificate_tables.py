@@ -42,7 +42,7 @@ LEGEND = (
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What is known about one law.
+    """The answers about one law: certificate, worst signal, delay margin.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ def judge(
 
 
 def uncertain_plant(problem: Problem) -> UncertainPlant:
-    """What the problem's [uncertainty] leaves open."""
+    """The plants that the problem's [uncertainty] leaves open."""
     if problem.uncertain is None:
         raise ArgumentError(
             f"the problem {problem.name!r} has no [uncertainty], as `deadtime identify` writes it: "
@@ -177,11 +177,7 @@ def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) ->
 
 
 def _judge(
-    problem: Problem,
-    name: str,
-    certified: Future[Certificate],
-    signals: SignalClass,
-    step: float,
+    problem: Problem, name: str, certified: Future[Certificate], signals: SignalClass, step: float
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify
@@ -250,7 +246,7 @@ def certificate_sentences(judged: Sequence[Judged]) -> list[str]:
 
 
 def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
-    """The same for JSON."""
+    """Certificates, worst signals and delay margins for JSON."""
     from deadtime.certificates import Certificate
 
     answer = ("stable", "decay_rate", "proven", "message", "statement")
@@ -303,7 +299,7 @@ def _shorten(value: float, rounding: str) -> str:
 
 
 def delay_sentence(problem: Problem) -> list[str]:
-    """What a wrong delay does to the problem's first law; nothing where that cannot be asked.
+    """The delay margin of the problem's first law; nothing where that cannot be asked.
 
     Where it would take long, that it was left out.
     """
@@ -412,7 +408,7 @@ def bound_rows(
 
 
 def bound_sentence(bounds: Mapping[str, TheoremBound]) -> str:
-    """What the constants say about the plant at hand."""
+    """Whether the theorem proves the loop at hand stable, and how much the sharp form gains."""
     sharp, printed, ratio = bounds["sharp"], bounds.get("printed"), ""
     if printed is not None:
         gained = sharp.log10_epsilon_star - printed.log10_epsilon_star

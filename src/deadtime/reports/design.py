@@ -54,7 +54,7 @@ def _row(name: str, point: TradeOff, missed: str) -> tuple[str, ...]:
 
 
 def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
-    """What any linear controller can tolerate, mode by mode."""
+    """Delay margins that any linear controller can have, mode by mode."""
     return [
         (
             name,
@@ -72,11 +72,7 @@ def _pole(pole: complex) -> str:
 
 
 def problem_sections(
-    design: Design,
-    kind: str,
-    plant: SwitchedSystem,
-    gains: np.ndarray,
-    mode: int | None = None,
+    design: Design, kind: str, plant: SwitchedSystem, gains: np.ndarray, mode: int | None = None
 ) -> str:
     """The design as sections [gains], [[law]] and a step, for the problem file of a plant.
 
@@ -179,7 +175,6 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
 
 
 def _costs(designs: Mapping[str, Design]) -> str | None:
-    """What costs are, where they are not the usual ones."""
     texts = dict.fromkeys(text_of(one.weight) for one in designs.values())
     return None if set(texts) == {PLAIN} else plain(f"cost: {'; '.join(texts)}")
 
@@ -188,53 +183,31 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
     """The legend: every kind of mark that some panel has."""
     drawn = [(one, point) for one in designs.values() for point in _points_to_draw(one)]
     points = [point for one, point in drawn if point.law is not one.plain.law]
-    line = {"ls": "", "markersize": 5.0}
-    limits = [(one, min(limit.most for limit in one.limits)) for one in designs.values()]
-    keys: list[tuple[bool, Line2D | Patch]] = [
-        (
-            any(len(_front(one)) > 1 for one in designs.values()),
-            Line2D([], [], color=COLOURS[0], lw=1.0, label="least cost for a margin"),
-        ),
-        (
-            any(point.time_constant is None for point in points),
-            Line2D([], [], color=COLOURS[0], marker="o", label="gains alone", **line),
-        ),
-        (
-            any(point.time_constant is not None for point in points),
-            Line2D([], [], color=COLOURS[2], marker="s", label="gains and a filter", **line),
-        ),
-        (
-            any(math.isfinite(one.plain.cost) for one in designs.values()),
-            Line2D([], [], color=COLOURS[6], marker="X", label="plain design", **line),
-        ),
-        (any(_is_chosen(one) for one in designs.values()), Line2D([], [], label="chosen", **_RING)),
-        (
-            any(_falls_short(one, point) for one, point in drawn),
-            Line2D(
-                [],
-                [],
-                color="grey",
-                mfc="none",
-                marker="o",
-                label=_hollow(designs),
-                **line,
-            ),
-        ),
-        (
-            any(math.isinf(point.margin) for _, point in drawn),
-            Line2D([], [], color="grey", marker=">", label="stable whatever the delay", **line),
-        ),
-        (
-            any(one.asked or one.input_limit is not None for one in designs.values()),
-            Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label=_dashed(designs)),
-        ),
-        (True, Patch(facecolor=REACHED, label="within reach, by mode")),
-        (
-            any(100.0 * most < _right(one) for one, most in limits),
-            Patch(facecolor=BEYOND, label="beyond reach in some mode"),
-        ),
+    ones, dot = designs.values(), {"ls": "", "markersize": 5.0}
+    blue, green = {"color": COLOURS[0]}, {"color": COLOURS[2]}
+
+    def key(there: bool, label: str, **look: Any) -> list[Line2D]:
+        return [Line2D([], [], label=label, **look)] * there
+
+    alone = any(point.time_constant is None for point in points)
+    filtered = any(point.time_constant is not None for point in points)
+    usual = any(math.isfinite(one.plain.cost) for one in ones)
+    short = any(_falls_short(one, point) for one, point in drawn)
+    endless = any(math.isinf(point.margin) for _, point in drawn)
+    asked = any(one.asked or one.input_limit is not None for one in ones)
+    beyond = any(100.0 * min(each.most for each in one.limits) < _right(one) for one in ones)
+    return [
+        *key(any(len(_front(one)) > 1 for one in ones), "least cost for a margin", lw=1.0, **blue),
+        *key(alone, "gains alone", marker="o", **blue, **dot),
+        *key(filtered, "gains and a filter", marker="s", **green, **dot),
+        *key(usual, "plain design", color=COLOURS[6], marker="X", **dot),
+        *key(any(_is_chosen(one) for one in ones), "chosen", **_RING),
+        *key(short, _hollow(designs), color="grey", mfc="none", marker="o", **dot),
+        *key(endless, "stable whatever the delay", color="grey", marker=">", **dot),
+        *key(asked, _dashed(designs), color=COLOURS[1], ls="--", lw=1.0),
+        Patch(facecolor=REACHED, label="within reach, by mode"),
+        *[Patch(facecolor=BEYOND, label="beyond reach in some mode")] * beyond,
     ]
-    return [key for there, key in keys if there]
 
 
 def _panel(panel: Axes, design: Design) -> None:
@@ -329,7 +302,6 @@ def _falls_short(design: Design, point: TradeOff) -> bool:
 
 
 def _dashed(designs: Mapping[str, Design]) -> str:
-    """What dashed lines are: of margins upright, of inputs level."""
     words = {
         "margin": any(one.asked for one in designs.values()),
         "limit": any(one.input_limit is not None for one in designs.values()),

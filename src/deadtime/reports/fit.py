@@ -84,11 +84,7 @@ def _goodness(model: SemiMarkov) -> tuple[Goodness, ...]:
 
 
 def plot_fit(
-    model: SemiMarkov,
-    signals: Signals,
-    modes: Sequence[str] | None = None,
-    *,
-    first: str = "whole",
+    model: SemiMarkov, signals: Signals, modes: Sequence[str] | None = None, *, first: str = "whole"
 ) -> Figure:
     """Survival of the sojourns in each mode: Kaplan and Meier's estimate, and the model's.
 

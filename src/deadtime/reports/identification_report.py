@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Iterable, Sequence
-from io import BytesIO
 from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,7 +12,7 @@ from deadtime.base.files import replacing
 from deadtime.feedback import Law
 from deadtime.identification import Identification
 from deadtime.identification.identification_figure import figures_of
-from deadtime.reports.report_folder import render
+from deadtime.reports.report_folder import inlined, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,13 +32,7 @@ class Picture(NamedTuple):
 
 def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ...]:
     """Figures as a page holds them, of (name, caption, figure)."""
-    found = []
-    for name, caption, figure in figures:
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png")
-        data = b64encode(buffer.getvalue()).decode("ascii")
-        found.append(Picture(name, caption, f"data:image/png;base64,{data}"))
-    return tuple(found)
+    return tuple(Picture(name, caption, inlined(figure)[1]) for name, caption, figure in figures)
 
 
 def listed_names(fit: Identification) -> list[str]:

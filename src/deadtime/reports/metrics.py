@@ -51,7 +51,7 @@ def heading_of(problem: Problem, output: int) -> str:
 
 
 def heading_of_runs(problem: Problem, runs: Mapping[str, Trajectory], output: int) -> str:
-    """The same of one run for each law, with when the first event after it ends what is shown."""
+    """`heading_of` for one run of each law, with the event that ends what is shown."""
     for run in runs.values():
         if run.followed is not None:
             since = run.followed.changes(run.end, output)[-1]
@@ -90,7 +90,7 @@ def rows_of_many(data: ManyRuns, output: int) -> list[list[str]]:
 
 
 def record_of_many(problem: Problem, data: ManyRuns) -> dict[str, Any]:
-    """The same for JSON, by output and law; nothing where nothing is tracked."""
+    """The medians for JSON, by output and law; nothing where nothing is tracked."""
     if not problem.tracked:
         return {}
     rows = {

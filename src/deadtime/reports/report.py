@@ -34,12 +34,7 @@ from deadtime.reports.certificate_tables import (
     left_out,
     theorem_refusal,
 )
-from deadtime.reports.figures.runs import (
-    all_laws,
-    plot_signal,
-    plot_verdict,
-    plot_window,
-)
+from deadtime.reports.figures.runs import all_laws, plot_signal, plot_verdict, plot_window
 from deadtime.reports.metrics import metrics_of
 from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, write_page, writing
 from deadtime.reports.verdict import headings_of, table, verdict
@@ -135,7 +130,7 @@ SCENARIOS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What was written, and what it says."""
+    """The path of a report, its verdict and the comparison behind it."""
 
     path: Path
     sentences: list[str]
@@ -154,10 +149,11 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
         "Switching instants and modes in [t, t + D]: what the exact predictor must know at t.",
         plot_window(signal, delay, end, problem.modes),
     )
+    given = isinstance(problem.signal, SwitchingSignal)
+    whose = "every run" if given else f"the run under the law “{result.lead}”"
     yield (
         "signal",
-        f"The switching signal of {_whose(result)}: active mode in blue, switching instants in "
-        "black.",
+        f"The switching signal of {whose}: active mode in blue, switching instants in black.",
         plot_signal(signal, end, problem.modes),
     )
     states, inputs = problem.curve_names
@@ -206,12 +202,6 @@ def write_report(
     return Report(folder / PAGE, sentences, result)
 
 
-def _whose(result: Comparison) -> str:
-    """Which runs have the signal that is shown."""
-    given = isinstance(result.problem.signal, SwitchingSignal)
-    return "every run" if given else f"the run under the law “{result.lead}”"
-
-
 def _is_shown(problem: Problem, law: str) -> bool:
     """Whether a law has a figure of its own: all but a baseline that others are held against."""
     return len(problem.laws) == 1 or problem.laws[law].predicts
@@ -248,7 +238,10 @@ def _write(
             for name, caption, figure in certified["figures"]
         ]
     progress("writing: data")
-    _write_data(result, folder)
+    for number, (name, run) in enumerate(result.runs.items(), 1):
+        path = folder / "data" / f"{number}-{file_name(name)}.csv"
+        run.to_csv(path, problem.states, problem.inputs, problem.tracked)
+    write_metrics(metrics_of(result), folder)
     progress("writing: report")
     write_page(
         folder,
@@ -322,21 +315,12 @@ def _constants(result: Comparison) -> dict[str, Any]:
     }
 
 
-def _write_data(result: Comparison, folder: Path) -> None:
-    problem = result.problem
-    for number, (name, run) in enumerate(result.runs.items(), 1):
-        path = folder / "data" / f"{number}-{file_name(name)}.csv"
-        run.to_csv(path, problem.states, problem.inputs, problem.tracked)
-    write_metrics(metrics_of(result), folder)
-
-
 def _matrix(array: np.ndarray) -> str:
     rows = ["[" + ", ".join(f"{v:.6g}" for v in row) + "]" for row in np.atleast_2d(array)]
     return (rows[0] if len(rows) == 1 else "[" + ", ".join(rows) + "]").replace("-", "−")
 
 
 def _setting(problem: Problem) -> dict[str, Any]:
-    """The problem, as the page shows it."""
     plant = problem.plant
     return {
         "problem": problem,

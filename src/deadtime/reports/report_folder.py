@@ -43,11 +43,17 @@ def writing(folder: Path) -> Iterator[Path]:
 def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
     """Save as SVG and PNG; return the PNG inlined for the page."""
     figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
+    png, image = inlined(figure)
+    (folder / "figures" / f"{name}.png").write_bytes(png)
+    return {"name": name, "caption": caption, "image": image}
+
+
+def inlined(figure: Figure) -> tuple[bytes, str]:
+    """A figure as PNG, and that as the address of an image in a page."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
-    (folder / "figures" / f"{name}.png").write_bytes(buffer.getvalue())
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return {"name": name, "caption": caption, "image": f"data:image/png;base64,{data}"}
+    png = buffer.getvalue()
+    return png, f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
 
 
 def write_metrics(record: Mapping[str, Any], folder: Path, indent: int = 2) -> None:

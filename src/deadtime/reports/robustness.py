@@ -1,4 +1,4 @@
-"""What a loop tolerates as a figure, and how many of the plants left open every law stabilises."""
+"""Errors that a loop tolerates as a figure, and how many drawn plants every law stabilises."""
 
 from __future__ import annotations
 
@@ -50,19 +50,16 @@ def drawn_rows(drawn: dict[str, DrawnStability]) -> list[tuple[str, ...]]:
 
 
 def drawn_record(drawn: dict[str, DrawnStability]) -> dict[str, Any]:
-    """The same for JSON."""
+    """Drawn plants and how many of them are stable, for JSON."""
     return {
-        name: {
-            "plants": len(one.growth),
-            "stable": one.stable,
-            "slowest": float(one.growth.max()),
-        }
+        name: {"plants": len(one.growth), "stable": one.stable, "slowest": float(one.growth.max())}
         for name, one in drawn.items()
     }
 
 
 GOOD, BAD = "#e3f0f8", COLOURS[1]
 HEADINGS = ("wrong delay", "wrong gain", "noise", "lost samples", "late samples", "late modes")
+_RATE = "growth rate (1/s)"
 _POINTS, _FEWEST = 41, 5
 _LARGEST = 1e4  # cost, relative: beyond a run is drawn as lost
 
@@ -115,10 +112,12 @@ def _growth_curves(
     if low is not None and high is not None:
         _shade(panel, *np.clip([low, high], x[0], x[-1]))
     panel.axhline(0.0, color=COLOURS[6], linewidth=0.8)
+    panel.set_ylabel(_RATE)
 
 
-def _no_margin(result: Robustness) -> str:
-    return "left out: D/h is\ntoo large" if result.left_out else "the law is no table"
+def _no_margin(panel: Axes, result: Robustness) -> None:
+    panel.set_ylabel(_RATE)
+    _nothing(panel, "left out: D/h is\ntoo large" if result.left_out else "the law is no table")
 
 
 def _points(result: Robustness) -> int:
@@ -129,9 +128,8 @@ def _points(result: Robustness) -> int:
 
 def _delay_panel(panel: Axes, result: Robustness) -> None:
     panel.set_xlabel("error of the delay (%)")
-    panel.set_ylabel("growth rate (1/s)")
     if result.delay is None:
-        _nothing(panel, _no_margin(result))
+        _no_margin(panel, result)
         return
     plant, margin = result.plant, result.delay
     D, relative = margin.nominal, margin.relative
@@ -152,9 +150,8 @@ def _delay_panel(panel: Axes, result: Robustness) -> None:
 
 def _gain_panel(panel: Axes, result: Robustness) -> None:
     panel.set_xlabel("gain, relative to the model")
-    panel.set_ylabel("growth rate (1/s)")
     if result.gain is None:
-        _nothing(panel, _no_margin(result))
+        _no_margin(panel, result)
         return
     plant, margin = result.plant, result.gain
     low = 0.8 if margin.lower is None else max(0.05, 1.0 - 2.0 * (1.0 - margin.lower))

@@ -18,7 +18,7 @@ from deadtime.base.json_records import plain
 from deadtime.base.latex import booktabs
 from deadtime.base.wording import compact
 from deadtime.reports.figures.sweeps.panels import symbol_of
-from deadtime.reports.figures.sweeps.reduction import score_of
+from deadtime.reports.figures.sweeps.reduction import quantiles, score_of
 from deadtime.reports.figures.sweeps.selection import (
     RATES,
     RUNS,
@@ -123,12 +123,12 @@ class Summary:
         return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "|x| grows"]
 
     def rows(self) -> list[list[str]]:
-        """What ranks the laws, for a terminal, a row for each law."""
+        """A row for each law: the metric that ranks them, for a terminal."""
         return [
             [
                 one.law,
                 *map(compact, getattr(one, self.measure)),
-                _share(one.best),
+                f"{100.0 * one.best:.1f} %",
                 compact(one.relative),
                 f"{one.grew:,}",
             ]
@@ -159,7 +159,7 @@ class Summary:
 
     @property
     def notes(self) -> tuple[str, str]:
-        """What the ratio is, and what intervals are."""
+        """Sentences on the ratio and on the intervals."""
         return (
             f"/ {self.reference}: the median of the ratio on the same signal.",
             "Intervals hold the true median at 95 % or more: order statistics, whatever the "
@@ -170,7 +170,7 @@ class Summary:
         """The laws as a LaTeX table of the package booktabs: what ranks them, with intervals."""
         both = zip(self.rows(), self.interval_rows(), strict=True)
         rows = [
-            [*row[:3], more[2], *row[3:5], _shares(one.best_interval), row[5], more[4], row[6]]
+            [*row[:3], more[2], *row[3:5], _shares(*one.best_interval), row[5], more[4], row[6]]
             for (row, more), one in zip(both, self.laws, strict=True)
         ]
         low, median, high = self.headings[1:4]
@@ -187,6 +187,75 @@ class Summary:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
         rows = plain(self.laws)
         return [{k: v for k, v in row.items() if k != "iae" or v is not None} for row in rows]
+
+
+class LawRuns:
+    """The runs of laws over the same scenarios, read from a dataset or from the engine's arrays.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the laws.
+    lost : (law, scenario) of bool
+        Where a law diverged.
+    """
+
+    def __init__(self, data: xr.Dataset | Comparison) -> None:
+        if isinstance(data, Comparison):
+            self.names, self._told, self._keep = list(data.names), data.attributes, data.keep
+            self._metrics, diverged = data.results.metrics, data.results.diverged
+        else:
+            self.names, self._told = [str(name) for name in data["law"].values], data.attrs
+            self._keep = lambda one: one.transpose("law", "scenario").values
+            self._metrics, diverged = data, data["diverged"]
+        self.lost: Bool[np.ndarray, "law scenario"] = self._keep(diverged).astype(bool)
+        if self.count == 0:
+            raise ArgumentError(
+                "data must hold at least one scenario, got none: run some to the end."
+            )
+
+    @property
+    def count(self) -> int:
+        """How many scenarios there are."""
+        return self.lost.shape[1]
+
+    @property
+    def reference(self) -> str:
+        """The law that others are held against: the oracle, or the first where there is none."""
+        return ORACLE if ORACLE in self.names else self.names[0]
+
+    @property
+    def measure(self) -> str:
+        """The metric that ranks the laws: iae where all follow a reference, else the cost."""
+        tracked = "iae" in self._metrics and not np.isnan(self.losses("iae")).any()
+        return "iae" if tracked else "cost"
+
+    def losses(self, metric: str) -> Float[np.ndarray, "law scenario"]:
+        """A metric, infinite on diverged scenarios."""
+        return np.where(self.lost, np.inf, self._values(metric))
+
+    def relative(self) -> Float[np.ndarray, "law scenario"]:
+        """The metric that ranks the laws, over that of the reference law.
+
+        1 where both are 0, infinite where a law diverged.
+        """
+        cost = self.losses(self.measure)
+        base = cost[self.names.index(self.reference)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.where(cost == base, 1.0, cost / base)
+        return np.where(np.isinf(cost), np.inf, ratios)
+
+    def grown(self) -> Bool[np.ndarray, "law scenario"]:
+        """Where a law diverged, or |x| grew."""
+        if "grows_above" not in self._told:
+            return self.lost
+        start = float(self._told["grows_above"])
+        above = start if math.isfinite(start) else GROWN * self.losses("peak").min(axis=0)
+        rises = (self._values("decay_rate") < 0.0) & (self._values("final_norm") > above)
+        return self.lost | rises
+
+    def _values(self, metric: str) -> Float[np.ndarray, "law scenario"]:
+        return self._keep(self._metrics[metric]).astype(float)
 
 
 def summary(data: xr.Dataset | Comparison) -> Summary:
@@ -222,12 +291,12 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
     >>> first.relative, first.diverged, first.cost[2], round(second.best, 2)
     (2.0, 1, inf, 1.0)
     """
-    count, measure = count_of(data), measure_in(data)
-    cost, ise, ranked = (losses(data, name) for name in ("cost", "ise", measure))
+    runs = LawRuns(data)
+    measure = runs.measure
+    cost, ise, ranked = (runs.losses(name) for name in ("cost", "ise", measure))
     least = ranked.min(axis=0)
     best = [Proportion.of(row) for row in (ranked == least) & np.isfinite(least)]
-    ratios, diverged = relative_costs(data), _lost(data).sum(axis=1)
-    grew = _grown(data).sum(axis=1)
+    ratios, diverged, grew = runs.relative(), runs.lost.sum(axis=1), runs.grown().sum(axis=1)
     laws = tuple(
         LawSummary(
             name,
@@ -242,101 +311,13 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
             Interval(*best[i].interval),
             _quantiles(ranked[i]) if measure == "iae" else None,
         )
-        for i, name in enumerate(names_of(data))
+        for i, name in enumerate(runs.names)
     )
-    return Summary(count, reference_of(data), laws, measure)
-
-
-def measure_in(data: xr.Dataset | Comparison) -> str:
-    """The metric that ranks the laws: iae where all of them follow a reference, else the cost."""
-    held = data.results.metrics if isinstance(data, Comparison) else data
-    if "iae" not in held:
-        return "cost"
-    return "cost" if np.isnan(losses(data, "iae")).any() else "iae"
-
-
-def names_of(data: xr.Dataset | Comparison) -> list[str]:
-    """The laws, in order."""
-    if isinstance(data, Comparison):
-        return list(data.names)
-    return [str(name) for name in data["law"].values]
-
-
-def count_of(data: xr.Dataset | Comparison) -> int:
-    """How many scenarios there are; refused if there is none."""
-    count = data.scenarios if isinstance(data, Comparison) else data.sizes["scenario"]
-    if count == 0:
-        raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
-    return count
-
-
-def reference_of(data: xr.Dataset | Comparison) -> str:
-    """The law that others are held against: the oracle, or the first where there is none."""
-    names = names_of(data)
-    return ORACLE if ORACLE in names else names[0]
-
-
-def losses(data: xr.Dataset | Comparison, metric: str) -> Float[np.ndarray, "law scenario"]:
-    """A metric, infinite on diverged scenarios."""
-    return np.where(_lost(data), np.inf, _values(data, metric))
-
-
-def _values(data: xr.Dataset | Comparison, metric: str) -> Float[np.ndarray, "law scenario"]:
-    """A metric of the runs up to their ends."""
-    if isinstance(data, Comparison):
-        return data.keep(data.results.metrics[metric])
-    return data[metric].transpose("law", "scenario").values.astype(float)
-
-
-def _grown(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
-    """Where a law diverged, or |x| grew."""
-    told = data.attributes if isinstance(data, Comparison) else data.attrs
-    if "grows_above" not in told:
-        return _lost(data)
-    start = float(told["grows_above"])
-    above = start if math.isfinite(start) else GROWN * losses(data, "peak").min(axis=0)
-    rises = (_values(data, "decay_rate") < 0.0) & (_values(data, "final_norm") > above)
-    return _lost(data) | rises
-
-
-def _lost(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
-    """Where a law diverged."""
-    if isinstance(data, Comparison):
-        return data.keep(data.results.diverged)
-    return data["diverged"].transpose("law", "scenario").values.astype(bool)
-
-
-def relative_costs(data: xr.Dataset | Comparison) -> Float[np.ndarray, "law scenario"]:
-    """What ranks the laws, over that of the reference law.
-
-    1 where both are 0, infinite where a law diverged.
-    """
-    cost = losses(data, measure_in(data))
-    base = cost[names_of(data).index(reference_of(data))]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.where(cost == base, 1.0, cost / base)
-    return np.where(np.isinf(cost), np.inf, ratios)
-
-
-def quantile(values: Float[np.ndarray, " scenario"], level: float) -> float:
-    """The linear quantile that numpy has, also where some values are infinite.
-
-    Examples
-    --------
-    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.25)
-    2.5
-    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.5)
-    inf
-    """
-    # Between a finite value and ∞, interpolation has ∞ − ∞ in it.
-    if np.isinf(np.quantile(values, level, method="higher")):
-        return math.inf
-    highest = values[np.isfinite(values)].max()
-    return float(np.quantile(np.minimum(values, highest), level))
+    return Summary(runs.count, runs.reference, laws, measure)
 
 
 def _quantiles(values: np.ndarray) -> ThreeQuantiles:
-    return ThreeQuantiles(*(quantile(values, level) for level in LEVELS))
+    return ThreeQuantiles(*quantiles(values, LEVELS).tolist())
 
 
 def interval_text(low: float, high: float) -> str:
@@ -355,12 +336,8 @@ def _interval(values: np.ndarray) -> Interval:
     return Interval(float(low), float(high))
 
 
-def _shares(interval: Interval) -> str:
-    return f"{100.0 * interval.low:.1f} to {100.0 * interval.high:.1f} %"
-
-
-def _share(share: float) -> str:
-    return f"{100.0 * share:.1f} %"
+def _shares(low: float, high: float) -> str:
+    return f"{100.0 * low:.1f} to {100.0 * high:.1f} %"
 
 
 Runs = Float[np.ndarray, "*cell law scenario"]
@@ -469,7 +446,6 @@ def _figures(runs: Runs, oracle: int) -> np.ndarray:
 
 
 def _row(parts: np.ndarray, metric: str, ratio: bool) -> list[str]:
-    """The figures of one cell and law in words."""
     if math.isnan(parts[0]):
         return ["–"] * (5 if ratio else 3)
     if metric in RATES:  # of either sign; −∞ where runs diverged

@@ -61,7 +61,7 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Tightness:
-    """What `tightness` found.
+    """Distances that certificates reach, as `tightness` found them.
 
     Attributes
     ----------
@@ -181,8 +181,6 @@ def reach_of(problem: Problem, dwell_time: float, form: str) -> Reach:
 
 
 def _margin(problem: Problem, dwell_time: float, step: float, ratio: float) -> StabilityMargin:
-    """The bracket for α."""
-
     def loop(alpha: float) -> tuple[SwitchedSystem, AveragedPredictor]:
         plant, gains = move_modes(problem, alpha)
         return plant, AveragedPredictor(plant, gains, allow_unstable=True)
@@ -195,12 +193,10 @@ def _at(problem: Problem, name: str, alpha: float, stable: bool = True) -> Reach
 
 
 def _times(log10: float) -> str:
-    """A factor in a sentence."""
     return f"× {10.0**log10:.3g}" if log10 < 3.0 else f"× 10^{log10:.1f}"
 
 
 def _improvements(reaches: list[Reach]) -> list[str]:
-    """What the steps gain, in a sentence."""
     good = [reach for reach in reaches if reach.stable]
     if len(good) < 2:
         return []

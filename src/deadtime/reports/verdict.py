@@ -78,10 +78,6 @@ def _names_of(result: Comparison, kind: type[Law]) -> list[str]:
     ]
 
 
-def _grows(result: Comparison, name: str) -> bool:
-    return result.outcomes[name].lost
-
-
 def _headline(result: Comparison) -> str:
     problem, run = result.problem, result.runs[result.lead]
     signal = result.signal
@@ -108,10 +104,13 @@ def _headline(result: Comparison) -> str:
 
 
 def _imperfections(result: Comparison) -> list[str]:
-    """What the runs have that laws do not know of."""
+    """Imperfections of the runs, which laws do not know of."""
     problem, parts = result.problem, []
     if problem.model is not None:
-        differ = [name for name in ("A", "B") if _differ(problem, name)]
+        pairs = {
+            name: (getattr(problem.plant, name), getattr(problem.model, name)) for name in "AB"
+        }
+        differ = [name for name, pair in pairs.items() if not np.array_equal(*pair)]
         parts += [f"{' and '.join(differ)} of the plant differ from the laws' model"] * bool(differ)
         if not np.array_equal(problem.plant.delays, problem.model.delays):
             true, believed = problem.plant.delay_text, problem.model.delay_text
@@ -157,7 +156,6 @@ def _slow_observer(result: Comparison) -> list[str]:
 
 
 def _cost(result: Comparison) -> list[str]:
-    """What the cost is, where that is not the usual one."""
     weight = result.problem.weight
     return [] if weight is None else [f"The cost is {weight.text}."]
 
@@ -181,11 +179,6 @@ def _best_follower(result: Comparison) -> list[str]:
         f"By {TRACKING_ERROR} over the whole run {the_problem_law(first)} follows best, "
         f"{amount(errors[first])}; next is {the_problem_law(second)}, {amount(errors[second])}."
     ]
-
-
-def _differ(problem: Problem, name: str) -> bool:
-    mine, its = getattr(problem.plant, name), getattr(problem.model, name)
-    return not np.array_equal(mine, its)
 
 
 def _without_switching(result: Comparison) -> str:
@@ -217,7 +210,7 @@ def _without_switching(result: Comparison) -> str:
     others = "" if len(unstable) == len(growth) else f" (in the other modes it {calm})"
     begin = (
         f"{same} is unstable without switching, too: "
-        if _grows(result, result.lead)
+        if result.outcomes[result.lead].lost
         else f"Yet {same[0].lower()}{same[1:]} is unstable if it stops switching: "
     )
     return begin + ", ".join(rates) + others + "."
@@ -244,7 +237,6 @@ def _baseline(result: Comparison, name: str) -> str:
 
 
 def _times(result: Comparison, name: str, other: str) -> str:
-    """How many times the cost of another law a law costs."""
     cost, base = (result.metrics[law]["cost"] for law in (name, other))
     if cost == base:
         return f"{amount(1.0)} times"
@@ -257,7 +249,7 @@ def _believing_one_mode(result: Comparison, singles: list[str]) -> str:
     for name in singles:
         law = result.problem.laws[name]
         assert isinstance(law, SingleModePredictor)
-        grows = " (and |x| grows)" if _grows(result, name) else ""
+        grows = " (and |x| grows)" if result.outcomes[name].lost else ""
         ratios.append(f"{_times(result, name, result.lead)}{grows} for {modes[law.mode]}")
     return (
         "Predicting as if the plant stayed in one mode costs, compared with "
@@ -305,16 +297,13 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
             compact(row["energy"]),
             compact(row["cost"]),
             compact(row["peak"]),
-            _settles(result.outcomes[name].settling),
+            f"{settling:.2f}" if math.isfinite(settling) else NEVER,
             *([] if followed else [as_rate(row["decay_rate"])]),
             compact(row["final_norm"]),
         )
         for name, row in result.metrics.items()
+        for settling in [result.outcomes[name].settling]
     ]
-
-
-def _settles(seconds: float) -> str:
-    return f"{seconds:.2f}" if math.isfinite(seconds) else NEVER
 
 
 def headings_of(result: Comparison) -> tuple[str, ...]:

@@ -22,7 +22,6 @@ from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.spectrum import aged_row
 from deadtime.spectrum.lifted import leading_eigenvalue
 from deadtime.spectrum.sampled_runs import LoopPeriods, carry_back, forward
-from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 
 WINDOWS = 3  # of the delay in one application

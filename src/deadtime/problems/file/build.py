@@ -30,7 +30,7 @@ from deadtime.problems.file.switching import build_rule, build_signal, promise_o
 from deadtime.problems.imperfection_registry import ImperfectionSection, build_imperfection
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
-from deadtime.switching import Rule, SignalClass, SwitchingModel, SwitchingSignal
+from deadtime.switching import SignalClass
 
 
 def require_units(units: Mapping[str, str], names: Sequence[str]) -> None:
@@ -123,11 +123,23 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     if file.switching is not None:
         with _section("switching"):
             model = file.switching.model(plant.modes, source.parent)
-    rule = _rule(file, plant)
-    weight = _weight(file, plant)
+    with _section("signal"):
+        rule = build_rule(file.signal)
+        if rule is not None:
+            rule.require(plant)
+    weight = uncertain = point = None
+    if file.cost is not None:
+        with _section("cost"):
+            given = Weight(file.cost.Q, file.cost.R)
+            weight = weight_of(given.of(plant, where=""), plant)  # None for the identity
     laws, servos = Laws(file, plant, gains, model, rule, weight, step, following).build()
     with _section("run"):
-        x0, u0, horizon = _start(file.run, plant)
+        x0 = real_array("x0", file.run.x0, "(n,)", 1)
+        x0 = require_shape("x0", x0, (plant.states,), "(n,)")
+        u0 = real_array("u0", np.atleast_1d(file.run.u0), "(m,)", 1)
+        u0 = np.full(plant.inputs, u0[0]) if u0.size == 1 else u0
+        u0 = require_shape("u0", u0, (plant.inputs,), "(m,)")
+        horizon = positive("horizon", file.run.horizon)
     with _section("observer"):
         laws = add_observers(laws, file.observer, step, as_numbers, servos, following)
     with _section("truth"):
@@ -137,7 +149,18 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     if signal is None:
         longest = max(truth.longest_delay, *(law.plant.longest_delay for law in laws.values()))
         end = horizon + longest + min(step or 0.0, horizon)
-        signal, promise = _signal(file, plant, end, source.parent, model, step)
+        with _section("signal"):
+            signal = build_signal(file.signal, plant, end, source.parent, model, step)
+            signal.require_modes(plant.modes)
+            promise = promise_of(file, model, plant.modes, step)
+    if file.uncertainty is not None:
+        with _section("uncertainty"):
+            uncertain = UncertainPlant(plant, file.uncertainty.covariance)
+    if file.operating_point is not None:
+        with _section("operating_point"):
+            point = OperatingPoint(file.operating_point.x, file.operating_point.u)
+            require_shape("x", point.x, (plant.states,), "(n,)")
+            require_shape("u", point.u, (plant.inputs,), "(m,)")
     return Problem(
         name=source.stem,
         title=file.title or source.stem,
@@ -163,61 +186,9 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         switching=model,
         signals=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
-        uncertain=_uncertain(file, plant),
-        operating_point=_operating_point(file, plant),
+        uncertain=uncertain,
+        operating_point=point,
     )
-
-
-def _rule(file: schema.ProblemFile, plant: SwitchedSystem) -> Rule | None:
-    """The rule by which the state decides the mode, where there is one."""
-    with _section("signal"):
-        rule = build_rule(file.signal)
-        if rule is not None:
-            rule.require(plant)
-    return rule
-
-
-def _uncertain(file: schema.ProblemFile, plant: SwitchedSystem) -> UncertainPlant | None:
-    """How well the plant is known, where the file says so."""
-    if file.uncertainty is None:
-        return None
-    with _section("uncertainty"):
-        return UncertainPlant(plant, file.uncertainty.covariance)
-
-
-def _operating_point(file: schema.ProblemFile, plant: SwitchedSystem) -> OperatingPoint | None:
-    """Where the plant rests, where the file says so."""
-    if file.operating_point is None:
-        return None
-    with _section("operating_point"):
-        point = OperatingPoint(file.operating_point.x, file.operating_point.u)
-        require_shape("x", point.x, (plant.states,), "(n,)")
-        require_shape("u", point.u, (plant.inputs,), "(m,)")
-    return point
-
-
-def _start(run: schema.RunSection, plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, float]:
-    """x0, u0 and the horizon."""
-    x0 = require_shape("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
-    u0 = real_array("u0", np.atleast_1d(run.u0), "(m,)", 1)
-    if u0.size == 1:
-        u0 = np.full(plant.inputs, u0[0])
-    return x0, require_shape("u0", u0, (plant.inputs,), "(m,)"), positive("horizon", run.horizon)
-
-
-def _signal(
-    file: schema.ProblemFile,
-    plant: SwitchedSystem,
-    end: float,
-    folder: Path,
-    model: SwitchingModel | None,
-    step: float | None,
-) -> tuple[SwitchingSignal, SignalClass]:
-    """The switching signal up to `end`, s, and what the file says of every one."""
-    with _section("signal"):
-        signal = build_signal(file.signal, plant, end, folder, model, step)
-        signal.require_modes(plant.modes)
-        return signal, promise_of(file, model, plant.modes, step)
 
 
 def _imperfections(
@@ -245,14 +216,6 @@ def _imperfections(
         with _section("servo"):
             following.require_reach(plant, imperfections, step, force)
     return (StepDisturbance(force.tolist()), *imperfections) if file.offset else imperfections
-
-
-def _weight(file: schema.ProblemFile, plant: SwitchedSystem) -> Weight | None:
-    """The weight of the cost; None for the identity."""
-    if file.cost is None:
-        return None
-    with _section("cost"):
-        return weight_of(Weight(file.cost.Q, file.cost.R).of(plant, where=""), plant)
 
 
 def _names(what: str, names: list[str], count: int) -> tuple[str, ...]:
@@ -293,10 +256,7 @@ def _measured(
 
 
 def _gains(
-    file: schema.ProblemFile,
-    plant: SwitchedSystem,
-    following: FileServo | None,
-    step: float | None,
+    file: schema.ProblemFile, plant: SwitchedSystem, following: FileServo | None, step: float | None
 ) -> np.ndarray:
     """K (modes, m, n), or with a servo (modes, m, z)."""
     if following is None or step is None:

@@ -39,7 +39,7 @@ from deadtime.switching import SwitchingModel
 
 
 class _Measured(Section):
-    """What is measured, y = C_σ x, and an observer to estimate the state; at the run's period."""
+    """Measured outputs, y = C_σ x, and an observer of the state at the period of the run."""
 
     C: Annotated[Matrix | Matrices, Shape("(p, n), or one for each mode", [[1.0, 0.0]])] = Field(
         description="p × n, or one such matrix per mode."
@@ -204,7 +204,7 @@ def build_mode_filter(
     step: float | None,
     observed: Observed | None,
 ) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
-    """What makes the filter of a law that believes in a plant; tried on the file's own first.
+    """A function from the plant of a law to its mode filter; tried on the file's own first.
 
     `observed` is the [observer] of the file and what makes it for a plant, where it has one.
     """
@@ -289,7 +289,6 @@ def _deviations(R: Float[np.ndarray, "p p"]) -> Any:
 
 
 def _options(section: ModeFilterSection, plant: SwitchedSystem) -> dict[str, Any]:
-    """What both kinds of filter take alike."""
     initial = section.initial
     if initial is not None and len(initial) != plant.modes:
         raise ArgumentError(

@@ -70,7 +70,7 @@ def servo_mean_gain(
     step: float,
     mean: SwitchedSystem,
 ) -> Float[np.ndarray, "m z"]:
-    """The same of the mean of plants that a servo has extended."""
+    """`mean_gain` for the mean of plants that a servo has extended."""
     if _differ(section):
         return gains.mean(axis=0)
     return servo_gains(following.of_mean(mean), section, step)[0]
@@ -105,18 +105,8 @@ def _pole(given: float | str) -> complex:
 class Laws:
     """Builds the laws of a file.
 
-    Attributes
-    ----------
-    file : ProblemFile
-    plant : SwitchedSystem
-        That of [plant].
-    gains : (modes, m, n), or (modes, m, z) with a servo
-    model, rule, weight
-        As in `LawSetting`.
-    step : float or None
-        The sampling period; None for an ideal loop.
-    following : FileServo or None
-        The servo, where outputs follow a reference.
+    `gains` are (modes, m, n), or (modes, m, z) with a servo, `following`, where outputs follow a
+    reference; `model`, `rule`, `weight` are as in `LawSetting`; `step` is None for an ideal loop.
     """
 
     file: schema.ProblemFile
@@ -148,7 +138,7 @@ class Laws:
         return (laws, servos) if laws else self._usual(setting)
 
     def _setting(self) -> LawSetting:
-        """What a law of the file's own plant is made from."""
+        """The setting of a law of the file's own plant."""
         file, design, weight = self.file, self.file.gains.lqr, self.weight
         if weight is None and file.cost is None and design is not None and not self.following:
             weight = Weight(design.Q, design.R)
@@ -165,7 +155,7 @@ class Laws:
         )
 
     def _mode_filter(self) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
-        """What makes the filter of a law that believes in a plant, where the file has one."""
+        """A function from the plant of a law to its mode filter, where the file has one."""
         file, step = self.file, self.step
         with _section("mode_filter"):
             observed = None

@@ -25,22 +25,11 @@ Prepare = Callable[[schema.ProblemFile], schema.ProblemFile]
 def build_what_can(
     draft: Mapping[str, Any], source: Path, prepare: Prepare = lambda file: file
 ) -> tuple[schema.ProblemFile, Problem, dict[int, str]]:
-    """A problem with those of its laws that can be built.
+    """The checked file, a problem with those of its laws that can be built, and why others cannot.
 
-    Parameters
-    ----------
-    draft : mapping
-        What the problem file says, as nested dictionaries and lists.
-    source : Path
-        Where it lies; relative paths start at its folder.
-    prepare : callable
-        Changes the checked file before the problem is built from it.
-
-    Returns
-    -------
-    tuple
-        The checked file and the problem without the laws that failed, and why each of these
-        did, by its number among the file's laws.
+    `draft` is what the file says, as nested dictionaries and lists; relative paths start at the
+    folder of `source`; `prepare` changes the checked file before the problem is built. Why a law
+    failed stands by its number among the file's laws.
 
     Raises
     ------
@@ -88,14 +77,7 @@ def load_problem(path: str | PathLike[str]) -> Problem:
 
 
 def problem_with_run(place: Path, run: Mapping[str, Any]) -> Problem:
-    """A problem by its name or its file, with entries of its [run] replaced.
-
-    Parameters
-    ----------
-    place : Path
-        The name, or the file.
-    run : mapping
-        Entries of the section by their names, as numbers and lists.
+    """A problem by its name or its file, with entries of its [run] replaced by numbers and lists.
 
     Raises
     ------

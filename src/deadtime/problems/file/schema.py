@@ -1,4 +1,4 @@
-"""What a problem file may say: the pydantic models behind it, and their JSON Schema.
+"""The schema of problem files: pydantic models, and their JSON Schema.
 
 Only names and types are checked here; what the numbers mean is checked by the package itself.
 """

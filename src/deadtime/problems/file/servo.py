@@ -82,18 +82,10 @@ class ServoSection(Section):
 
 @dataclass(frozen=True, eq=False)
 class FileServo:
-    """What a [servo] makes of plants.
+    """The servos of plants, as a [servo] describes them.
 
-    Attributes
-    ----------
-    section : ServoSection
-    C : (p, n) or (modes, p, n)
-        What is measured.
-    outputs : sequence of str
-        Names of these.
-    H : (tracked, p)
-        What is tracked of them.
-    reference : Reference
+    C, (p, n) or (modes, p, n), is measured, by the names `outputs`; H, (tracked, p), picks what of
+    it follows the reference.
     """
 
     section: ServoSection
@@ -175,7 +167,7 @@ def _told(values: Float[np.ndarray, " size"]) -> str:
 
 
 def watching(servo: Servo, step: float) -> Observer:
-    """What stands for an observer where the whole state is measured: x̂ = y."""
+    """The observer of a state that is measured whole: x̂ = y."""
     return Observer(servo.model, servo.C, np.eye(servo.base.states), step)
 
 
@@ -190,7 +182,6 @@ def _combination(row: Float[np.ndarray, " p"], outputs: Sequence[str]) -> str:
 
 
 def _tracked(given: Any, outputs: Sequence[str]) -> Float[np.ndarray, "tracked p"]:
-    """H, from names or rows."""
     if given is None:
         return np.eye(len(outputs))
     if not given:
@@ -208,7 +199,6 @@ def _tracked(given: Any, outputs: Sequence[str]) -> Float[np.ndarray, "tracked p
 
 
 def _reference(given: Any, size: int, names: Sequence[str], folder: Path) -> Reference:
-    """The reference of so many outputs."""
     match given:
         case ScheduleSection():
             return Reference.of((np.array(given.times), given.values), size)

@@ -36,7 +36,7 @@ class Swept(NamedTuple):
     slider: Slider | None
 
     def section(self, value: float) -> dict[str, Any]:
-        """What a problem file says for a value."""
+        """The section of a problem file for a value."""
         return {"kind": self.kind, **self.axis.keys(value)}
 
 
@@ -52,14 +52,13 @@ def collect(modules: Iterable[ModuleType]) -> tuple[Entry, ...]:
 
 
 def _names(entry: Entry) -> list[str]:
-    """What no two entries share: the name of what they make, which keys its stream, their axis."""
+    """Names that no two entries share: of what they make, which keys its stream, of their axis."""
     assert entry.made is not None
     own = [entry.made.__name__]
     return own if entry.axis is None else [*own, entry.axis.name]
 
 
 def _require_whole(entry: Entry) -> None:
-    """Refuse an entry that lacks something."""
     made, axis, slider = entry.made, entry.axis, entry.slider
     if made is None:
         _refuse(entry, "lacks made: give made = the class of the imperfection.")

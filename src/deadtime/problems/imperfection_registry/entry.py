@@ -1,4 +1,4 @@
-"""What an entry of the registry is: the section of a problem file that asks for an imperfection.
+"""An entry of the registry: the section of a problem file that asks for an imperfection.
 
 class BacklashSection(ImperfectionSection):
     "What editors show beside the kind."
@@ -70,7 +70,7 @@ class Slider:
 
 
 class ImperfectionSection(Section):
-    """What all share. An entry adds its `kind`, and a key for every field of the class it makes."""
+    """The base of entries. Each adds its `kind`, and a key for each field of the class it makes."""
 
     made: ClassVar[type[Imperfection] | None] = None
     axis: ClassVar[ImperfectionAxis | None] = None

@@ -48,7 +48,7 @@ class NamedLaw(NamedTuple):
         return tuple(range(count)) if self.per_mode else (None,)
 
     def keys(self, mode: int | None = None, dwell_time: float | None = None) -> dict[str, Any]:
-        """What its section says beside the kind."""
+        """The keys of its section beside the kind."""
         told = {"mode": mode} if self.per_mode else {}
         told |= {"dwell_time": dwell_time} if self.is_told else {}
         return {**self.named.keys, **told}
@@ -77,7 +77,6 @@ def _names(entry: Entry) -> list[str]:
 
 
 def _require_whole(entry: Entry) -> None:
-    """Refuse an entry that lacks something."""
     if not entry.names:
         _refuse(entry, "lacks names: give names = (Named(…),), by which studies and figures go.")
     unknown = [need for need in entry.needs if need not in NEEDS]

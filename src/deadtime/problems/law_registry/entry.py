@@ -163,7 +163,7 @@ class ModelSection(Section):
 
 
 class LawSection(Section):
-    """What all laws share. An entry adds its `kind`, its keys, its `names` and `law`."""
+    """The base of entries. Each adds its `kind`, its keys, its `names` and `law`."""
 
     names: ClassVar[tuple[Named, ...]] = ()
     needs: ClassVar[tuple[Need, ...]] = ()

@@ -1,4 +1,4 @@
-"""What an entry of the registry is: the [switching] section that asks for a model.
+"""An entry of the registry: the [switching] section that asks for a model.
 
 class RenewalSwitching(SwitchingSection):
     "What editors show beside the kind."
@@ -31,7 +31,7 @@ Promise = tuple[Any, Any, Any]
 
 
 class SwitchingSection(Section):
-    """What all share. An entry adds its `kind`, its keys, `build` and `promise`."""
+    """The base of entries. Each adds its `kind`, its keys, `build` and `promise`."""
 
     @abstractmethod
     def build(self, modes: int, folder: Path) -> SwitchingModel:
@@ -39,7 +39,7 @@ class SwitchingSection(Section):
 
     @final
     def model(self, modes: int, folder: Path) -> SwitchingModel:
-        """What `build` gives; refused where it is for another number of modes."""
+        """The model of `build`; refused where it is for another number of modes."""
         model = self.build(modes, folder)
         if model.modes != modes:
             kind = kinds_of(type(self))[0]

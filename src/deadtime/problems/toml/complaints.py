@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.toml.sections import Shape
+from deadtime.problems.toml.sections import Shape, kinds_of
 
 # What follows a repetition may be missing, so that none is gone back on and no text costs more than
 # its length. (To forbid it, `*+`, is wrong for groups before Python 3.11.5.)
@@ -41,7 +41,7 @@ Keys = tuple[str | int, ...]
 
 
 def excess(text: str) -> str:
-    """What of a text is more than anything a file of ours says, if anything; before it is parsed.
+    """Why a text is more than any file of ours says, if it is; before it is parsed.
 
     Examples
     --------
@@ -176,13 +176,8 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: boo
     inside = bool(path) and isinstance(path[-1], int)
     listed = bool(models) and not inside and _is_list(field)
     elsewhere = [one for one in others if path and path[-1] in one.model_fields]
-    kinds = tuple(kind for one in elsewhere for kind in _kinds_of(one))
+    kinds = tuple(kind for one in elsewhere for kind in kinds_of(one))
     return Place(tuple(path), field, siblings, bool(models), listed, tuple(item), kinds)
-
-
-def _kinds_of(model: type[BaseModel]) -> tuple[str, ...]:
-    kind = model.model_fields.get("kind")
-    return () if kind is None else getattr(kind.annotation, "__args__", ())
 
 
 def _is_no_key(part: str, models: Models) -> bool:
@@ -195,12 +190,7 @@ def _choose(part: str, models: Models) -> Models:
     named = [model for model in models if model.__name__ == part]
     if len(models) == 1:  # a kind was chosen before: the part is a key
         return named
-    return named or [
-        model
-        for model in models
-        if (kind := model.model_fields.get("kind")) is not None
-        and part in getattr(kind.annotation, "__args__", ())
-    ]
+    return named or [model for model in models if part in kinds_of(model)]
 
 
 def _is_list(field: FieldInfo | None) -> bool:
@@ -208,7 +198,6 @@ def _is_list(field: FieldInfo | None) -> bool:
 
 
 def _models_in(annotation: Any) -> Models:
-    """The models that a field may hold."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [m for part in getattr(annotation, "__args__", ()) for m in _models_in(part)]
@@ -222,7 +211,7 @@ _WORDS = {dict: "a table", list: "a list", str: "a text", bool: "true or false"}
 
 
 class Fault(NamedTuple):
-    """What is wrong with one key: its path, and a sentence."""
+    """A fault of one key: its path, and a sentence."""
 
     path: Keys
     sentence: str
@@ -267,7 +256,7 @@ def faults(
 
 
 def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
-    """What is wrong with a key, and what to do about it."""
+    """The fault of a key, and what to do about it."""
     (item, place), kind = group[0], group[0][0]["type"]
     name = ".".join(map(str, place.path)) or "file"
     if kind == "missing":
@@ -333,7 +322,7 @@ def _no_table(name: str, given: Any, place: Place) -> str:
 
 
 def _in_words_of_pydantic(name: str, items: Sequence[Any]) -> str:
-    """What pydantic says of a value, or of each kind that it could have had."""
+    """The message of pydantic on a value, or on each kind that it could have had."""
     messages: list[str] = []
     for item in items:
         message = _ASIDE.sub("", item["msg"].removeprefix("Value error, "))
@@ -349,7 +338,6 @@ def _in_words_of_pydantic(name: str, items: Sequence[Any]) -> str:
 
 
 def _short(given: Any) -> str:
-    """A value, or its beginning."""
     try:
         text = repr(given)
     except ValueError:  # Python writes no integer of more than some thousand digits
@@ -358,7 +346,6 @@ def _short(given: Any) -> str:
 
 
 def _at(data: Any, path: Keys) -> Any:
-    """What the file says at a path of keys."""
     for key in path:
         data = data[key]
     return data

@@ -111,7 +111,7 @@ def modules_of(package: ModuleType) -> Iterator[ModuleType]:
         yield import_module(f"{package.__name__}.{name}")
 
 
-def kinds_of(entry: type[Section]) -> tuple[str, ...]:
+def kinds_of(entry: type[BaseModel]) -> tuple[str, ...]:
     """The texts that an entry's `kind` may be: one, if it is whole."""
     kind = entry.model_fields.get("kind")
     return () if kind is None else get_args(kind.annotation)

@@ -61,15 +61,7 @@ MOST_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class TomlText:
-    """A file as read: where it is, what it says, and how errors about it are raised.
-
-    Attributes
-    ----------
-    source : Path
-    text : str
-    kind : type of ArgumentError
-        What is raised for anything wrong with the file.
-    """
+    """A file as read: where it is, what it says, and what is raised for anything wrong in it."""
 
     source: Path
     text: str
@@ -89,16 +81,8 @@ def read_toml(
 ) -> tuple[Model, TomlText]:
     """The checked contents of a TOML file, and its text for later complaints.
 
-    Parameters
-    ----------
-    source : Path
-        The file.
-    model : pydantic model
-        What it may say.
-    kind : type of ArgumentError
-        What to raise if the file is missing, is not TOML, or says something else.
-    hint : str
-        How to come by such a file, for when it cannot be read.
+    A `kind` of error is raised if it is missing, is no TOML or says what the `model` does not know;
+    `hint` says how to come by such a file.
     """
     text = read_text(source, MOST_BYTES, kind, hint=hint)
     if found := excess(text):

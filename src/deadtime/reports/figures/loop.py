@@ -184,7 +184,7 @@ def _mark_delay(view: LoopView, phase: Axes) -> bool:
 
 
 def _mark_disk(least: ModeView, nyquist: Axes) -> Artist:
-    """What −1 times every factor of the disk covers: L keeps out of it."""
+    """The disk of −1 times every factor of the disk margin, which L keeps out of."""
     angle = np.linspace(0.0, 2.0 * math.pi, 181)
     delta = min(least.disk or 0.0, 1.99) * np.exp(1j * angle)
     edge = -(2.0 + delta) / (2.0 - delta)

@@ -16,15 +16,8 @@ from deadtime.base.figure_files import Width, inches, legend_columns, new_figure
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
-from deadtime.reports.scenario_tables import (
-    count_of,
-    losses,
-    measure_in,
-    names_of,
-    quantile,
-    reference_of,
-    relative_costs,
-)
+from deadtime.reports.figures.sweeps.reduction import quantiles
+from deadtime.reports.scenario_tables import LawRuns
 from deadtime.scenarios.dataset import Comparison, formula_of
 from deadtime.simulation.tracking import TRACKING_ERROR
 
@@ -67,7 +60,8 @@ def plot_monte_carlo(
     >>> [axes.get_xscale() for axes in plot_monte_carlo(data).axes]
     ['log', 'log']
     """
-    names, count = names_of(data), count_of(data)
+    runs = LawRuns(data)
+    names, count, measure = runs.names, runs.count, runs.measure
     with rc_context(style_of(width)):
         wide = 1.55 * WIDTH if width is None else inches(width)
         beside = wide >= WIDTH
@@ -78,9 +72,8 @@ def plot_monte_carlo(
             {"color": looks[name].colour, "linestyle": LINES[i % len(LINES)]}
             for i, name in enumerate(names)
         ]
-        measure = measure_in(data)
-        seen = _panel(left, losses(data, measure), styles)
-        seen |= _panel(right, relative_costs(data), styles)
+        seen = _panel(left, runs.losses(measure), styles)
+        seen |= _panel(right, runs.relative(), styles)
         formula, word = TRACKING_ERROR, TRACKING_ERROR
         if measure == "cost":
             formula = data.formula if isinstance(data, Comparison) else formula_of(data["cost"])
@@ -88,7 +81,7 @@ def plot_monte_carlo(
             formula, word = f"cost, {plain(formula)}{unit}", "cost"
         left.set_xlabel(formula)
         right.set_xlabel(
-            f"{word} / {'that' if word != 'cost' else word} of “{plain(reference_of(data))}”  (–)"
+            f"{word} / {'that' if word != 'cost' else word} of “{plain(runs.reference)}”  (–)"
         )
         left.set_ylabel(f"share of {count:,} scenario{'s' * (count != 1)} (%)")
         left.set_ylim(0.0, 102.0)
@@ -152,9 +145,10 @@ def _limits(values: Float[np.ndarray, "law scenario"]) -> tuple[float, float] | 
         return (0.1, 10.0) if np.isfinite(values).any() else None
     medians = [float(np.median(row)) for row in rows]
     best = min(medians)
-    near = [i for i, row in enumerate(rows) if quantile(row, 0.05) <= _FAR * best]
-    low = min(quantile(rows[i], 0.002) for i in near)
-    tops = [min(quantile(rows[i], 0.99), _TAIL * max(medians[i], best)) for i in near]
+    ends = [quantiles(row, (0.002, 0.05, 0.99)).tolist() for row in rows]
+    near = [i for i, (_, low, _) in enumerate(ends) if low <= _FAR * best]
+    low = min(ends[i][0] for i in near)
+    tops = [min(ends[i][2], _TAIL * max(medians[i], best)) for i in near]
     high = min(max(tops), _FAR * _TAIL * best)
     # Air on both sides, also where all laws cost the same.
     air = max((high / low) ** 0.03, 1.02)

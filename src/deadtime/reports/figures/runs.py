@@ -109,19 +109,14 @@ def plot_laws(
         handles = list(panels[0].get_lines()[: len(runs)])
         handles += [Line2D([], [], label="reference", **REFERENCE)] * bool(beside or others)
         columns = legend_columns(figure, runs, 3)
-        figure.legend(
-            handles=handles,
-            loc="outside lower center",
-            ncols=columns,
-            handlelength=2.6,
-        )
+        figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=2.6)
         if title:
             panels[0].set_title(plain(title))
     return figure
 
 
 class _Curves(NamedTuple):
-    """What a panel shows: a row of every law's run, and what it is to follow."""
+    """The curves of a panel: a row of every law's run, and its reference."""
 
     label: str
     rows: Mapping[str, np.ndarray]
@@ -133,7 +128,6 @@ class _Curves(NamedTuple):
 def _panel(
     panel: Axes, curves: _Curves, runs: Mapping[str, Trajectory], looks: Mapping[str, Look]
 ) -> None:
-    """One signal of every run."""
     for i, (law, values) in enumerate(curves.rows.items()):
         style = "steps-post" if curves.held and runs[law].record.held else "default"
         panel.plot(
@@ -189,7 +183,6 @@ def frame(
 
 
 def _size(row: np.ndarray) -> float:
-    """The largest of the values, 0 of none."""
     return float(np.fmax.reduce(np.abs(row), initial=0.0))
 
 
@@ -290,7 +283,7 @@ def plot_tracking(
     title: str | None = None,
     width: Width | None = None,
 ) -> Figure:
-    """What follows a reference under several laws, beside the reference: a panel per output.
+    """Outputs that follow a reference under several laws, beside the reference: a panel for each.
 
     More than five laws are shared out among panels; a run far above the others leaves the frame.
 

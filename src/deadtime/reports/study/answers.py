@@ -135,7 +135,6 @@ def _trend_in_dwell_time(fight: xr.Dataset) -> str:
 
 
 def _trend_in_distance(data: xr.Dataset) -> str:
-    """Whether the mean law bears modes that are farther apart."""
     calm = summary(data).stabilised
     dims = [dim for dim in calm.dims if dim not in ("law", "distance")]
     more, fewer, _, total = tally(steadier(data, MEAN, AVERAGED))
@@ -155,7 +154,7 @@ WORTH = 0.99  # a quotient below which a law brings something, beside being bett
 
 
 def worth_of_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
-    """What the dwell-aware laws gain over the same laws without."""
+    """The gain of the dwell-aware laws over the same laws without the dwell time."""
     sentences, tables = [], []
     for law in plain:
         aware = law + AWARE
@@ -173,7 +172,7 @@ def worth_of_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
 
 
 def worth_of_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
-    """What the expected law gains over the best law that knows the dwell time at most."""
+    """The gain of the expected law over the best law that knows the dwell time at most."""
     fight, rival = against_best(data, EXPECTED, rivals), favourite(data, rivals)
     better, worse, _, total = tally(fight.verdict)
     sentences = [
@@ -202,7 +201,7 @@ def _caption(law: str, other: str) -> str:
 
 
 def _along_the_dwell_time(fight: xr.Dataset) -> str:
-    """What becomes of ∫|x|² from the shortest dwell time to the longest, at each end of delays."""
+    """The change of ∫|x|² from the shortest dwell time to the longest, at each end of delays."""
     delays, times = (np.sort(fight[name].values) for name in ("delay", "dwell_time"))
     parts = []
     for delay in dict.fromkeys((delays[-1], delays[0])):
@@ -221,7 +220,6 @@ def _middle(values: np.ndarray) -> float:
 
 
 def _gain(fight: xr.Dataset) -> str:
-    """Where knowledge brings something, and where it brings nothing."""
     total, cells = int(fight.ratio.notnull().sum()), (fight.verdict == 1.0) & (fight.ratio < WORTH)
     text = f"It brings at least {percent(1.0 - WORTH)} in {of_cells(int(cells.sum()), total)}"
     if cells.any():
@@ -239,7 +237,6 @@ def _gain(fight: xr.Dataset) -> str:
 
 
 def _cost(fight: xr.Dataset) -> list[str]:
-    """Where knowledge costs something."""
     cells = (fight.verdict == -1.0) & (fight.ratio > 1.0 / WORTH)
     if not cells.any():
         return []
@@ -282,7 +279,7 @@ CRUDE = ("delay ignored", "only")  # laws, by how their names end, that nobody w
 
 
 def answers(data: xr.Dataset) -> list[Answer]:
-    """What the data say: which law to use, and the paper's two open questions.
+    """Answers from the data: which law to use, and the paper's two open questions.
 
     A question is left out if the study does not run the laws that it is about.
     """
@@ -340,7 +337,6 @@ def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
 
 
 def _where_any_will_do(data: xr.Dataset, laws: list[str]) -> list[str]:
-    """Where the laws hardly differ."""
     regret = summary(data).regret.sel(law=[law for law in laws if not law.endswith(CRUDE)])
     if regret.sizes["law"] < 2:
         return []

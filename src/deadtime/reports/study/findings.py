@@ -1,4 +1,4 @@
-"""What a study's data say, cell by cell: regret, signals stabilised, and which law is better.
+"""Findings of a study, cell by cell: regret, signals stabilised, and which law is better.
 
 Laws are compared on the same signals, by the quotient of their ∫|x|² and its geometric mean over
 the signals. ∫|x|² itself depends on the signal, above all on its first mode, more than on the law;
@@ -105,7 +105,6 @@ def against_best(data: xr.Dataset, law: str, rivals: Sequence[str]) -> xr.Datase
 
 
 def _ranking(data: xr.Dataset, laws: Sequence[str]) -> Ranking:
-    """The laws by regret."""
     return ranking_of(summary(data).regret.sel(law=list(laws)).transpose(..., "law").values)
 
 

@@ -28,13 +28,7 @@ class AnswerTable:
 class Answer:
     """A question, what the data say to it, and what to show beside it.
 
-    Attributes
-    ----------
-    question : str
-    sentences : tuple of str
-    tables : tuple of Table
-    duels : tuple of pairs of str
-        Laws whose comparison a map should show.
+    `duels` are pairs of laws whose comparison a map should show.
     """
 
     question: str
@@ -44,7 +38,7 @@ class Answer:
 
 
 def change(ratio: float) -> str:
-    """What a quotient of two ∫|x|² means.
+    """A quotient of two ∫|x|² in words.
 
     Examples
     --------

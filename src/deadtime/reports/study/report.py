@@ -32,7 +32,7 @@ FEWER_KNOWN = {
 
 @dataclass(frozen=True, eq=False)
 class StudyReport:
-    """What was written, what it says, and what it is made from."""
+    """The path of a study's report, its answers and its data."""
 
     path: Path
     answers: list[Answer]
@@ -131,7 +131,6 @@ def _winners(data: xr.Dataset, causal: Sequence[str], folder: Path) -> Iterator[
 
 
 def _alone(data: xr.Dataset, law: str, folder: Path) -> Iterator[dict[str, str]]:
-    """The maps of one law."""
     if law != ORACLE:
         caption = f"∫|x|² under {the_law(law)} over the oracle’s, geometric mean over signals."
         figure = maps.plot_regret(data, law)
@@ -142,7 +141,6 @@ def _alone(data: xr.Dataset, law: str, folder: Path) -> Iterator[dict[str, str]]
 
 
 def _setting(study: FileStudy) -> dict[str, Any]:
-    """The study, as the page shows it."""
     base = study.base
     return {
         "study": study,

@@ -131,7 +131,7 @@ def _minimax(
     dwell_time: float | None,
     allow_unstable: bool,
 ) -> Law:
-    """The same in all cells of a study with this plant: it depends on no switching."""
+    """The law of minimax weights, one for all cells of a study: it depends on no switching."""
     return AveragedPredictor.minimax(
         SwitchedSystem(np.array(A), np.array(B), np.array(delays)),
         np.array(gains),

@@ -98,19 +98,9 @@ def winners(
 ) -> Figure:
     """Which law is best in every cell, and the runner-up's figure over the winner's.
 
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Where the axes are looked up.
-    grid : Grid
-    found : xarray.Dataset
-        winner, an index into `colours`, −1 where there is none; ratio, the winner's figure over
-        the runner-up's; verdict, 0 where they are tied. What reads 1.00 is tied, too, however
-        sure it is that it is more.
-    colours : mapping
-        From laws to colours.
-    waiting : xarray.DataArray, optional
-        Which cells have not been run.
+    `data` has the axes. `found` has winner, an index into `colours`, −1 where there is none; ratio,
+    the winner's figure over the runner-up's; verdict, 0 where they are tied. What reads 1.00 is
+    tied, too, however sure it is that it is more. `waiting` says which cells have not been run.
     """
     palette = np.array([to_rgb(colour) for colour in colours.values()])
     with rc_context(MAP_STYLE):
@@ -144,7 +134,7 @@ def _columns(width: float, longest: int) -> int:
 
 
 def keys_of(empty: xr.DataArray, waiting: xr.DataArray) -> list[Patch]:
-    """What the cells without a figure are, as far as there are any."""
+    """Keys for cells without a figure, as far as there are any."""
     keys = []
     if bool((empty & ~waiting).any()):
         keys.append(Patch(facecolor=NOT_BUILT, label=f"{EMPTY}  could not be built"))
@@ -155,7 +145,6 @@ def keys_of(empty: xr.DataArray, waiting: xr.DataArray) -> list[Patch]:
 
 
 def _distance(ratio: float) -> str:
-    """The runner-up's figure over the winner's."""
     return "" if np.isnan(ratio) else short(1.0 / ratio if ratio else np.inf)
 
 

@@ -91,7 +91,7 @@ def grid_of(
 
 
 def too_many(data: xr.Dataset, axes: Sequence[str], count: int, most: int) -> ArgumentError:
-    """What to do about more panels than a figure takes."""
+    """The refusal of more panels than a figure takes."""
     sizes = " × ".join(f"{data.sizes[name]} of {name}" for name in axes)
     largest = max(axes, key=lambda name: data.sizes[name])
     return ArgumentError(
@@ -232,7 +232,7 @@ SYMBOLS = {
 
 
 def symbol_of(metric: str, found: xr.Dataset | None = None) -> str:
-    """What readers call a metric; the cost by the weight that the dataset was made with.
+    """A metric as readers call it; the cost by the weight that the dataset was made with.
 
     Examples
     --------

@@ -37,22 +37,12 @@ def score_of(data: xr.Dataset, metric: str) -> xr.DataArray:
 
 
 def reduce(
-    data: xr.Dataset,
-    metric: str,
-    rivals: Sequence[str] = (),
-    oracle: str = "",
+    data: xr.Dataset, metric: str, rivals: Sequence[str] = (), oracle: str = ""
 ) -> xr.Dataset:
     """Quantiles of a metric, and where asked for the best of some laws, and regret.
 
-    Parameters
-    ----------
-    data : xarray.Dataset
-        From `select`.
-    metric : str
-    rivals : sequence of str
-        The laws to choose the best of.
-    oracle : str
-        The law that regret is held against.
+    `data` are from `select`, `rivals` the laws to choose the best of, `oracle` the law that regret
+    is held against.
 
     Returns
     -------
@@ -112,8 +102,10 @@ def _of_cells(
     return quantiles(runs), regret, best
 
 
-def quantiles(values: Float[np.ndarray, "*cell scenario"]) -> Float[np.ndarray, "*cell level"]:
-    """The linear quantiles at `LEVELS` that numpy has, also where some values are infinite.
+def quantiles(
+    values: Float[np.ndarray, "*cell scenario"], levels: Sequence[float] = LEVELS
+) -> Float[np.ndarray, "*cell level"]:
+    """The linear quantiles that numpy has, also where some values are infinite.
 
     Examples
     --------
@@ -121,12 +113,14 @@ def quantiles(values: Float[np.ndarray, "*cell scenario"]) -> Float[np.ndarray, 
     array([1.4, 3. , 5. , 7. , inf])
     """
     ordered = np.sort(values, axis=-1)  # NaN last
-    place = np.array(LEVELS) * (values.shape[-1] - 1)
+    place = np.array(levels) * (values.shape[-1] - 1)
     below, above = np.floor(place).astype(int), np.ceil(place).astype(int)
     low, high = ordered[..., below], ordered[..., above]
     # Between a finite value and ∞, interpolation has ∞ − ∞ in it.
     with np.errstate(invalid="ignore"):
-        between = low + (place - below) * (high - low)
+        part, gap = place - below, high - low
+        # From the nearer end, as numpy does, so that round-off is the same.
+        between = np.where(part < 0.5, low + part * gap, high - (1.0 - part) * gap)
     found = np.where(np.isinf(low), low, np.where(np.isinf(high), high, between))
     found = np.where(above == below, low, found)
     return np.where(np.isnan(ordered[..., -1:]), np.nan, found)

@@ -28,7 +28,7 @@ def text_of(value: object) -> str:
 
 
 def name_of(axis: xr.DataArray) -> str:
-    """What readers call an axis: its long name."""
+    """The long name of an axis, for readers."""
     return str(axis.attrs.get("long_name") or axis.name).replace("_", " ")
 
 
@@ -84,7 +84,6 @@ def short(value: float) -> str:
 
 
 def _power(value: float) -> str:
-    """A number by its first digit and its power of ten."""
     mantissa, exponent = f"{value:.0e}".split("e")
     return f"{mantissa}e{int(exponent)}"
 
@@ -236,7 +235,7 @@ def named_laws(data: xr.Dataset, laws: Sequence[str] | None, default: Sequence[s
 
 
 def quotients_of(metric: str) -> str:
-    """The same metric, if quotients of it compare laws."""
+    """The metric, if quotients of it compare laws; else it is refused."""
     if metric in RATES:
         raise ArgumentError(
             f"metric must not be {metric!r}, which may be negative, so that a quotient of two says "

@@ -1,10 +1,12 @@
-"""Options of the command line as what they stand for: problems, numbers, switching signals."""
+"""Options that several commands have, and what they stand for: problems, numbers, signals."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 
@@ -13,6 +15,51 @@ if TYPE_CHECKING:
     from deadtime.problems.switching_assumptions import AssumedSignals
     from deadtime.switching import SignalClass
     from deadtime.switching.signal_class import Instants
+
+# Options that several commands have; what one alone has is described by its docstring.
+AsJson = Annotated[
+    bool,
+    Parameter(
+        name="--json",
+        negative="",
+        show_default=False,
+        help="Print the result as JSON instead of text.",
+    ),
+]
+ProblemFile = Annotated[Path, Parameter(help="A problem file, or paper, three-mode, follower.")]
+StudyFile = Annotated[Path, Parameter(help="A study file; studies/paper.toml is a commented one.")]
+CellSignals = Annotated[
+    int | None, Parameter(help="Signals per cell of the grid, instead of the file's.")
+]
+FirstLaw = Annotated[
+    str | None, Parameter(help="One law of the problem, by its name; the first by default.")
+]
+AllLaws = Annotated[
+    str | None, Parameter(help="One law of the problem, by its name; all by default.")
+]
+_PERIOD = "Sampling period in seconds{}; the problem's by default{}."
+Step = Annotated[float | None, Parameter(help=_PERIOD.format("", ", 0.01 where its loop is ideal"))]
+StepOrIdeal = Annotated[
+    float | Literal["ideal"] | None, Parameter(help=_PERIOD.format(", or ideal", ""))
+]
+Picture = Annotated[
+    Path | None,
+    Parameter(
+        alias="-o",
+        help="The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, "
+        "by default.",
+    ),
+]
+Flag = Annotated[bool, Parameter(negative="", show_default=False)]
+Folder = Annotated[Path, Parameter(alias="-o")]
+File = Annotated[Path | None, Parameter(alias="-o")]
+FigureWidth: TypeAlias = Annotated[
+    Literal["column", "page"] | float | None,
+    Parameter(
+        help="Of pictures: column (3.5 in), page (7.16 in), or inches; by default as their "
+        "panels need."
+    ),
+]
 
 
 def problem_of(place: Path) -> Problem:
@@ -121,7 +168,7 @@ def kept_by_search(
     chatter: int | None,
     at: Instants | None,
 ) -> SignalClass:
-    """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
+    """The signals of a search for the least dwell time, which keeps proportions and limits."""
     from deadtime.margins.dwell_time import SHORT
     from deadtime.problems.switching_assumptions import signals_of, step_of
 
