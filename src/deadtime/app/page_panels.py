@@ -13,7 +13,7 @@ from bokeh.plotting import figure
 
 from deadtime.app.page_run import ProblemOutcome
 from deadtime.app.style import dash_of
-from deadtime.base.palette import GREY
+from deadtime.base.figure_style import GREY
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.runs import frame, mismatch_floor, mismatch_norm
 from deadtime.simulation import Trajectory

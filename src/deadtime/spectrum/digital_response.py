@@ -15,8 +15,7 @@ from deadtime.numerics.exponential import ROUND_OFF, balanced, discretise, discr
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.pieces import Period
 from deadtime.plant.sampling import finite_discretisation
-from deadtime.spectrum.lifted import Joined, aged_row, periods_of, transform
-from deadtime.spectrum.loop_units import in_units, units_of
+from deadtime.spectrum.lifted import Joined, aged_row, in_units, periods_of, transform, units_of
 from deadtime.spectrum.response import LoopResponse, Samples, offsets_of
 from deadtime.switching import SwitchingSignal
 

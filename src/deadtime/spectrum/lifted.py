@@ -38,12 +38,12 @@ from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
-from deadtime.spectrum.loop_units import in_units, units_of
 from deadtime.spectrum.sampled_runs import LoopPeriods, forward
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
 LEADING = 32  # eigenvalues that are looked at for doubts about the largest
+_FAR = 50  # powers of two by which an input's effect may differ from 1
 _MOST_VECTORS = 90  # of Arnoldi's method
 _POWERS = 200_000  # of w that are held at a time
 
@@ -360,3 +360,21 @@ def observed_loop(
     x, x_bar = periods_of(plant, law, mode)
     X = Joined.of(law, x, x_bar, feedback.state_gain[row], mode)
     return LiftedLoop(X.arrivals(x, x_bar), X.gain, feedback.input_gain[row])
+
+
+def units_of(effect: Float[np.ndarray, "row m"]) -> np.ndarray:
+    """Powers of two, (m,), by which to count inputs so that they act neither much nor little.
+
+    Of eigenvalues of a loop whose inputs act 1e100 times as much as they are large nothing would be
+    left but round-off. 0 where an input acts as much as usual.
+    """
+    power = np.frexp(np.abs(effect).max(axis=0))[1]
+    return np.where(np.abs(power) <= _FAR, 0, power)
+
+
+def in_units(
+    power: np.ndarray, effect: np.ndarray, F: np.ndarray, G: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The inputs' effect (…, m) and the row (F, G) that computes them, in other units."""
+    column = power[:, None]
+    return np.ldexp(effect, -power), np.ldexp(F, column), np.ldexp(G, column - power)

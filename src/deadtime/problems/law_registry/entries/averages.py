@@ -10,7 +10,7 @@ from pydantic import Field
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.base.palette import BLUE, ORANGE, PINK, PURPLE, SKY, VERMILION
+from deadtime.base.figure_style import BLUE, ORANGE, PINK, PURPLE, SKY, VERMILION
 from deadtime.feedback import Law
 from deadtime.laws import AveragedPredictor, MeanPredictor, SingleModePredictor
 from deadtime.plant import SwitchedSystem

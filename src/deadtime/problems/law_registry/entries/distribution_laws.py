@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from deadtime.base.palette import GREEN, OLIVE
+from deadtime.base.figure_style import GREEN, OLIVE
 from deadtime.feedback import Law
 from deadtime.laws import ExpectedPredictor, OptimalPredictor
 from deadtime.plant import Weight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from deadtime.base.palette import GREY
+from deadtime.base.figure_style import GREY
 from deadtime.feedback import Law
 from deadtime.laws import ExactPredictor, StateDependentPredictor
 from deadtime.problems.law_registry.entry import LawSection, Named

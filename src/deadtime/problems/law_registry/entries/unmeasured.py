@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from deadtime.base.palette import BROWN
+from deadtime.base.figure_style import BROWN
 from deadtime.estimation import BeliefPredictor
 from deadtime.feedback import Law
 from deadtime.problems.law_registry.entries.distribution_laws import ExpectedLaw, OptimalLaw
