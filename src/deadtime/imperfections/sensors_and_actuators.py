@@ -1,4 +1,4 @@
-"""Imperfections of sensors: noise, lost, late and wrong samples, instants; and limits of actuators."""
+"""Imperfections of sensors (noise; lost, late, wrong samples; timing), and limits of actuators."""
 
 from __future__ import annotations
 

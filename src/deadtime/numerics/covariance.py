@@ -159,7 +159,7 @@ def _follow_by_numpy(
     M: np.ndarray,
     Q: np.ndarray,
 ) -> None:
-    """The same, a few operations on all stretches, which lie in the last axis."""
+    """`_follow` in a few operations on all stretches, which lie in the last axis."""
     N = M.shape[1]
     moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)
     added = np.zeros(moved.shape)
@@ -227,7 +227,7 @@ def noise_covariances(
 def switched_covariances(
     A: Float[np.ndarray, "mode n n"], W: Float[np.ndarray, "mode n n"], tau: float
 ) -> Float[np.ndarray, "mode mode n n"]:
-    """What noise of intensity W_σ adds in τ seconds that begin in mode i and end in mode j.
+    """The covariances that noise W_σ adds in τ seconds that begin in mode i and end in mode j.
 
         Q_ij = (1/τ) ∫₀^τ (e^{A_j s} Q_i(τ − s) e^{A_jᵀ s} + Q_j(s)) ds
 

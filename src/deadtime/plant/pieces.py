@@ -38,7 +38,7 @@ class Stretch(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """What a stretch does to the state: x goes to Phi x + Gamma u, u the inputs that act."""
+    """The map of a stretch: x goes to Phi x + Gamma u, u the inputs that act."""
 
     Phi: Float[np.ndarray, "n n"]
     Gamma: Float[np.ndarray, "n m"]
@@ -46,7 +46,7 @@ class Piece(NamedTuple):
 
 
 class Period(NamedTuple):
-    """What a whole period does: x_{k+1} = Phi x_k + Σ_l Gamma[l] u_{k−lags[l]}, oldest first."""
+    """The map of a whole period: x_{k+1} = Phi x_k + Σ_l Gamma[l] u_{k−lags[l]}, oldest first."""
 
     Phi: Float[np.ndarray, "n n"]
     Gamma: Float[np.ndarray, "lag n m"]
@@ -196,7 +196,7 @@ def lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
 
 
 class Parts(NamedTuple):
-    """What lies between the switches within entries: mode and seconds.
+    """The parts between the switches within entries: mode and seconds.
 
     `rank` counts the parts of an entry, and `goes_on` says whether another one follows.
     """

@@ -99,7 +99,7 @@ class SampledPlant(Frozen):
         return _made_before(plant, positive("step", step), alike=False)
 
     def cut_alike(self) -> SampledPlant:
-        """The same with the periods of all modes cut at the same instants, if they are not yet.
+        """This plant with the periods of all modes cut at the same instants, if they are not yet.
 
         So a stretch can be moved over whatever the mode becomes within it.
 
@@ -146,7 +146,7 @@ class SampledPlant(Frozen):
 
     @cached_property
     def ahead(self) -> Ahead:
-        """What acts until an input computed now arrives."""
+        """The inputs that act until one computed now arrives."""
         step, count, phase = self.window.step, self.window.count, self.window.phase
         stop = phase + np.arange(count) * step
         start = np.concatenate(([0.0], stop[:-1]))

@@ -225,7 +225,7 @@ def growth_bounds(
 
 
 def not_decaying(plant: SwitchedSystem, rate: float) -> str:
-    """What a loop does in a constant mode in which it does not decay, to follow "the loop".
+    """A clause to follow "the loop", of a constant mode in which it does not decay.
 
     Examples
     --------

@@ -82,7 +82,7 @@ class LiftedLoop:
         return n + self.past * m
 
     def balance(self) -> LiftedLoop:
-        """The same loop, of the same eigenvalues, with inputs in `units_of` their effect."""
+        """A loop of the same eigenvalues, with inputs in `units_of` their effect."""
         Gamma = self.period.Gamma
         power = units_of(Gamma.reshape(-1, Gamma.shape[2]))
         Gamma, F, G = in_units(power, Gamma, self.F, self.G)
@@ -283,7 +283,7 @@ def transform(G, w):
 
 
 class LawSide(NamedTuple):
-    """What observer and law make of what is seen, w = (x̄, s): w' = A w + B y, u = E w + D y.
+    """Observer and law from what is seen, w = (x̄, s): w' = A w + B y, u = E w + D y.
 
     Without the inputs that arrive, and without the law's taps.
     """
@@ -336,7 +336,7 @@ class Joined(NamedTuple):
         return cls(Phi, np.hstack((side.D, side.E)), n)
 
     def arrivals(self, x: Period, x_bar: Period) -> Period:
-        """The same with its inputs: those of the plant and of the observer's model, lag by lag."""
+        """Its period with inputs: those of the plant and of the observer's model, lag by lag."""
         n, m = x.Gamma.shape[1:]
         rows = {"plant": slice(0, n), "model": slice(n, n + x_bar.Gamma.shape[1])}
         lags = tuple(sorted({*x.lags, *x_bar.lags}, reverse=True))

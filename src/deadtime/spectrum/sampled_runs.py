@@ -28,7 +28,7 @@ from deadtime.plant.pieces import Period, Piece
 
 
 class LoopPeriods(NamedTuple):
-    """What happens in each period of a loop, for its compiled runs; after the last comes the first.
+    """The periods of a loop, as its compiled runs take them; after the last comes the first.
 
     first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
     rows : (periods,), of the law's table

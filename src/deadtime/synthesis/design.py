@@ -381,7 +381,7 @@ def _result(
     gains: np.ndarray,
     limits: tuple[DelayLimit, ...],
 ) -> Design:
-    """What was chosen, or the plain design where nothing is stable."""
+    """The design chosen, or the plain one where nothing is stable."""
     law, step, cost = plain.law, plain.step, plain.cost
     hints = unit_hints(plant, gains, step)
     if chosen is None:
