@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.numerics.exponential import discretise_all
+
 
 class TransitionMaps(NamedTuple):
     """Φ and W of times, and their derivatives by A_ab, a n + b their place."""
@@ -56,14 +58,11 @@ def plain_transitions(
     A: Float[np.ndarray, "many n n"], times: Float[np.ndarray, " time"]
 ) -> tuple[Float[np.ndarray, "many time n n"], Float[np.ndarray, "many time n n"]]:
     """Φ and W of many matrices at times."""
-    from scipy.linalg import expm
-
-    n = A.shape[-1]
-    joint = np.zeros((len(A), times.size, 2 * n, 2 * n))
-    joint[..., :n, :n] = A[:, None]
-    joint[..., :n, n:] = np.eye(n)
-    E = expm(joint * times[:, None, None])
-    return E[..., :n, :n], E[..., :n, n:]
+    many, n = A.shape[:2]
+    mode, unit = np.repeat(np.arange(many), times.size), np.tile(np.eye(n), (many, 1, 1))
+    each = discretise_all(np.ascontiguousarray(A), unit, mode, np.tile(times, many))
+    Phi, W = (one.reshape(many, times.size, n, n) for one in each)
+    return Phi, W
 
 
 def nodes_of(longest: float, rate: float) -> Float[np.ndarray, " node"]:

@@ -215,10 +215,14 @@ def noise_covariance(
 def noise_covariances(
     A: Float[np.ndarray, "count n n"],
     W: Float[np.ndarray, "*count n n"],
-    tau: Float[np.ndarray, " count"],
-) -> Float[np.ndarray, "count n n"]:
-    """`noise_covariance` of many, of one W or of one each; not finite where e^{Aτ} is not."""
-    mode = np.arange(len(A))[:, None]
+    tau: Float[np.ndarray, " each"],
+) -> Float[np.ndarray, "all n n"]:
+    """`noise_covariance` of many, of one W or of one each; not finite where e^{Aτ} is not.
+
+    Of as many times as systems each takes its own, of k times as many each takes k, one after the
+    other.
+    """
+    mode = np.repeat(np.arange(len(A)), tau.size // len(A))[:, None]
     with np.errstate(over="ignore", invalid="ignore"):
         Q = accumulate(A, W, rates(A), mode, tau[:, None])[1]
         return 0.5 * (Q + Q.transpose(0, 2, 1))

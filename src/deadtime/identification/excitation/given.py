@@ -105,9 +105,7 @@ def added_noise(
     deviation: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "mode n n"]:
     """S of every mode: what noise adds in a period."""
-    S = np.array(
-        [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
-    )
+    S = noise_covariances(plant.A, W, np.full(len(W), step))
     try:
         np.linalg.cholesky(S + np.diag(deviation**2))
     except np.linalg.LinAlgError:
