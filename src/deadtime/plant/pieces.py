@@ -371,7 +371,6 @@ def whole_stretches(
 
 
 def _modes_of(stretches: Stretches) -> np.ndarray:
-    """The mode of every stretch."""
     return np.repeat(np.arange(stretches.first.size - 1), np.diff(stretches.first))
 
 
