@@ -90,20 +90,8 @@ class LiftedLoop:
 
     def matrix(self) -> Float[np.ndarray, "order order"]:
         """L of z_{k+1} = L z_k."""
-        m, n = self.F.shape
-        taps = self.G.shape[0]
-        L = np.zeros((self.order, self.order))
-        u = L[n : n + m]
-        u[:, :n] = self.F
-        u[:, n : n + taps * m] = self.G.transpose(1, 0, 2).reshape(m, taps * m)
-        L[n + m :, n:-m] = np.eye(self.order - n - m)
-        L[:n, :n] += self.period.Phi
-        for lag, Gamma in zip(self.period.lags, self.period.Gamma, strict=True):
-            if lag == 0:
-                L[:n] += Gamma @ u
-            else:
-                L[:n, n + (lag - 1) * m : n + lag * m] += Gamma
-        return L
+        A, B = with_line(self.period, self.order)
+        return A + B @ input_row(self.F, self.G, self.order)
 
     @cached_property
     def _periods(self) -> LoopPeriods:
@@ -233,6 +221,35 @@ def with_memory(plant: SwitchedSystem, feedback: Feedback) -> SwitchedSystem:
 def aged_row(feedback: Feedback, mode: int) -> int:
     """The row that applies when a mode has been held throughout."""
     return feedback.row(mode, feedback.ages, feedback.state_gain.shape[0] - 1)
+
+
+def with_line(period: Period, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """A (size, size), B (size, m) of states and the inputs on the line behind them, latest first.
+
+    z = (x_k, u_{k−1}, …) goes to A z + B u_k: the line is shifted, and what leaves it acts.
+    """
+    (n, m), A = period.Gamma.shape[1:], np.zeros((size, size))
+    B = np.zeros((size, m))
+    if size > n:
+        A[n + m :, n:-m] = np.eye(size - n - m)
+        B[n : n + m] = np.eye(m)
+    A[:n, :n] = period.Phi
+    for lag, Gamma in zip(period.lags, period.Gamma, strict=True):
+        if lag == 0:
+            B[:n] += Gamma
+        else:
+            A[:n, n + (lag - 1) * m : n + lag * m] += Gamma
+    return A, B
+
+
+def input_row(
+    F: Float[np.ndarray, "m n"], G: Float[np.ndarray, "tap m m"], size: int
+) -> Float[np.ndarray, "m size"]:
+    """(F, G_1, G_2, …, 0), the row of u_k = F x_k + Σ_j G_j u_{k−j}."""
+    (m, n), taps, row = F.shape, len(G), np.zeros((len(F), size))
+    row[:, :n] = F
+    row[:, n : n + taps * m] = G.transpose(1, 0, 2).reshape(m, taps * m)
+    return row
 
 
 def leading_eigenvalue(
