@@ -219,13 +219,13 @@ def test_an_object_takes_its_own_copy_of_what_can_be_written_to():
 def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(monkeypatch, again):
     from deadtime.laws.tables import along_signal as rows
     from deadtime.numerics import exponential, kernels
-    from deadtime.plant import cut_pieces
+    from deadtime.plant import pieces
     from deadtime.simulation import digital_kernel
 
     monkeypatch.setattr(kernels, "WISH", "always")
     compiled = [
         function.dispatcher
-        for module in (digital_kernel, rows, cut_pieces, exponential)
+        for module in (digital_kernel, rows, pieces, exponential)
         for function in vars(module).values()
         if isinstance(function, kernels.Kernel)
     ]

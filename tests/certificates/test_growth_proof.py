@@ -15,7 +15,7 @@ from deadtime.certificates.worst_case import growth_proof
 from deadtime.certificates.worst_case.cycle_growth import SampledLoop
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.growth_proof import prove
-from deadtime.spectrum import growth, root_enclosure
+from deadtime.spectrum import growth
 from shares import mostly_long
 
 H = 0.1
@@ -108,7 +108,7 @@ def test_a_loop_whose_growth_cannot_be_bounded_is_refused_by_name(monkeypatch):
     rule = dt.StateDependentPredictor(plant, plants.gains(plant), dt.HalfSpace([1.0, 0.0]))
     with pytest.raises(dt.ArgumentError, match="law must be a table, got StateDependentPredictor"):
         dt.growth_bounds(plant, rule, 0)
-    monkeypatch.setattr(root_enclosure, "LARGEST", 20)
+    monkeypatch.setattr(growth, "LARGEST", 20)
     with pytest.raises(dt.ArgumentError, match="order up to 20, got 102: lengthen it"):
         dt.growth_bounds(plant, law, 0)
     monkeypatch.setattr(growth, "_DOUBT", 0.0)  # beyond the limit doubts stay

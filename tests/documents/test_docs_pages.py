@@ -157,7 +157,7 @@ from deadtime.app.first_view import laws_on_offer
 from deadtime.app.script import script_of
 from deadtime.reports.figures.colours import colour_of
 from deadtime.problems.law_registry import the_law
-from deadtime.base.palette import SLATE
+from deadtime.base.figure_style import SLATE
 from deadtime.problems import json_schema, load_problem
 from deadtime.scenarios.sweeps.study_laws import kinds_of
 

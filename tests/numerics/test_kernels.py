@@ -19,7 +19,7 @@ from deadtime.numerics.compiling import where_compiling_starts
 from deadtime.numerics.exponential import discretise, gramian
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
-from deadtime.plant.cut_pieces import gramian_up_to, gramians, lay_cuts, transitions
+from deadtime.plant.pieces import gramian_up_to, gramians, lay_cuts, transitions
 from deadtime.switching.grid import cuts_of
 
 

@@ -9,8 +9,7 @@ from scipy.integrate import solve_ivp
 import deadtime as dt
 import plants
 from deadtime.plant import SampledPlant
-from deadtime.plant.cut_pieces import FEW, gramians, pieces_along, up_to
-from deadtime.plant.pieces import Stretches
+from deadtime.plant.pieces import FEW, Stretches, gramians, pieces_along, up_to
 from deadtime.plant.sampled_plant import acting_inputs
 from deadtime.switching.grid import cuts_of
 

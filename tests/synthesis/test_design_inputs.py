@@ -9,7 +9,7 @@ import deadtime as dt
 from deadtime.cli.application import main
 from deadtime.reports.design import HEADINGS, design_rows, plot_designs
 from deadtime.synthesis import input_peak
-from deadtime.synthesis.design_request import unit_hints
+from deadtime.synthesis.design import unit_hints
 
 # A position and a speed; a fast plain design asks for large inputs.
 PLANT = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -0.5]]], [[[0.0], [1.0]]], 0.3)

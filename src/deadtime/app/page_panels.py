@@ -13,7 +13,7 @@ from bokeh.models import ColumnDataSource, FixedTicker, HoverTool, PlainText, Ra
 from bokeh.plotting import figure
 
 from deadtime.app.page_outcome import ProblemOutcome, dash_of
-from deadtime.base.palette import GREY
+from deadtime.base.figure_style import GREY
 from deadtime.reports.figures.certificates import BAD, CHART_WORDS, GOOD
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.runs import frame, mismatch_floor, mismatch_norm

@@ -1,1 +1,1 @@
-"""What every room stands on: errors, checks, formats of text and numbers, read-only data."""
+"""The ground of all rooms: errors, checks, formats of text and numbers, read-only data."""

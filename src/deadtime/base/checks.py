@@ -189,7 +189,7 @@ def bound(name: str, value: ArrayLike, size: int) -> np.ndarray:
 
 
 def not_nan(name: str, array: np.ndarray) -> np.ndarray:
-    """The same array, without NaN."""
+    """An array without NaN."""
     if np.isnan(array).any():
         raise ArgumentError(f"{name} must not be NaN, got {array.tolist()}.")
     return array
@@ -231,7 +231,7 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def _hint(raw: np.ndarray, ndim: int, form: str) -> str:
-    """What to do about an array that lacks axes, or has one too many."""
+    """Advice about an array that lacks axes, or has one too many."""
     if raw.ndim in (1, 2) and ndim == 3:
         example = "[[[1, 2]], …] for rows" if "m, n" in form else "[[[0], [1]], …] for columns"
         return f": stack one matrix per mode ([M] for a single mode, {example})"
@@ -241,7 +241,7 @@ def _hint(raw: np.ndarray, ndim: int, form: str) -> str:
 
 
 def require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], form: str) -> np.ndarray:
-    """The same array, when its shape is the expected one."""
+    """An array of the expected shape."""
     if array.shape != shape:
         hint = ""
         if array.ndim >= 2 and array.shape[:-2] + array.shape[:-3:-1] == shape:

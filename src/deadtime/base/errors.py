@@ -34,7 +34,7 @@ class CertificateFileError(ArgumentError):
 
 
 class InfeasibleError(DeadtimeError, ValueError):
-    """What was asked for does not exist: the message gives the solver's verdict."""
+    """A request that nothing meets: the message gives the solver's verdict."""
 
 
 class SolverError(DeadtimeError, RuntimeError):

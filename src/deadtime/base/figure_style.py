@@ -1,6 +1,7 @@
 """How figures look: sizes, colours, lines and safe text, for one column of a paper.
 
-The colours are those of Okabe and Ito, told apart by colour-blind readers too.
+The colours of figures and pages begin with those of Okabe and Ito. Colour-blind readers tell them
+apart too, and all can be read on a light and on a dark ground.
 """
 
 from __future__ import annotations
@@ -9,8 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.base.palette import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
 from deadtime.base.wording import one_line
+
+BLUE, VERMILION, GREEN, PINK = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+ORANGE, SKY, BLACK = "#E69F00", "#56B4E9", "#000000"
+PURPLE, BROWN, OLIVE, SLATE, GREY = "#7a4fa3", "#8b5a2b", "#7f9f2f", "#4a6b8a", "#8a8a8a"
+
 
 COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, BLACK)
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6.0, 1.5, 1.0, 1.5, 1.0, 1.5)))

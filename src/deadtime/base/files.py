@@ -229,7 +229,7 @@ def _alone(folders: list[Path]) -> Iterator[None]:
 
 
 def _move(place: Path, target: Path) -> None:
-    """What was made, to where it belongs; the files of a folder one by one, if it is there."""
+    """Move what was made; the files of a folder one by one, if that is there already."""
     if place.is_dir() and target.is_dir():
         for one in sorted(place.iterdir()):
             _move(one, target / one.name)

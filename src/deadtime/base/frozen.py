@@ -74,7 +74,7 @@ def _share(value: Any, memo: dict[int, Any], seen: set[int]) -> None:
 
 
 def _freeze(value: Any) -> Any:
-    """The same value, of arrays and of those in tuples a copy that cannot be written to."""
+    """A value, of arrays and of those in tuples a copy that cannot be written to."""
     if isinstance(value, np.ndarray) and value.flags.writeable:
         value = value.copy(order="K")
         value.flags.writeable = False

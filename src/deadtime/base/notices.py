@@ -1,4 +1,4 @@
-"""What is said while something takes long: to be replaced by who has a place to say it."""
+"""Notices while something takes long, to be replaced by who has a place to say them."""
 
 from __future__ import annotations
 

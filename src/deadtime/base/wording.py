@@ -177,7 +177,7 @@ def numbered(letter: str, count: int) -> tuple[str, ...]:
 
 
 def input_names(count: int) -> tuple[str, ...]:
-    """What inputs are called that have no names.
+    """Names of inputs that have none.
 
     Examples
     --------

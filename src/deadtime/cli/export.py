@@ -78,6 +78,7 @@ def export(
     if c is None and fmu is None and plant_fmu is None:
         raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
     from deadtime.base.files import Staging
+    from deadtime.base.json_records import record
     from deadtime.controller.export import Names, export_c, export_fmu, export_plant_fmu
     from deadtime.reports.verdict import observer_reads_mode
 

@@ -240,7 +240,7 @@ def growth_in_norm(
 
 
 def _unknowns(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What multiplies the entries of P, a bound, and the same bound where it plays no part."""
+    """The factors of the entries of P, of a bound, and of a bound that plays no part."""
     return symmetric_basis(n), np.eye(n)[None], np.zeros((1, n, n))
 
 

@@ -293,9 +293,7 @@ def added_noise(
     plant: SwitchedSystem, W: Squares, step: float, deviation: Float[np.ndarray, " n"]
 ) -> Squares:
     """S of every mode: what noise adds in a period."""
-    S = np.array(
-        [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
-    )
+    S = noise_covariances(plant.A, W, np.full(len(W), step))
     try:
         np.linalg.cholesky(S + np.diag(deviation**2))
     except np.linalg.LinAlgError:

@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.parameters import Nodes, Square, Squares
 from deadtime.numerics.covariance import noise_covariances
+from deadtime.numerics.exponential import discretise_all
 
 
 class TransitionMaps(NamedTuple):
@@ -62,14 +63,11 @@ def plain_transitions(
     A: Float[np.ndarray, "many n n"], times: Float[np.ndarray, " time"]
 ) -> tuple[Float[np.ndarray, "many time n n"], Float[np.ndarray, "many time n n"]]:
     """Φ and W of many matrices at times."""
-    from scipy.linalg import expm
-
-    n = A.shape[-1]
-    joint = np.zeros((len(A), times.size, 2 * n, 2 * n))
-    joint[..., :n, :n] = A[:, None]
-    joint[..., :n, n:] = np.eye(n)
-    E = expm(joint * times[:, None, None])
-    return E[..., :n, :n], E[..., :n, n:]
+    many, n = A.shape[:2]
+    mode, unit = np.repeat(np.arange(many), times.size), np.tile(np.eye(n), (many, 1, 1))
+    each = discretise_all(np.ascontiguousarray(A), unit, mode, np.tile(times, many))
+    Phi, W = (one.reshape(many, times.size, n, n) for one in each)
+    return Phi, W
 
 
 def nodes_of(longest: float, rate: float) -> Nodes:
@@ -123,15 +121,18 @@ def noise_tables(
     joint[:, :n, :n] = joint[:, n:, n:] = A
     joint[np.arange(n * n), a, n + b] = 1.0
     noise[n:, n:] = L @ L.T
-    found = noise_covariances(np.repeat(joint, count, 0), noise, np.tile(times, n * n))
+    found = noise_covariances(joint, noise, np.tile(times, n * n))
     found = found.reshape(n * n, count, 2 * n, 2 * n).swapaxes(0, 1)
     of_A = found[..., :n, n:] + found[..., n:, :n]
-    of_L = []
-    for row, column in zip(*(place.tolist() for place in np.tril_indices(n)), strict=True):
-        change = np.zeros((n, n))
-        change[row] = L[:, column] * (L[row, row] if row == column else 1.0)
-        of_L.append(noise_covariances(np.repeat(A[None], count, 0), change + change.T, times))
-    return found[:, 0, n:, n:].copy(), np.concatenate((of_A, np.stack(of_L, axis=1)), axis=1)
+    row, column = np.tril_indices(n)
+    change = np.zeros((row.size, n, n))
+    change[np.arange(row.size), row] = (
+        np.where(row == column, np.diagonal(L)[row], 1.0)[:, None] * L[:, column].T
+    )
+    change += change.swapaxes(1, 2)
+    of_L = noise_covariances(np.tile(A, (row.size, 1, 1)), change, np.tile(times, row.size))
+    of_L = of_L.reshape(row.size, count, n, n).swapaxes(0, 1)
+    return found[:, 0, n:, n:].copy(), np.concatenate((of_A, of_L), axis=1)
 
 
 def continuous(A: Squares, S: Squares, step: float) -> Squares:

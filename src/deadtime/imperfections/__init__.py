@@ -1,4 +1,4 @@
-"""What sensors, actuators and disturbances do to a loop.
+"""Imperfections of a loop: its sensors, actuators and disturbances.
 
 A run takes a list of imperfections (`simulate(..., imperfections=[...], seed=0)`): disturbances
 that act on the plant, and, in the order of the list, what the sensors do to what the law is told

@@ -1,4 +1,3 @@
-from .actuators import RateLimit as RateLimit, Saturation as Saturation
 from .base import (
     ActuatorImperfection as ActuatorImperfection,
     Disturbance as Disturbance,
@@ -19,12 +18,14 @@ from .disturbances import (
     WhiteDisturbance as WhiteDisturbance,
 )
 from .received import Additive as Additive, Heard as Heard, Relaying as Relaying
-from .sensors import (
+from .sensors_and_actuators import (
     Dropout as Dropout,
     Jitter as Jitter,
     LateSamples as LateSamples,
     MeasurementDelay as MeasurementDelay,
     ModeDelay as ModeDelay,
     Noise as Noise,
+    RateLimit as RateLimit,
+    Saturation as Saturation,
     WrongMode as WrongMode,
 )

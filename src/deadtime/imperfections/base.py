@@ -1,4 +1,4 @@
-"""What an imperfection of a loop is, and what it must know of its loop."""
+"""The interfaces of imperfections, and the sizes of a loop that they must know."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deadtime.plant import SwitchedSystem
 
 
 class Sizes(NamedTuple):
-    """What an imperfection must know of its loop; the step in seconds."""
+    """The sizes of a loop that an imperfection must know; the step in seconds."""
 
     modes: int
     states: int
@@ -32,7 +32,7 @@ class Sizes(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What reaches the law at a sample; x is NaN where nothing did."""
+    """The state and mode that reach the law at a sample; x is NaN where nothing did."""
 
     x: np.ndarray
     mode: int
@@ -60,7 +60,7 @@ class Imperfection(Frozen, ABC):
 
 
 class Drawing(ABC):
-    """What draws so many numbers of one kind: those of many runs are drawn at once.
+    """A part that draws so many numbers of one kind: those of many runs are drawn at once.
 
     `normal` says whether they are of the standard normal distribution, or uniform on [0, 1).
     """
@@ -83,7 +83,7 @@ class SensorImperfection(Imperfection):
 
     @abstractmethod
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        """What the law is told: a function to be called once a sample, with a memory of its own."""
+        """A function from what is seen to what the law is told, called once a sample."""
 
 
 class TimingImperfection(Imperfection):
@@ -124,7 +124,7 @@ class ActuatorImperfection(Imperfection):
 
 
 class Limiting(ABC):
-    """What clips the input: a base beside `ActuatorImperfection`, as `Relaying` is."""
+    """A part that clips the input: a base beside `ActuatorImperfection`, as `Relaying` is."""
 
     @abstractmethod
     def limits(self, sizes: Sizes) -> Limits:

@@ -47,7 +47,7 @@ class DrawnDisturbance(Stacked, Disturbance):
         steps: int,
         room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> Float[np.ndarray, "stretch some steps r"]:
-        """What decides w in runs that drew these numbers, stretch by stretch.
+        """The numbers that decide w in runs that drew these, stretch by stretch.
 
         No length is 0. An axis of length 1 stands for all runs. `room_for` gives memory for it.
         """
@@ -308,7 +308,7 @@ def _follow_many(std, kept, fresh, numbers, draws, sources, states):
 def _follow_one(
     std: np.ndarray, kept: np.ndarray, fresh: np.ndarray, numbers: np.ndarray, draws: np.ndarray
 ) -> None:
-    """The same of one run, which needs no compiler."""
+    """`_follow_many` of one run, which needs no compiler."""
     stretches, _, steps, width = draws.shape
     q = std.size
     own = numbers[:, 0, q:].reshape(stretches, steps, width - q)
@@ -329,7 +329,7 @@ _LONG = re.compile(r"\b\d+\.\d{6,}(e[+-]?\d+)?\b")
 
 
 def in_words(each: Imperfection) -> str:
-    """What an imperfection is: an offset by its modes, everything else by its class and numbers.
+    """An imperfection in words: an offset by its modes, everything else by its class and numbers.
 
     A constant force that acts all through a run and changes with the mode is an offset, c_σ.
 

@@ -37,7 +37,7 @@ Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in 
 
 
 class Heard(NamedTuple):
-    """What reaches a law at every sample of a run.
+    """The measurements and modes that reach a law at every sample of a run.
 
     Of many runs, each array has an axis of them in front; axes of length 1 stand for all runs, and
     for all samples of `noise` and `named`.
@@ -70,7 +70,7 @@ class Heard(NamedTuple):
         return cls(each, noise, each, np.arange(sizes.modes)[None, None])
 
     def each(self, runs: int) -> Iterator[Heard]:
-        """What is heard in each of so many runs."""
+        """One for each of so many runs."""
         samples = self.samples
         shapes = [(runs, samples), (runs, samples, self.noise.shape[-1]), (runs, samples)]
         shapes.append((runs, samples, self.named.shape[-1]))
@@ -91,7 +91,7 @@ class Heard(NamedTuple):
         return cls(each, noise, each, named)
 
     def at(self, sample: Int[np.ndarray, "*runs sample"]) -> Heard:
-        """What was heard at other samples, one for each; nothing at −1."""
+        """Those of other samples, one for each; nothing at −1."""
         found = mode_of = self._through(self.sample, sample)
         if self.mode_of is not self.sample:
             mode_of = self._through(self.mode_of, sample)
@@ -105,7 +105,7 @@ class Heard(NamedTuple):
         return np.where(sample < 0, -1, at_samples(heard, sample))
 
     def with_modes_of(self, sample: Int[np.ndarray, " sample"]) -> Heard:
-        """The same with the modes that were heard at other samples."""
+        """These measurements with the modes of other samples."""
         mode_of, named = at_samples(self.mode_of, sample), _of_samples(self.named, sample)
         return self._replace(mode_of=mode_of, named=named)
 
@@ -146,18 +146,18 @@ def _of_samples(rows: np.ndarray, sample: np.ndarray) -> np.ndarray:
 
 
 class Relaying(ABC):
-    """What a sensor does that asks for no state and no mode.
+    """A sensor that asks for no state and no mode.
 
     A base beside `SensorImperfection`, by which compiled loops know what they can take.
     """
 
     @abstractmethod
     def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-        """What is heard through it; a longer run of the same numbers begins as a shorter one."""
+        """The measurements through it; a longer run of the same numbers begins as a shorter one."""
 
     @final
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        """The same, called once a sample: for a loop beside a sensor that is no `Relaying`."""
+        """`relay` called once a sample: for a loop beside a sensor that is no `Relaying`."""
         seen: list[Seen] = []
         nothing = np.full(sizes.states, np.nan)
 
@@ -183,7 +183,7 @@ class Relaying(ABC):
 
 
 def relayed(by: Relaying, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-    """What is heard through it; refused where it does not fit, as compiled loops index with it."""
+    """Its measurements; refused where they do not fit, as compiled loops index with them."""
     found = by.relay(heard, sizes, rng)
     if type(by).__module__.startswith("deadtime."):
         return found  # tested to fit; looking again would cost a third of drawing it
@@ -223,13 +223,13 @@ def _require_fit(name: str, found: object, samples: int, sizes: Sizes) -> None:
 
 
 class DrawnRelaying(Drawing, Relaying):
-    """What relays by numbers that are drawn at once, of one run or of many."""
+    """A relaying by numbers that are drawn at once, of one run or of many."""
 
     @abstractmethod
     def relay_from(
         self, numbers: Float[np.ndarray, "*runs count"], heard: Heard, sizes: Sizes
     ) -> Heard:
-        """What is heard through it in runs that drew these numbers, which it may overwrite."""
+        """The measurements through it in runs that drew these numbers, which it may overwrite."""
 
     @final
     def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
@@ -237,7 +237,7 @@ class DrawnRelaying(Drawing, Relaying):
 
 
 class Additive(Relaying):
-    """What adds to the measured state, whatever it is, and leaves the mode as it is."""
+    """A sensor that adds to the measured state, whatever it is, and leaves the mode alone."""
 
     @abstractmethod
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:

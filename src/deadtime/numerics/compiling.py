@@ -1,4 +1,4 @@
-"""What Numba does for kernels: compiles them, and keeps them as long as their sources stand.
+"""Kernels compiled by Numba, and kept as long as their sources stand.
 
 A kernel is a `deadtime.numerics.kernels.Kernel`, which imports this module when it needs Numba.
 """
@@ -31,7 +31,7 @@ _GARBAGE = 20_000  # objects between two collections while compiling
 
 
 class _CacheFile(IndexDataCacheFile):
-    """What is on disk of a kernel: a file for each of its signatures, which name themselves.
+    """The files of a kernel on disk: one for each of its signatures, which name themselves.
 
     Numba keeps an index of a kernel's files, which it reads, adds to and writes. Where two
     processes compile at the same time, one would lose what it added, or find the other's code under
@@ -117,7 +117,7 @@ def where_compiling_starts(do: Callable[[Any], None]) -> Iterator[None]:
 
 
 def _stamp(kernel: Any) -> tuple[Any, ...]:
-    """What a kernel and all of this package that it calls are made of.
+    """The sources of a kernel and of all of this package that it calls.
 
     That is name, time and size of the files that they lie in, and the numbers that they read.
     """

@@ -159,7 +159,7 @@ def _follow_by_numpy(
     M: np.ndarray,
     Q: np.ndarray,
 ) -> None:
-    """The same, a few operations on all stretches, which lie in the last axis."""
+    """`_follow` in a few operations on all stretches, which lie in the last axis."""
     N = M.shape[1]
     moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)
     added = np.zeros(moved.shape)
@@ -215,10 +215,14 @@ def noise_covariance(
 def noise_covariances(
     A: Float[np.ndarray, "count n n"],
     W: Float[np.ndarray, "*count n n"],
-    tau: Float[np.ndarray, " count"],
-) -> Float[np.ndarray, "count n n"]:
-    """`noise_covariance` of many, of one W or of one each; not finite where e^{Aτ} is not."""
-    mode = np.arange(len(A))[:, None]
+    tau: Float[np.ndarray, " each"],
+) -> Float[np.ndarray, "all n n"]:
+    """`noise_covariance` of many, of one W or of one each; not finite where e^{Aτ} is not.
+
+    Of as many times as systems each takes its own, of k times as many each takes k, one after the
+    other.
+    """
+    mode = np.repeat(np.arange(len(A)), tau.size // len(A))[:, None]
     with np.errstate(over="ignore", invalid="ignore"):
         Q = accumulate(A, W, rates(A), mode, tau[:, None])[1]
         return 0.5 * (Q + Q.transpose(0, 2, 1))
@@ -227,7 +231,7 @@ def noise_covariances(
 def switched_covariances(
     A: Float[np.ndarray, "mode n n"], W: Float[np.ndarray, "mode n n"], tau: float
 ) -> Float[np.ndarray, "mode mode n n"]:
-    """What noise of intensity W_σ adds in τ seconds that begin in mode i and end in mode j.
+    """The covariances that noise W_σ adds in τ seconds that begin in mode i and end in mode j.
 
         Q_ij = (1/τ) ∫₀^τ (e^{A_j s} Q_i(τ − s) e^{A_jᵀ s} + Q_j(s)) ds
 

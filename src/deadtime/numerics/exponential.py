@@ -373,7 +373,6 @@ def _units_all(A: np.ndarray, B: np.ndarray, mode: np.ndarray, tau: np.ndarray) 
 
 
 def _each(matrices: np.ndarray, mode: np.ndarray) -> np.ndarray:
-    """The matrix of every piece."""
     return last(matrices).take(mode, axis=-1)
 
 

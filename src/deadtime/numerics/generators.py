@@ -184,7 +184,7 @@ class Streams:
     spawned: tuple[int, ...] = ()
 
     def spawned_as(self, i: int) -> Streams:
-        """What `Generator.spawn` makes of each as number i."""
+        """Number i of those that `Generator.spawn` makes of each."""
         return replace(self, spawned=(*self.spawned, i))
 
     def draw(self, first: int, normal: bool, room: Float[np.ndarray, "some count"]) -> None:
@@ -193,7 +193,7 @@ class Streams:
         take(first, normal, room)
 
     def draw_compiled(self, first: int, normal: bool, room: np.ndarray) -> None:
-        """The same in all cases by our own generator."""
+        """`draw` by our own generator."""
         words = self._words[first : first + len(room)]
         if normal:
             fill_normal(words, *layers(), room)
@@ -201,7 +201,7 @@ class Streams:
             fill_uniform(words, room)
 
     def draw_by_numpy(self, first: int, normal: bool, room: np.ndarray) -> None:
-        """The same in all cases by NumPy's."""
+        """`draw` by NumPy's."""
         for row, rng in zip(room, self.generators(first, len(room)), strict=True):
             row[:] = rng.standard_normal(row.size) if normal else rng.random(row.size)
 
@@ -238,7 +238,7 @@ def _advance(high, low, more_high, more_low):
 
 @kernel(eager=True, nogil=True)
 def _word(high, low):
-    """What a state gives."""
+    """The word of a state."""
     turn, word = high >> _TURN, high ^ low
     return (word >> turn) | (word << ((_ZERO - turn) & _BITS))
 
@@ -282,7 +282,7 @@ def fill_uniform(seeds, result):
 
 @kernel(eager=True, nogil=True)
 def fill_normal(seeds, width, below, height, result):
-    """The same of the normal distribution; the others are `layers`."""
+    """`fill_uniform` of the normal distribution; the others are `layers`."""
     for g in range(seeds.shape[0]):
         high, low, more_high, more_low = _start(seeds[g])
         i = 0

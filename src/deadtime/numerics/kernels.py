@@ -101,7 +101,7 @@ class Kernel:
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """What Numba makes of it."""
+        """Numba's dispatcher of it."""
         from deadtime.numerics.compiling import dispatcher_of
 
         return dispatcher_of(self)

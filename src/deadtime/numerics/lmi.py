@@ -48,7 +48,7 @@ class Program(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What a solver said of a program, why it failed, empty if it did not, and its answer."""
+    """A solver's word on a program, why it failed, empty if it did not, and its answer."""
 
     said: str
     failure: str = ""
@@ -96,7 +96,7 @@ def attempts(program: Program) -> Iterator[Verdict]:
 
 
 def solve(solver: Any, program: Program, tolerance: float | None) -> tuple[str, Any]:
-    """What the solver says, in a word, and its x where that is an answer."""
+    """The solver's word, and its x where that is an answer."""
     from scipy.sparse import csc_matrix
 
     settings = settings_of(solver)
@@ -137,12 +137,12 @@ def require_answer(verdicts: Collection[Verdict]) -> None:
 
 
 def answers_of(verdicts: Collection[Verdict]) -> str:
-    """What was said, each once."""
+    """The solvers' words, each once."""
     return ", ".join(dict.fromkeys(verdict.said for verdict in verdicts))
 
 
 def _one_line(error: BaseException) -> str:
-    """What was thrown, in at most 200 characters."""
+    """An error in at most 200 characters."""
     return " ".join(f"{type(error).__name__}: {error}".split())[:200]
 
 

@@ -25,7 +25,7 @@ DROPPED = np.uint64(12)  # bits of a word, of which a double holds the others an
 
 
 class Words(ISpawnableSeedSequence):
-    """What a generator of NumPy's begins from: words of Philox with the key (seed, purpose)."""
+    """The beginning of a generator of NumPy's: words of Philox with the key (seed, purpose)."""
 
     def __init__(self, seed: int, *purpose: str | int) -> None:
         self.seed, self.spawned = int(seed), 0

@@ -1,12 +1,31 @@
-"""Pieces of periods as data: stretches under the same inputs, and what they do to the state."""
+"""Pieces of periods: stretches under the same inputs, what they do to the state, and Gramians.
+
+Switches along a signal cut them (`PieceTable`): they are laid on the stretches of the periods that
+they lie in, and what lies between two of them within an entry is a part. NumPy takes all parts at
+once, and kernels take over, to the same bits, once they are compiled.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.checks import read_only
+from deadtime.numerics.exponential import (
+    add_congruence,
+    congruence_all,
+    discretise,
+    discretise_all,
+    discretise_into,
+    gramian,
+    gramian_all,
+    product,
+    product_all,
+)
+from deadtime.numerics.kernels import kernel
 from deadtime.plant.discretisation import Cuts
 
 
@@ -19,7 +38,7 @@ class Stretch(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """What a stretch does to the state: x goes to Phi x + Gamma u, u the inputs that act."""
+    """The map of a stretch: x goes to Phi x + Gamma u, u the inputs that act."""
 
     Phi: Float[np.ndarray, "n n"]
     Gamma: Float[np.ndarray, "n m"]
@@ -27,7 +46,7 @@ class Piece(NamedTuple):
 
 
 class Period(NamedTuple):
-    """What a whole period does: x_{k+1} = Phi x_k + Σ_l Gamma[l] u_{k−lags[l]}, oldest first."""
+    """The map of a whole period: x_{k+1} = Phi x_k + Σ_l Gamma[l] u_{k−lags[l]}, oldest first."""
 
     Phi: Float[np.ndarray, "n n"]
     Gamma: Float[np.ndarray, "lag n m"]
@@ -101,3 +120,345 @@ class PieceTable(NamedTuple):
         times = [self.start[entry], *cuts.offset[first:stop], self.stop[entry]]
         parts = zip(modes, times[:-1], times[1:], strict=True)
         return [(int(mode), float(a), float(b)) for mode, a, b in parts if b > a]
+
+
+class LaidCuts(NamedTuple):
+    """The pieces of the periods with switches, and the entries that are no whole stretch.
+
+    Piece first[i] + j is the j-th of period[i]. Entries of one's own are numbered after the
+    stretches; `stretch` has the inputs that act in them, the rest is as in a `PieceTable`.
+    """
+
+    period: np.ndarray
+    first: np.ndarray
+    entry: np.ndarray
+    stretch: np.ndarray
+    start: np.ndarray
+    stop: np.ndarray
+    mode: np.ndarray
+    cut: np.ndarray
+
+
+@kernel
+def lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
+    """Lay the first `switches` switches; parts of a period under the same inputs are one entry."""
+    whole, longest, m = stretches.start.size, 0, stretches.lag.shape[1]
+    for i in range(stretches.first.size - 1):
+        longest = max(longest, stretches.first[i + 1] - stretches.first[i])
+    period, first = np.empty(switches, np.int64), np.empty(switches + 1, np.int64)
+    entry = np.empty(2 * longest * switches, np.int64)
+    stretch, mode_of = np.empty(entry.size, np.int64), np.empty(entry.size, np.int64)
+    start, stop = np.empty(entry.size), np.empty(entry.size)
+    cut = np.zeros((entry.size, 2), np.int64)
+    i, e, q, p = 0, 0, 0, 0
+    while p < switches:
+        k, mode, now, goes_on = cut_step[p], cut_mode[p], 0.0, False
+        period[i], first[i] = k, q
+        s, last = stretches.first[mode], stretches.first[mode + 1]
+        while s < last:
+            if p < switches and cut_step[p] == k and cut_offset[p] <= now:
+                p += 1
+                mode = cut_mode[p]
+                s, last = stretches.first[mode], stretches.first[mode + 1]
+                while stretches.stop[s] <= now:
+                    s += 1
+                continue
+            end = stretches.stop[s]
+            ends = p < switches and cut_step[p] == k and cut_offset[p] < end
+            if ends:
+                end = cut_offset[p]
+            if not ends and now == stretches.start[s]:
+                entry[q] = s
+                q += 1
+            else:
+                for j in range(m):
+                    goes_on = goes_on and (stretches.lag[stretch[e - 1], j] == stretches.lag[s, j])
+                if not goes_on:
+                    stretch[e], start[e], mode_of[e], cut[e, 0] = s, now, mode, p
+                    entry[q] = whole + e
+                    e, q = e + 1, q + 1
+                stop[e - 1], cut[e - 1, 1] = end, p
+            now, goes_on = end, ends
+            if not ends:
+                s += 1
+        i += 1
+    first[i] = q
+    return LaidCuts(
+        period[:i],
+        first[: i + 1],
+        entry[:q],
+        stretch[:e],
+        start[:e],
+        stop[:e],
+        mode_of[:e],
+        cut[:e],
+    )
+
+
+class Parts(NamedTuple):
+    """The parts between the switches within entries: mode and seconds.
+
+    `rank` counts the parts of an entry, and `goes_on` says whether another one follows.
+    """
+
+    entry: np.ndarray
+    mode: np.ndarray
+    length: np.ndarray
+    rank: np.ndarray
+    goes_on: np.ndarray
+
+
+def parts_of(
+    start: np.ndarray,
+    stop: np.ndarray,
+    mode: np.ndarray,
+    cut: np.ndarray,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+) -> Parts:
+    """The parts of entries, those without length left out."""
+    inner = cut[:, 1] - cut[:, 0]
+    first = np.concatenate(([0], np.cumsum(inner + 1)))
+    entry = np.repeat(np.arange(start.size), inner + 1)
+    switch = consecutive(cut[:, 0], first)  # that ends a part
+    begins, ends = first[:-1], first[1:] - 1
+    until = np.empty(entry.size)
+    until[ends] = stop
+    inside = np.ones(entry.size, bool)
+    inside[ends] = False
+    until[inside] = cut_offset[switch[inside]]
+    since, of = np.empty(entry.size), np.empty(entry.size, np.int64)
+    since[1:] = until[:-1]
+    since[begins] = start
+    inside[ends], inside[begins] = True, False
+    of[inside] = cut_mode[switch[inside]]
+    of[begins] = mode
+    kept = until > since
+    entry, of, length = entry[kept], of[kept], (until - since)[kept]
+    change = np.concatenate(([True], entry[1:] != entry[:-1]))[: entry.size]
+    begin = np.flatnonzero(change)
+    rank = np.arange(entry.size) - np.repeat(begin, np.diff(np.append(begin, entry.size)))
+    return Parts(entry, of, length, rank, np.append(~change[1:], False)[: entry.size])
+
+
+def transitions_at_once(
+    A: np.ndarray,
+    B: np.ndarray,
+    start: np.ndarray,
+    stop: np.ndarray,
+    mode: np.ndarray,
+    cut: np.ndarray,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`transitions` by NumPy."""
+    parts = parts_of(start, stop, mode, cut, cut_offset, cut_mode)
+    Phi, Gamma = np.empty((mode.size, *A.shape[1:])), np.empty((mode.size, *B.shape[1:]))
+    of, entered = discretise_all(A, B, parts.mode, parts.length)
+    Phi[parts.entry[parts.rank == 0]] = of[parts.rank == 0]
+    Gamma[parts.entry[parts.rank == 0]] = entered[parts.rank == 0]
+    with np.errstate(all="ignore"):
+        for rank in range(1, parts.rank.max(initial=0) + 1):
+            now = np.flatnonzero(parts.rank == rank)
+            e = parts.entry[now]
+            Phi[e] = product_all(of[now], Phi[e])
+            Gamma[e] = product_all(of[now], Gamma[e]) + entered[now]
+    return Phi, Gamma
+
+
+def gramians_at_once(
+    A: np.ndarray,
+    B: np.ndarray,
+    table: PieceTable,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+    Q: np.ndarray,
+) -> np.ndarray:
+    """`gramians` by NumPy."""
+    entries, (n, m) = table.mode.size, B.shape[1:]
+    parts = parts_of(table.start, table.stop, table.mode, table.cut, cut_offset, cut_mode)
+    M = gramian_all(A, B, parts.mode, parts.length, Q)
+    result = np.zeros((entries, n + m, n + m))
+    moved = np.tile(np.eye(n + m), (entries, 1, 1))
+    with np.errstate(all="ignore"):
+        for rank in range(parts.rank.max(initial=-1) + 1):
+            of = np.flatnonzero(parts.rank == rank)
+            e = parts.entry[of]
+            result[e] += congruence_all(moved[e], M[of]) if rank else M[of]
+            of = of[parts.goes_on[of]]
+            e = parts.entry[of]
+            Phi, Gamma = discretise_all(A, B, parts.mode[of], parts.length[of])
+            moved[e, :n, n:] = product_all(Phi, moved[e, :n, n:]) + Gamma
+            moved[e, :n, :n] = product_all(Phi, moved[e, :n, :n])
+    return result
+
+
+def consecutive(values: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """values[i], values[i] + 1, … at the places first[i], …, first[i + 1] − 1."""
+    return np.repeat(values - first[:-1], np.diff(first)) + np.arange(first[-1])
+
+
+FEW = 24  # entries and switches, of which the transitions are kept
+
+
+def pieces_along(
+    A: np.ndarray,
+    B: np.ndarray,
+    stretches: Stretches,
+    cut_step: np.ndarray,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+    periods: int,
+    whole: tuple[np.ndarray, np.ndarray] | None = None,
+) -> PieceTable:
+    """The pieces of the periods 0, …, periods − 1; switch p goes to cut_mode[p + 1].
+
+    Entries up to the number of stretches are those of modes held; after them come the parts of
+    stretches that switches begin or end. Parts of one period under the same inputs are one entry.
+    `whole` are Φ and Γ of the stretches, where they are known.
+    """
+    switches = int(np.searchsorted(cut_step, periods))
+    laid = lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches)
+    cut = np.concatenate((np.zeros((stretches.start.size, 2), np.int64), laid.cut))
+    known = whole_stretches(A, B, stretches) if whole is None else whole
+    own = _transitions_of(A, B, laid, cut_offset, cut_mode)
+    Phi, Gamma = (np.concatenate(both) for both in zip(known, own, strict=True))
+    mode = cut_mode[np.searchsorted(cut_step[:switches], np.arange(periods))]
+    counts = np.diff(stretches.first)[mode]
+    counts[laid.period] = np.diff(laid.first)
+    first = np.concatenate(([0], np.cumsum(counts)))
+    entry = consecutive(stretches.first[mode], first)
+    entry[consecutive(first[laid.period], laid.first)] = laid.entry
+    return PieceTable(
+        first,
+        entry,
+        Phi,
+        Gamma,
+        np.concatenate((stretches.lag, stretches.lag[laid.stretch])),
+        np.concatenate((stretches.start, laid.start)),
+        np.concatenate((stretches.stop, laid.stop)),
+        np.concatenate((_modes_of(stretches), laid.mode)),
+        cut,
+    )
+
+
+def _transitions_of(
+    A: np.ndarray, B: np.ndarray, laid: LaidCuts, cut_offset: np.ndarray, cut_mode: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Φ and Γ of the entries that are no whole stretch; few of them are kept."""
+    if not laid.mode.size:
+        return np.empty((0, *A.shape[1:])), np.empty((0, *B.shape[1:]))
+    entries = map(read_only, (laid.start, laid.stop, laid.mode, laid.cut))
+    given = A, B, *entries, cut_offset, cut_mode
+    if laid.mode.size > FEW or cut_mode.size > FEW:
+        return transitions(*given)
+    return _kept_transitions(tuple((one.dtype.char, one.shape, one.tobytes()) for one in given))
+
+
+@lru_cache(maxsize=256)  # searches move one switch of a few at a time, and go back
+def _kept_transitions(given: tuple[tuple[str, Any, bytes], ...]) -> tuple[np.ndarray, np.ndarray]:
+    arrays = [np.frombuffer(data, kind).reshape(shape) for kind, shape, data in given]
+    Phi, Gamma = transitions(*arrays)
+    return read_only(Phi), read_only(Gamma)
+
+
+def whole_stretches(
+    A: np.ndarray, B: np.ndarray, stretches: Stretches
+) -> tuple[np.ndarray, np.ndarray]:
+    """Φ and Γ of the stretches."""
+    Phi, Gamma = discretise_all(A, B, _modes_of(stretches), stretches.stop - stretches.start)
+    return read_only(Phi), read_only(Gamma)
+
+
+def _modes_of(stretches: Stretches) -> np.ndarray:
+    return np.repeat(np.arange(stretches.first.size - 1), np.diff(stretches.first))
+
+
+@kernel
+def go_on(Phi, Gamma, part_Phi, part_Gamma):
+    """Let a part follow on Φ, Γ, which are overwritten."""
+    n, m = Gamma.shape
+    moved, entered = np.empty((n, n)), np.empty((n, m))
+    product(part_Phi, Phi, moved)
+    product(part_Phi, Gamma, entered)
+    for i in range(n):
+        for j in range(n):
+            Phi[i, j] = moved[i, j]
+        for j in range(m):
+            Gamma[i, j] = entered[i, j] + part_Gamma[i, j]
+
+
+@kernel(plain=transitions_at_once)
+def transitions(A, B, start, stop, mode, cut, cut_offset, cut_mode):
+    """Φ and Γ of entries, part after part."""
+    n, m = B.shape[1:]
+    Phi, Gamma = np.empty((start.size, n, n)), np.empty((start.size, n, m))
+    for e in range(start.size):
+        of, now, begun = mode[e], start[e], False
+        for p in range(cut[e, 0], cut[e, 1] + 1):
+            until = cut_offset[p] if p < cut[e, 1] else stop[e]
+            if until > now:
+                if begun:
+                    part_Phi, part_Gamma = discretise(A[of], B[of], until - now)
+                    go_on(Phi[e], Gamma[e], part_Phi, part_Gamma)
+                else:
+                    discretise_into(A[of], B[of], until - now, Phi[e], Gamma[e])
+                now, begun = until, True
+            if p < cut[e, 1]:
+                of = cut_mode[p + 1]
+    return Phi, Gamma
+
+
+@kernel(plain=gramians_at_once)
+def gramians(A, B, table, cut_offset, cut_mode, Q):
+    """`gramian_up_to` of every entry, to its end."""
+    q = B.shape[1] + B.shape[2]
+    M = np.empty((table.mode.size, q, q))
+    for e in range(table.mode.size):
+        own = gramian_up_to(A, B, table, cut_offset, cut_mode, e, table.stop[e], Q)
+        for i in range(q):
+            for j in range(q):
+                M[e, i, j] = own[i, j]
+    return M
+
+
+@kernel
+def up_to(A, B, table, cut_offset, cut_mode, e, end):
+    """Φ, Γ of entry e from its start up to `end` seconds after the period's sample."""
+    n, m = B.shape[1:]
+    Phi, Gamma = np.eye(n), np.zeros((n, m))
+    mode, now = table.mode[e], table.start[e]
+    for p in range(table.cut[e, 0], table.cut[e, 1] + 1):
+        until = min(cut_offset[p], end) if p < table.cut[e, 1] else end
+        if until > now:
+            part_Phi, part_Gamma = discretise(A[mode], B[mode], until - now)
+            go_on(Phi, Gamma, part_Phi, part_Gamma)
+            now = until
+        if p < table.cut[e, 1]:
+            mode = cut_mode[p + 1]
+    return Phi, Gamma
+
+
+@kernel
+def gramian_up_to(A, B, table, cut_offset, cut_mode, e, end, Q):
+    """M with ∫xᵀQx dt = zᵀ M z, z = (x, u), over entry e from its start up to `end`."""
+    n, m = B.shape[1:]
+    M, spare, carried = np.zeros((n + m, n + m)), np.empty((n + m, n + m)), np.eye(n + m)
+    Phi, Gamma = np.eye(n), np.zeros((n, m))
+    mode, now = table.mode[e], table.start[e]
+    for p in range(table.cut[e, 0], table.cut[e, 1] + 1):
+        until = min(cut_offset[p], end) if p < table.cut[e, 1] else end
+        if until > now:
+            for i in range(n):
+                for j in range(n):
+                    carried[i, j] = Phi[i, j]
+                for j in range(m):
+                    carried[i, n + j] = Gamma[i, j]
+            add_congruence(carried, gramian(A[mode], B[mode], until - now, Q), spare, M)
+            if p < table.cut[e, 1]:
+                part_Phi, part_Gamma = discretise(A[mode], B[mode], until - now)
+                go_on(Phi, Gamma, part_Phi, part_Gamma)
+            now = until
+        if p < table.cut[e, 1]:
+            mode = cut_mode[p + 1]
+    return M

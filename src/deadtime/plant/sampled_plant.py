@@ -99,7 +99,7 @@ class SampledPlant(Frozen):
         return _made_before(plant, positive("step", step), alike=False)
 
     def cut_alike(self) -> SampledPlant:
-        """The same with the periods of all modes cut at the same instants, if they are not yet.
+        """This plant with the periods of all modes cut at the same instants, if they are not yet.
 
         So a stretch can be moved over whatever the mode becomes within it.
 
@@ -146,7 +146,7 @@ class SampledPlant(Frozen):
 
     @cached_property
     def ahead(self) -> Ahead:
-        """What acts until an input computed now arrives."""
+        """The inputs that act until one computed now arrives."""
         step, count, phase = self.window.step, self.window.count, self.window.phase
         stop = phase + np.arange(count) * step
         start = np.concatenate(([0.0], stop[:-1]))
@@ -171,7 +171,7 @@ class SampledPlant(Frozen):
     @cached_property
     def _whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Φ and Γ of the stretches."""
-        from deadtime.plant.cut_pieces import whole_stretches
+        from deadtime.plant.pieces import whole_stretches
 
         return whole_stretches(self.plant.A, self.plant.B, self.every_stretch)
 
@@ -217,7 +217,7 @@ class SampledPlant(Frozen):
 
 
 def _along(sampled: SampledPlant, cuts: Cuts, periods: int) -> PieceTable:
-    from deadtime.plant.cut_pieces import pieces_along
+    from deadtime.plant.pieces import pieces_along
 
     A, B = sampled.plant.A, sampled.plant.B
     place = cuts.step, cuts.offset, cuts.mode
@@ -226,7 +226,7 @@ def _along(sampled: SampledPlant, cuts: Cuts, periods: int) -> PieceTable:
 
 
 def _gramians(sampled: SampledPlant, cuts: Cuts, periods: int, Q: bytes) -> np.ndarray:
-    from deadtime.plant.cut_pieces import gramians
+    from deadtime.plant.pieces import gramians
 
     (A, B), table = (sampled.plant.A, sampled.plant.B), sampled.along(cuts, periods)
     weight = read_only(np.frombuffer(Q).reshape(A.shape[1:]))

@@ -177,7 +177,6 @@ class UncertainPlant(Frozen):
 
 
 def _level(level: float) -> float:
-    """A probability."""
     if not 0.0 < number("level", level) < 1.0:
         raise ArgumentError(f"level must be between 0 and 1, got {level:g}.")
     return level

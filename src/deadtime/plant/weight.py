@@ -1,4 +1,4 @@
-"""What a run costs: ∫ xᵀQx + uᵀRu, the one place that says so.
+"""The cost of a run, ∫ xᵀQx + uᵀRu: the one place that defines it.
 
 A `Weight` is given as `weight` to whatever measures or minimises a cost. None stands for the
 identity, ∫|x|² + |u|², whose integrals are there in any case.
@@ -73,7 +73,7 @@ class Weight(Frozen):
         return f"∫xᵀQx + uᵀRu, Q = {_text_of(self.Q)}, R = {_text_of(self.R)}"
 
     def of(self, plant: SwitchedSystem, where: str = "weight.") -> Weight:
-        """The same with matrices of the plant's sizes; `where` stands before names in messages.
+        """This weight with matrices of the plant's sizes; `where` stands before names in messages.
 
         Raises
         ------

@@ -14,7 +14,7 @@ from deadtime.feedback import Feedback
 from deadtime.feedback.belief import BankForm, Belief
 from deadtime.feedback.memory import Memory
 from deadtime.imperfections import Sizes
-from deadtime.imperfections.actuators import InputLimits
+from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.numerics.lanes import LANES, KnownNumbers
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.belief_memory import belief_lanes

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.imperfections.actuators import limit_input
+from deadtime.imperfections.sensors_and_actuators import limit_input
 from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import (
     LANES,

@@ -13,7 +13,7 @@ from deadtime.feedback import Law
 from deadtime.feedback.memory import Tables
 from deadtime.feedback.table import OLDEST, follow
 from deadtime.imperfections import Disturbance, Sizes
-from deadtime.imperfections.actuators import InputLimits
+from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.loop.belief_steps import BeliefState
 from deadtime.loop.observer_steps import ObserverState
 from deadtime.plant.discretisation import snap

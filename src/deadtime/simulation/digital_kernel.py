@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from deadtime.imperfections.actuators import limit_input
+from deadtime.imperfections.sensors_and_actuators import limit_input
 from deadtime.loop.belief_steps import believe
 from deadtime.loop.observer_steps import observe
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
-from deadtime.plant.cut_pieces import up_to
+from deadtime.plant.pieces import up_to
 from deadtime.simulation.loop_arrays import LIMIT
 from deadtime.simulation.plain_loop import bare_loop, is_bare
 from deadtime.simulation.preview_loop import foresee

@@ -179,7 +179,7 @@ class DigitalRecord(Frozen):
 
     def _whole_steps(self, steps: int, Q: np.ndarray) -> float:
         """∫xᵀQx over the steps 0, …, steps − 1."""
-        from deadtime.plant.cut_pieces import gramians
+        from deadtime.plant.pieces import gramians
         from deadtime.simulation.digital_kernel import form_integral
 
         table, (B, acting) = self.table, self.driving_inputs
@@ -207,7 +207,7 @@ class DigitalRecord(Frozen):
 
     def _within_step(self, k: int, end: float, Q: np.ndarray) -> float:
         """∫xᵀQx over [t_k, t_k + end], end < h."""
-        from deadtime.plant.cut_pieces import gramian_up_to
+        from deadtime.plant.pieces import gramian_up_to
 
         if self.slides is not None and k in self.slides.steps:
             return self._within_slide(k, end, Q)

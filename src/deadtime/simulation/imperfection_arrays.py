@@ -16,8 +16,8 @@ from deadtime.imperfections import (
     Sizes,
     TimingImperfection,
 )
-from deadtime.imperfections.actuators import InputLimits
 from deadtime.imperfections.received import is_known, relayed
+from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.plant.discretisation import snap_all
 
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams

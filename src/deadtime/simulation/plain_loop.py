@@ -16,7 +16,7 @@ from deadtime.plant.pieces import PieceTable
 from deadtime.simulation.loop_arrays import LIMIT, DelayLine, Rows
 
 if TYPE_CHECKING:
-    from deadtime.imperfections.actuators import InputLimits
+    from deadtime.imperfections.sensors_and_actuators import InputLimits
     from deadtime.simulation.sight import Sight
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.numerics.kernels import kernel
-from deadtime.plant.cut_pieces import up_to
+from deadtime.plant.pieces import up_to
 
 
 @kernel

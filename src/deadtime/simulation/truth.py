@@ -107,7 +107,7 @@ class KnownTruth(Truth):
         return self._table.Phi[entry] @ x + self._table.Gamma[entry] @ u + self._shift[q]
 
     def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
-        from deadtime.plant.cut_pieces import up_to
+        from deadtime.plant.pieces import up_to
 
         A, B, table, cuts = self._plant.A, self._plant.B, self._table, self._cuts
         entries = table.entry[table.first[k] : table.first[k + 1]]

@@ -6,6 +6,7 @@ from .growth import (
     constant_growth as constant_growth,
     growth_bounds as growth_bounds,
     growth_rate as growth_rate,
+    least_growth as least_growth,
 )
 from .lifted import (
     DENSE as DENSE,
@@ -14,4 +15,3 @@ from .lifted import (
     lifted_loop as lifted_loop,
     with_memory as with_memory,
 )
-from .loop_units import least_growth as least_growth

@@ -14,8 +14,7 @@ from deadtime.numerics.exponential import ROUND_OFF, balanced, discretise, discr
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 from deadtime.plant.pieces import Period
-from deadtime.spectrum.lifted import Joined, aged_row, periods_of, transform
-from deadtime.spectrum.loop_units import in_units, units_of
+from deadtime.spectrum.lifted import Joined, aged_row, in_units, periods_of, transform, units_of
 from deadtime.spectrum.response import LoopResponse, Samples, offsets_of
 from deadtime.switching import SwitchingSignal
 
@@ -56,7 +55,7 @@ class DigitalResponse(LoopResponse):
         return np.pi / self.step
 
     def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(self.A.shape[0])
+        z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))
         return z - self.Phi, 1j * self.step * z
 
     def law(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,10 +164,6 @@ class ObservedResponse(DigitalResponse):
         offsets = offsets_of(plant, mode)
         return cls(A, B, gain, G, feedback.step, X.Phi, offsets, model, X.true)
 
-    def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))
-        return z - self.Phi, 1j * self.step * z
-
     def _observer_delay_line(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """p_o and its slope by ω, (points, size − n, m)."""
         n_o, m = self.model.Gamma.shape[1:]
@@ -193,15 +188,10 @@ class ObservedResponse(DigitalResponse):
     def matrix(
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        m, size = self.F.shape
-        n, (p_o, p_o_slope) = self.true, self._observer_delay_line(omega)
-        p, p_slope, p_speed = self.delay_line(omega, delay)
-        Delta, slope, speed = np.zeros((3, omega.size, size + m, size + m), complex)
-        Delta[:, :size, :size], slope[:, :size, :size] = self.free(omega)
-        Delta[:, size:, size:], slope[:, size:, size:] = self.law(omega)
-        Delta[:, size:, :size] = -self.F
-        Delta[:, :n, size:], slope[:, :n, size:], speed[:, :n, size:] = -p, -p_slope, -p_speed
-        Delta[:, n:size, size:], slope[:, n:size, size:] = -p_o, -p_o_slope
+        Delta, slope, speed = super().matrix(omega, delay)
+        size, (p_o, p_o_slope) = len(self.Phi), self._observer_delay_line(omega)
+        Delta[:, self.true : size, size:] = -p_o
+        slope[:, self.true : size, size:] = -p_o_slope
         return Delta, slope, speed
 
 

@@ -99,7 +99,7 @@ or give a longer step, 0.04 s.
 def _too_long(
     asked: Asked, plant: SwitchedSystem, law: Law, step: float | None, trials: int = 1
 ) -> str:
-    """What makes an answer take long, and with which step it does not; empty where none does."""
+    """Why an answer takes long, and with which step it does not; empty where it does not."""
     seconds = seconds_of(asked, plant, law, step, trials)
     most = _SEARCH if asked == "design" else MOST
     if step is None or seconds <= most:

@@ -37,12 +37,12 @@ from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Law
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
-from deadtime.spectrum.loop_units import in_units, units_of
 from deadtime.spectrum.sampled_runs import LoopPeriods, forward
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
 LEADING = 32  # eigenvalues that are looked at for doubts about the largest
+_FAR = 50  # powers of two by which an input's effect may differ from 1
 _MOST_VECTORS = 90  # of Arnoldi's method
 _POWERS = 200_000  # of w that are held at a time
 
@@ -81,7 +81,7 @@ class LiftedLoop:
         return n + self.past * m
 
     def balance(self) -> LiftedLoop:
-        """The same loop, of the same eigenvalues, with inputs in `units_of` their effect."""
+        """A loop of the same eigenvalues, with inputs in `units_of` their effect."""
         Gamma = self.period.Gamma
         power = units_of(Gamma.reshape(-1, Gamma.shape[2]))
         Gamma, F, G = in_units(power, Gamma, self.F, self.G)
@@ -89,20 +89,8 @@ class LiftedLoop:
 
     def matrix(self) -> Float[np.ndarray, "order order"]:
         """L of z_{k+1} = L z_k."""
-        m, n = self.F.shape
-        taps = self.G.shape[0]
-        L = np.zeros((self.order, self.order))
-        u = L[n : n + m]
-        u[:, :n] = self.F
-        u[:, n : n + taps * m] = self.G.transpose(1, 0, 2).reshape(m, taps * m)
-        L[n + m :, n:-m] = np.eye(self.order - n - m)
-        L[:n, :n] += self.period.Phi
-        for lag, Gamma in zip(self.period.lags, self.period.Gamma, strict=True):
-            if lag == 0:
-                L[:n] += Gamma @ u
-            else:
-                L[:n, n + (lag - 1) * m : n + lag * m] += Gamma
-        return L
+        A, B = with_line(self.period, self.order)
+        return A + B @ input_row(self.F, self.G, self.order)
 
     @cached_property
     def _periods(self) -> LoopPeriods:
@@ -234,6 +222,35 @@ def aged_row(feedback: Feedback, mode: int) -> int:
     return feedback.row(mode, feedback.ages, feedback.state_gain.shape[0] - 1)
 
 
+def with_line(period: Period, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """A (size, size), B (size, m) of states and the inputs on the line behind them, latest first.
+
+    z = (x_k, u_{k−1}, …) goes to A z + B u_k: the line is shifted, and what leaves it acts.
+    """
+    (n, m), A = period.Gamma.shape[1:], np.zeros((size, size))
+    B = np.zeros((size, m))
+    if size > n:
+        A[n + m :, n:-m] = np.eye(size - n - m)
+        B[n : n + m] = np.eye(m)
+    A[:n, :n] = period.Phi
+    for lag, Gamma in zip(period.lags, period.Gamma, strict=True):
+        if lag == 0:
+            B[:n] += Gamma
+        else:
+            A[:n, n + (lag - 1) * m : n + lag * m] += Gamma
+    return A, B
+
+
+def input_row(
+    F: Float[np.ndarray, "m n"], G: Float[np.ndarray, "tap m m"], size: int
+) -> Float[np.ndarray, "m size"]:
+    """(F, G_1, G_2, …, 0), the row of u_k = F x_k + Σ_j G_j u_{k−j}."""
+    (m, n), taps, row = F.shape, len(G), np.zeros((len(F), size))
+    row[:, :n] = F
+    row[:, n : n + taps * m] = G.transpose(1, 0, 2).reshape(m, taps * m)
+    return row
+
+
 def leading_eigenvalue(
     apply: Callable[[np.ndarray], np.ndarray], start: np.ndarray, tolerance: float
 ) -> tuple[complex, np.ndarray] | None:
@@ -282,7 +299,7 @@ def transform(G, w):
 
 
 class LawSide(NamedTuple):
-    """What observer and law make of what is seen, w = (x̄, s): w' = A w + B y, u = E w + D y.
+    """Observer and law from what is seen, w = (x̄, s): w' = A w + B y, u = E w + D y.
 
     Without the inputs that arrive, and without the law's taps.
     """
@@ -335,7 +352,7 @@ class Joined(NamedTuple):
         return cls(Phi, np.hstack((side.D, side.E)), n)
 
     def arrivals(self, x: Period, x_bar: Period) -> Period:
-        """The same with its inputs: those of the plant and of the observer's model, lag by lag."""
+        """Its period with inputs: those of the plant and of the observer's model, lag by lag."""
         n, m = x.Gamma.shape[1:]
         rows = {"plant": slice(0, n), "model": slice(n, n + x_bar.Gamma.shape[1])}
         lags = tuple(sorted({*x.lags, *x_bar.lags}, reverse=True))
@@ -359,3 +376,21 @@ def observed_loop(
     x, x_bar = periods_of(plant, law, mode)
     X = Joined.of(law, x, x_bar, feedback.state_gain[row], mode)
     return LiftedLoop(X.arrivals(x, x_bar), X.gain, feedback.input_gain[row])
+
+
+def units_of(effect: Float[np.ndarray, "row m"]) -> np.ndarray:
+    """Powers of two, (m,), by which to count inputs so that they act neither much nor little.
+
+    Of eigenvalues of a loop whose inputs act 1e100 times as much as they are large nothing would be
+    left but round-off. 0 where an input acts as much as usual.
+    """
+    power = np.frexp(np.abs(effect).max(axis=0))[1]
+    return np.where(np.abs(power) <= _FAR, 0, power)
+
+
+def in_units(
+    power: np.ndarray, effect: np.ndarray, F: np.ndarray, G: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The inputs' effect (…, m) and the row (F, G) that computes them, in other units."""
+    column = power[:, None]
+    return np.ldexp(effect, -power), np.ldexp(F, column), np.ldexp(G, column - power)

@@ -23,7 +23,7 @@ from deadtime.numerics.exponential import balance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
 from deadtime.spectrum.ideal import IdealLoop
-from deadtime.spectrum.lifted import LawSide, aged_row, periods_of, transform
+from deadtime.spectrum.lifted import LawSide, aged_row, input_row, periods_of, transform, with_line
 from deadtime.switching import SwitchingSignal
 
 
@@ -83,29 +83,17 @@ class OpenLoop:
 
     def plant_system(self) -> StateSpace:
         """The plant from v to y, z = (x_k, v_{k−1}, …, v_{k−N})."""
-        Phi, Gamma, lags = self.plant
-        n, m = Gamma.shape[1:]
-        size = n + max(lags) * m
-        A, B = _shifting(size, n, m)
-        A[:n, :n] = Phi
-        for lag, arriving in zip(lags, Gamma, strict=True):
-            _add_input(A, B, slice(0, n), lag, arriving)
-        return StateSpace(A, B, np.hstack((self.C, np.zeros((len(self.C), size - n)))),
-                          np.zeros((len(self.C), m)))  # fmt: skip
+        n, m = self.plant.Gamma.shape[1:]
+        A, B = with_line(self.plant, n + max(self.plant.lags) * m)
+        C = np.hstack((self.C, np.zeros((len(self.C), len(A) - n))))
+        return StateSpace(A, B, C, np.zeros((len(self.C), m)))
 
     def law_system(self) -> StateSpace:
         """The law from y to u, z = (w_k, u_{k−1}, …, u_{k−W})."""
-        side, (_, Gamma, lags) = self.law, self.arriving
-        taps, m, _ = self.G.shape
-        w = len(side.A)
-        size = w + max(taps, *lags, 0) * m
-        C = np.zeros((m, size))
-        C[:, :w] = side.E
-        C[:, w : w + taps * m] = self.G.transpose(1, 0, 2).reshape(m, taps * m)
-        A, B = _shifting(size, w, m)
-        A[:w, :w] = side.A
-        for lag, arriving in zip(lags, Gamma, strict=True):
-            _add_input(A, B, slice(0, w), lag, arriving)
+        side, (taps, m, _), w = self.law, self.G.shape, len(self.law.A)
+        size = w + max(taps, *self.arriving.lags, 0) * m
+        A, B = with_line(self.arriving._replace(Phi=side.A), size)
+        C = input_row(side.E, self.G, size)
         # What enters the line is u_k, which y_k has a part in.
         A, into = A + B @ C, B @ side.D
         into[:w] += side.B
@@ -137,26 +125,6 @@ def ideal_responses(
     F = loop.F / balance(plant.A[mode])  # whose states are in other units
     before = np.eye(plant.inputs) - loop.memory(s)[0]
     return _resolvent(s, plant.A[mode]) @ late, np.linalg.solve(before, F + 0j)
-
-
-def _shifting(size: int, first: int, m: int) -> tuple[np.ndarray, np.ndarray]:
-    """A and B that move m inputs on a line behind `first` states, and do no more."""
-    A, B = np.zeros((size, size)), np.zeros((size, m))
-    if size > first:
-        A[first + m :, first:-m] = np.eye(size - first - m)
-        B[first : first + m] = np.eye(m)
-    return A, B
-
-
-def _add_input(
-    A: np.ndarray, B: np.ndarray, rows: slice, lag: int, arriving: Float[np.ndarray, "n m"]
-) -> None:
-    """Let an input of so many samples ago act on the states in `rows`."""
-    first, m = rows.stop, arriving.shape[1]
-    if lag == 0:
-        B[rows] += arriving
-    else:
-        A[rows, first + (lag - 1) * m : first + lag * m] += arriving
 
 
 def _resolvent(

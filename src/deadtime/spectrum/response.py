@@ -32,7 +32,7 @@ from deadtime.spectrum.ideal import IdealLoop
 
 
 class Samples(NamedTuple):
-    """What does not depend on the true delay, at frequencies ω (points,), slopes by ω.
+    """The parts of Δ that do not depend on the true delay, at frequencies ω (points,), slopes by ω.
 
     plant : tr((zI − Φ)⁻¹ dz/dω);  M, M_slope : (points, m, m);  r, r_slope : (points, m, n)
     """
@@ -45,7 +45,7 @@ class Samples(NamedTuple):
     r_slope: np.ndarray
 
     def repeat(self, times: int) -> Samples:
-        """The same frequencies again and again."""
+        """These frequencies again and again."""
         return Samples(*(np.concatenate([part] * times) for part in self))
 
 
@@ -122,7 +122,7 @@ class LoopResponse(Response):
 
     @abstractmethod
     def even_law(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same at the frequencies (k + ½)/count · highest, all at once."""
+        """`law` at the frequencies (k + ½)/count · highest, all at once."""
 
     @abstractmethod
     def arriving(
@@ -161,11 +161,13 @@ class LoopResponse(Response):
         """Δ and its slopes by ω and by the delay, a delay for each frequency."""
         m, n = self.F.shape
         p, p_slope, p_speed = self.delay_line(omega, delay)
+        true = p.shape[1]  # an observer's states read other inputs
         Delta, slope, speed = np.zeros((3, omega.size, n + m, n + m), complex)
         Delta[:, :n, :n], slope[:, :n, :n] = self.free(omega)
         Delta[:, n:, n:], slope[:, n:, n:] = self.law(omega)
         Delta[:, n:, :n] = -self.F
-        Delta[:, :n, n:], slope[:, :n, n:], speed[:, :n, n:] = -p, -p_slope, -p_speed
+        for part, entries in zip((Delta, slope, speed), (p, p_slope, p_speed), strict=True):
+            part[:, :true, n:] = -entries
         return Delta, slope, speed
 
 

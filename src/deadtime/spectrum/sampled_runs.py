@@ -28,7 +28,7 @@ from deadtime.plant.pieces import Period, Piece
 
 
 class LoopPeriods(NamedTuple):
-    """What happens in each period of a loop, for its compiled runs; after the last comes the first.
+    """The periods of a loop, as its compiled runs take them; after the last comes the first.
 
     first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
     rows : (periods,), of the law's table
@@ -131,6 +131,7 @@ def forward(loop, x, line, states):
     for k in range(samples):
         step = k % cycle
         row, now = loop.rows[step], (past + k) * m
+        # The taps lie oldest first, as the line does, so that a row is one dot product with it.
         for i in range(m):
             line[now + i] = _dot(G[row, i], line[now - window : now]) + _dot(F[row, i], x)
         for q in range(loop.first[step], loop.first[step + 1]):
@@ -140,6 +141,7 @@ def forward(loop, x, line, states):
                 for j in range(m):
                     acting = loop.others[e, j] * line[now - loop.lag[e, j] * m + j]
                     total += Gamma[e, i, j] * acting
+                # One power for all inputs: others are 1 but where delays differ.
                 total *= loop.power[e]
                 for j in range(n):
                     total += Phi[e, i, j] * x[j]
@@ -165,6 +167,7 @@ def carry_back(loop, p, line, moved):
         row, now = loop.rows[k], (past + k) * m
         for q in range(loop.first[k + 1] - 1, loop.first[k] - 1, -1):
             e = loop.entry[q]
+            # Forwards the weight of the period comes last, so transposed it comes first.
             end = loop.weight if q == loop.first[k + 1] - 1 else 1.0
             for j in range(m):
                 acts = now - loop.lag[e, j] * m + j
@@ -208,6 +211,7 @@ def cost_of_run(loop, form, lags, x, line, states, spare, most, done, largest):
             line[i] = line[block * m + i]
         forward(loop, x, line, states)
         added = 0.0
+        # `states` has ends of periods: the state that a period starts from is kept in `spare`.
         for k in range(block):
             for p in range(lags.size):
                 for j in range(m):

@@ -195,7 +195,7 @@ class SwitchingConstraint:
         )
 
     def in_words(self, when: str = "at any time") -> tuple[str, str]:
-        """What signals do by it, after "that": how long they stay, and how they switch.
+        """A clause about its signals, to follow "that": how long they stay, and how they switch.
 
         Examples
         --------

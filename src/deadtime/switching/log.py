@@ -26,7 +26,7 @@ LATEST = 10**11  # seconds; counted from 1970 it is the year 5138
 
 
 class SwitchingLog(NamedTuple):
-    """What a log says, as `SwitchingSignal` takes it: times in seconds from the first row."""
+    """A log's content as `SwitchingSignal` takes it: times in seconds from the first row."""
 
     times: Float[np.ndarray, " sojourn"]
     modes: Int[np.ndarray, " sojourn"]

@@ -31,7 +31,7 @@ Instants = Literal["anywhere", "samples"]
 
 
 class SignalOptions(TypedDict, total=False):
-    """What `SignalClass` takes beside the dwell time."""
+    """The keywords of `SignalClass` beside the dwell time."""
 
     maximum_dwell: PerMode | None
     transitions: ArrayLike | None
@@ -148,7 +148,7 @@ class SignalClass:
 
     @classmethod
     def of(cls, dwell_time: PerMode | SignalClass, **signals: Unpack[SignalOptions]) -> SignalClass:
-        """What a function was given: a class of signals, or a dwell time with keywords."""
+        """The class that a function was given, itself or as a dwell time with keywords."""
         if isinstance(dwell_time, SignalClass) and signals:
             name = next(iter(signals))
             raise ArgumentError(
@@ -260,7 +260,7 @@ class SignalClass:
         return f"{every} with a dwell time of {least!r} s"
 
     def in_words(self, modes: int) -> tuple[str, str]:
-        """What signals do, after "that": how long they stay or how often they switch, and how.
+        """A clause to follow "signals that": how long they stay or how often they switch, and how.
 
         Examples
         --------

@@ -23,7 +23,7 @@ _LEAST = 1e-9  # of a floor: less is not told apart
 
 @dataclass(frozen=True)
 class Floors:
-    """What a design must have at least.
+    """The least that a design must have.
 
     margin : relative to the delay; 0 where none is asked for
     decay_rate : of the slowest constant mode, 1/s; 0 where none is asked for
@@ -197,7 +197,7 @@ class Design(Frozen):
     initial: InitialStates | StationaryNoise = field(default_factory=InitialStates.ball)
 
     def missed(self, point: TradeOff) -> tuple[str, ...]:
-        """What it falls short of: of "margin", "decay rate", "input limit" those asked in vain."""
+        """Those of "margin", "decay rate", "input limit" that were asked and are not met."""
         floors = Floors(self.asked, self.decay_asked, self.input_limit)
         return floors.shortfalls(point.margin, point.decay_rate, floors.load(point.input_peak))
 

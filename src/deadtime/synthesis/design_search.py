@@ -200,7 +200,7 @@ _LONGER = (1, 2, 5, 10, 20, 50, 100)  # times the step: what is tried where long
 def pairs_of(
     search: DesignSearch, filtered: bool | None, step: float, longest_step: float | None
 ) -> list[tuple[ChoiceFamily, float]]:
-    """What is varied: families of parameters and periods."""
+    """The families of parameters and the periods that are varied."""
     kinds = [False, True] if filtered is None else [filtered]
     family = Poles if search.plant.inputs == 1 else Weights
     families = [family(search.plant, kind) for kind in kinds]

@@ -1,4 +1,4 @@
-"""What a search varies: parameters that make gains, and a filter's time constant with them.
+"""Parameters that a search varies: they make gains, and a filter's time constant with them.
 
 With a filter the plant has u as a state and v = du/dt as its input,
 
@@ -94,7 +94,7 @@ class Poles(ChoiceFamily):
 
     @property
     def unit(self) -> float:
-        """What frequencies are measured in, 1/s."""
+        """The unit of frequencies, 1/s."""
         return max(
             float(np.abs(np.linalg.eigvals(self.plant.A)).max()), 0.3 / self.plant.longest_delay
         )

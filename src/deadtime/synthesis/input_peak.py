@@ -131,7 +131,7 @@ def input_peak(
 
 
 def check_initial(initial: Source | None, plant: SwitchedSystem) -> Source:
-    """What the states at the start are, the unit ball by default; or the noise."""
+    """The states at the start, the unit ball by default; or the noise."""
     if initial is None:
         return InitialStates.ball()
     if not isinstance(initial, Source):
@@ -145,7 +145,7 @@ def check_initial(initial: Source | None, plant: SwitchedSystem) -> Source:
 def limits_asked(
     plant: SwitchedSystem, input_limit: ArrayLike | None
 ) -> Float[np.ndarray, " m"] | None:
-    """What |u_j| must stay below, (m,); None where nothing is asked."""
+    """The limit of each |u_j|, (m,); None where none is asked."""
     if input_limit is None:
         return None
     limit = bound("input_limit", input_limit, plant.inputs)
@@ -193,7 +193,7 @@ def mode_levels(
 
 
 def _unbounded(plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `mode_levels` says of a mode that grows."""
+    """`mode_levels` of a mode that grows."""
     infinite = np.full(plant.inputs, math.inf)
     return infinite, infinite, np.zeros(plant.inputs, np.int64)
 

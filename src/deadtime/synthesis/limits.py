@@ -123,7 +123,7 @@ _LOST = 1e-9  # of a direction
 
 @dataclass(frozen=True, eq=False)
 class DelayLimit(Frozen):
-    """What the delay margin of one mode can be at all (immutable).
+    """Limits of the delay margin of one mode, whatever the controller (immutable).
 
     Relative to the delay; of several, to the plant's shortest, as `DelayMargin.relative`.
 

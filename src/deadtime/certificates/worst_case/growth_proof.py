@@ -7,7 +7,7 @@ not computed: ill-conditioned ones would come out wrong. From
 
 follows ρ ≥ (|tr M^q|/d)^(1/q), so a trace above d proves ρ > 1. It is tried at q = 1, 2, 4, …;
 where the leading eigenvalues turn and their sum happens to vanish, it does not at the next q.
-Constant modes have bounds of their own, at any order (`deadtime.spectrum.root_enclosure`).
+Constant modes have bounds of their own, at any order (`deadtime.spectrum.growth`).
 
 The matrices of the plant and the rows of the law's table are the binary64 numbers stored, and the
 switches fall where the signal's binary64 times say, in the first cycle.
@@ -27,7 +27,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.plant.discretisation import Cuts
 from deadtime.plant.pieces import PieceTable
 from deadtime.spectrum import aged_row
-from deadtime.spectrum.root_enclosure import LARGEST, enclose_growth, exact_matrix, exact_period
+from deadtime.spectrum.growth import LARGEST, enclose_growth, exact_matrix, exact_period
 from deadtime.switching.grid import cuts_of
 
 BITS = (192, 384, 768, 1536)

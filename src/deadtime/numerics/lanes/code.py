@@ -114,6 +114,14 @@ def vectors(count: int) -> types.UniTuple:
     return types.UniTuple(EIGHT, count)
 
 
+def same_for_all(builder: Any, kind: Any, value: Any) -> Any:
+    """A vector of this kind with one value for every scenario."""
+    undefined = ir.Constant(kind, ir.Undefined)
+    first = builder.insert_element(undefined, value, ir.Constant(INDEX, 0))
+    zeros = ir.Constant(ir.VectorType(INDEX, LANES), [0] * LANES)
+    return builder.shuffle_vector(first, undefined, zeros)
+
+
 class Code:
     """Instructions on vectors, for the intrinsics below."""
 
@@ -132,10 +140,7 @@ class Code:
 
     def same(self, number: Any) -> Any:
         """One number for every scenario."""
-        undefined = ir.Constant(VECTOR, ir.Undefined)
-        first = self.builder.insert_element(undefined, number, ir.Constant(INDEX, 0))
-        zeros = ir.Constant(ir.VectorType(INDEX, LANES), [0] * LANES)
-        return self.builder.shuffle_vector(first, undefined, zeros)
+        return same_for_all(self.builder, VECTOR, number)
 
     def load_same(self, kind: Any, array: Any, index: Any, shift: int) -> Any:
         return self.same(self.builder.load(self.place(kind, array, index, shift)))

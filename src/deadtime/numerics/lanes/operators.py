@@ -24,7 +24,16 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, regist
 from numba.np.arrayobj import populate_array
 
 from deadtime.numerics import numbers
-from deadtime.numerics.lanes.code import EIGHT, LANES, VECTOR, WORDS, Code, KnownNumbersType, Lanes
+from deadtime.numerics.lanes.code import (
+    EIGHT,
+    LANES,
+    VECTOR,
+    WORDS,
+    Code,
+    KnownNumbersType,
+    Lanes,
+    same_for_all,
+)
 from deadtime.numerics.lanes.intrinsics import exponent_of, mantissa_of
 
 _LOG2_E, _LN2_HIGH, _LN2_LOW = (
@@ -101,23 +110,15 @@ class _TruthsModel(models.PrimitiveModel):
 _EIGHT_TRUTHS = _Truths()
 
 
-def _same(builder: Any, kind: Any, value: Any) -> Any:
-    """One value for every scenario."""
-    undefined = ir.Constant(kind, ir.Undefined)
-    first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-    return builder.shuffle_vector(first, undefined, zeros)
-
-
 @lower_cast(types.float64, Lanes)
 def _widen(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    return _same(builder, VECTOR, value)
+    return same_for_all(builder, VECTOR, value)
 
 
 @lower_cast(types.BooleanLiteral, _Truths)
 @lower_cast(types.boolean, _Truths)
 def _widen_truth(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    return _same(builder, _TRUTHS, value)
+    return same_for_all(builder, _TRUTHS, value)
 
 
 def _register(functions: Any, work: Callable[..., Any], result: Any, *kinds: Any) -> None:

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from deadtime.base.palette import (
+from deadtime.base.figure_style import (
     BLUE,
     BROWN,
     GREEN,

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deadtime.base.figure_files import new_figure
-from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
-from deadtime.base.palette import BLACK, GREY
+from deadtime.base.figure_style import BLACK, COLOURS, GREY, LINES, STYLE, WIDTH, plain
 from deadtime.base.wording import inwards
 from deadtime.margins.loop_view import LoopView, ModeView
 from deadtime.margins.step_response import StepResponse

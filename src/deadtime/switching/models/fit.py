@@ -218,7 +218,6 @@ def _fit_mode(
 
 
 def _families(family: object, modes: int) -> list[str]:
-    """One family's name per mode."""
     single = not isinstance(family, (list, tuple))
     given = [family] * modes if single else list(family)
     if len(given) != modes:

@@ -324,7 +324,7 @@ def require_few(horizon: float, mean: float) -> None:
 
 
 def _numbers(signals: int, block: int) -> Callable[..., np.ndarray]:
-    """What gives random numbers: NumPy where few are asked for, else compiled; bitwise equal."""
+    """The source of random numbers: NumPy where few are asked for, else compiled; bitwise equal."""
     if signals <= FEW_SIGNALS and block <= FEW_BLOCKS:
         return uniforms
     from deadtime.numerics import generators

@@ -39,7 +39,7 @@ EQUAL = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Observed(Frozen):
-    """What logs say about the sojourns in one mode, seconds.
+    """Logged sojourns in one mode, seconds.
 
     Attributes
     ----------

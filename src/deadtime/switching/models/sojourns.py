@@ -20,7 +20,7 @@ from deadtime.base.errors import ArgumentError
 
 @runtime_checkable
 class Distribution(Protocol):
-    """What a sojourn's distribution must offer, beside `sf` or `logsf`."""
+    """The interface of a sojourn's distribution, beside `sf` or `logsf`."""
 
     def cdf(self, x: Any, /) -> Any:
         """P(S ≤ x)."""

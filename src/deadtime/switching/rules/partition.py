@@ -77,7 +77,7 @@ def _units(H: np.ndarray, h: np.ndarray) -> Float[np.ndarray, " n"]:
 
 
 def _without_redundant_rows(H: np.ndarray, h: np.ndarray) -> Polyhedron:
-    """The same polyhedron, to a tenth of the tolerance, without the rows that others imply.
+    """A polyhedron, to a tenth of the tolerance, without the rows that others imply.
 
     Where rows are as few as those of a box, to look for them takes longer than to keep them.
     """

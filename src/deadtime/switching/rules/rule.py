@@ -23,8 +23,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.switching.rules.motion import Motion
 from deadtime.switching.rules.partition import require_partition
-from deadtime.switching.rules.region_motion import RegionMotion, Regions
-from deadtime.switching.rules.sampled_motion import SampledMotion
+from deadtime.switching.rules.region_and_sampled_motion import RegionMotion, Regions, SampledMotion
 from deadtime.switching.signal import SwitchingSignal
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.base.palette import (
+from deadtime.base.figure_style import (
     BLUE,
     BROWN,
     GREEN,
