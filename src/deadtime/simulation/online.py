@@ -117,6 +117,7 @@ def _run(
 
     h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
     path, first = [x0], [0]
+    measured = None if lags is None else [part.tolist() for part in lags.instants(h, kept)]
     stop, last = None, None
     for k in range(grid.periods):
         x, now = path[-1], past + k
@@ -129,7 +130,9 @@ def _run(
             if piece == 0 and k < kept:
                 age = age_after(-1 if last is None else last, age, truth.mode)
                 last = truth.mode
-                seen = x if lags is None else _before(truth, k, lags, path, first, grid)
+                seen = x
+                if measured is not None:
+                    seen = _measured(truth, *(part[k] for part in measured), path, first, grid)
                 try:
                     asked = update(seen, inputs[:now], last, age)
                     inputs[now] = require_input(asked, inputs.shape[1])
@@ -145,23 +148,13 @@ def _run(
     return kept, path, stop
 
 
-def _before(
-    truth: Truth,
-    k: int,
-    lags: MeasurementLags,
-    path: list[np.ndarray],
-    first: list[int],
-    grid: Grid,
+def _measured(
+    truth: Truth, j: int, offset: float, path: list[np.ndarray], first: list[int], grid: Grid
 ) -> np.ndarray:
-    """x as it is measured for t_k, at time 0 at least; NaN while nothing has arrived."""
-    h, late, early = grid.sampled.step, lags.missing[k], lags.early[k]
-    ratio = max(0.0, snap(k - (late + early) / h))
-    if snap(k - late / h) < 0.0:
+    """x at t_j + offset; NaN where j is −1, as nothing has arrived."""
+    if j < 0:
         return np.full(path[0].size, np.nan)
-    j = int(np.floor(ratio))
-    if ratio == j:
-        return path[first[j]]
-    return truth.within(j, (ratio - j) * h, path, grid.acting)
+    return path[first[j]] if offset == 0.0 else truth.within(j, offset, path, grid.acting)
 
 
 def _join(note: str, truth: Truth, end: float | None) -> str:
