@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from deadtime.simulation import Trajectory
-from deadtime.simulation.columns import numbered_columns
+from deadtime.simulation.trajectory import numbered_columns
 
 
 def csv_of(runs: Mapping[str, Trajectory]) -> str:

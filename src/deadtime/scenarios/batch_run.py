@@ -34,8 +34,7 @@ from deadtime.scenarios.named_laws import named_laws
 from deadtime.scenarios.source import SignalSampler, source_of
 from deadtime.simulation.outcome import is_pushed
 from deadtime.simulation.simulate import require_steps
-from deadtime.simulation.step_figures import TRACKING
-from deadtime.simulation.tracking import Followed
+from deadtime.simulation.tracking import TRACKING, Followed
 from deadtime.switching import SignalBatch, SwitchingModel, SwitchingSignal
 
 if TYPE_CHECKING:

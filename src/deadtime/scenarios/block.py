@@ -25,8 +25,7 @@ from deadtime.scenarios.shared_instants import Instants
 from deadtime.scenarios.side_by_side import from_scenario, groups
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
-from deadtime.simulation.step_figures import step_info, step_info_of
-from deadtime.simulation.tracking import Followed
+from deadtime.simulation.tracking import Followed, step_info, step_info_of
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.version import __version__
 from deadtime.plant.weight import PLAIN, Weight
-from deadtime.simulation.step_figures import TRACKING
+from deadtime.simulation.tracking import TRACKING
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -23,7 +23,7 @@ from deadtime.imperfections.received import DrawnRelaying, relayed
 from deadtime.numerics.pcg import Streams
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.source import scenario_seeds
-from deadtime.simulation.imperfection_arrays import lags_of
+from deadtime.simulation.loop_arrays import lags_of
 
 
 class RunLength(NamedTuple):

@@ -16,7 +16,7 @@ from deadtime.scenarios.laid import TOLERANCE, series
 def find_instants(missing, early, step, period, offset):
     """Fill in the period, −1 before time 0, and the seconds into it at which x is measured.
 
-    As `simulation.imperfection_arrays.MeasurementLags.instants`: missing, early (runs or 1,
+    As `simulation.loop_arrays.MeasurementLags.instants`: missing, early (runs or 1,
     samples or 1), the others (runs, samples).
     """
     runs, samples = period.shape

@@ -29,7 +29,7 @@ from deadtime.scenarios.lane_types import SightLanes
 from deadtime.scenarios.records import Records
 from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import groups
-from deadtime.simulation.imperfection_arrays import MeasurementLags
+from deadtime.simulation.loop_arrays import MeasurementLags
 from deadtime.switching import SignalBatch
 
 

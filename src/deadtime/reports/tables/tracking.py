@@ -13,7 +13,7 @@ from deadtime.plant.steps import TOLERANCE
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import events_of
-from deadtime.simulation.step_figures import TRACKING
+from deadtime.simulation.tracking import TRACKING
 
 if TYPE_CHECKING:
     from deadtime.scenarios.dataset import Comparison
