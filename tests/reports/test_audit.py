@@ -21,7 +21,7 @@ from deadtime.reports.audit.measure import (
 )
 from deadtime.reports.audit.sweeps import move_modes, stretch
 from deadtime.reports.figures.audit import plot_claims, plot_distances, plot_dwell_times
-from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired_statistics import Proportion
 
 PROBLEM = dt.problems.paper()
 SCENARIOS = 40

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.delays import longest_delay
-from deadtime.scenarios.sweeps.axes import Draft
-from deadtime.scenarios.sweeps.study_sojourns import sojourn_section
+from deadtime.scenarios.sweeps.axes import Draft, sojourn_section
 
 _SHARE = 0.2  # of the delay, where a file says nothing that a dwell time could be read from
 

@@ -12,7 +12,7 @@ from deadtime.app.offered_laws import Section
 from deadtime.app.ranges import FROM_FILE, IDEAL, Range, ranges_of, steps_of
 from deadtime.app.settings import DrawnSignal, GivenSignal, Settings
 from deadtime.problems.file.schema import RULES
-from deadtime.scenarios.sweeps.study_sojourns import FAMILIES
+from deadtime.scenarios.sweeps.axes import FAMILIES
 
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 10)}
 

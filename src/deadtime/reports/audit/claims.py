@@ -11,7 +11,7 @@ from deadtime.base.wording import amount, as_rate
 from deadtime.problems import Problem
 from deadtime.reports.audit.claim import Claim
 from deadtime.reports.audit.measure import LEAD, MEAN, TRANSIENT, AuditEvidence, is_stabilised
-from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired_statistics import Proportion
 from deadtime.switching import SwitchingSignal
 
 NUMBER = {LEAD: "(2)", MEAN: "(80)"}

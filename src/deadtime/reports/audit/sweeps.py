@@ -15,7 +15,7 @@ from deadtime.problems.comparison import Progress
 from deadtime.reports.audit.claim import Claim, Sweep
 from deadtime.reports.audit.measure import LEAD, MEAN, AuditEvidence, is_stabilised, random_signals
 from deadtime.scenarios import monte_carlo
-from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired_statistics import Proportion
 from deadtime.switching import SwitchingSignal
 
 STRETCH = (0.5, 1.0, 2.0, 4.0)  # dwell times, as multiples of the example's

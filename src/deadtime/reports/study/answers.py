@@ -16,7 +16,7 @@ from deadtime.reports.study.knowledge_answer import (
 )
 from deadtime.reports.study.mean_answer import AVERAGED, MEAN, MOST, averaged_or_mean
 from deadtime.reports.study.phrases import Answer, of_cells, percent, region
-from deadtime.scenarios.sweeps.study_laws import AWARE, ORACLE, knowledge_of, within
+from deadtime.scenarios.sweeps.axes import AWARE, ORACLE, knowledge_of, within
 
 if TYPE_CHECKING:
     import xarray as xr

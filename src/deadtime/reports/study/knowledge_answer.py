@@ -23,7 +23,7 @@ from deadtime.reports.study.phrases import (
     words_of,
 )
 from deadtime.reports.study.tables import by_dwell_time, table
-from deadtime.scenarios.sweeps.study_laws import AWARE
+from deadtime.scenarios.sweeps.axes import AWARE
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -14,7 +14,7 @@ from deadtime.problems.law_registry import LEVELS
 from deadtime.reports.study.findings import best, summary
 from deadtime.reports.study.phrases import Answer
 from deadtime.reports.study.study_runs import failures
-from deadtime.scenarios.sweeps.study_laws import ORACLE, knowledge_of, within
+from deadtime.scenarios.sweeps.axes import ORACLE, knowledge_of, within
 
 if TYPE_CHECKING:
     import xarray as xr

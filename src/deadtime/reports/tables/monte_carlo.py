@@ -18,8 +18,7 @@ from deadtime.base.json_records import plain
 from deadtime.base.latex import booktabs
 from deadtime.base.wording import compact
 from deadtime.scenarios.dataset import Comparison
-from deadtime.scenarios.paired.proportion import Proportion
-from deadtime.scenarios.paired.statistics import median_interval
+from deadtime.scenarios.paired_statistics import Proportion, median_interval
 
 if TYPE_CHECKING:
     import xarray as xr

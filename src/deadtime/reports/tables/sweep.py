@@ -25,7 +25,7 @@ from deadtime.reports.figures.sweeps.selection import (
 from deadtime.reports.figures.sweeps.titles import symbol_of
 from deadtime.reports.tables.monte_carlo import interval_text
 from deadtime.scenarios.dataset import formula_of
-from deadtime.scenarios.paired.statistics import mean_interval, median_interval, quotient
+from deadtime.scenarios.paired_statistics import mean_interval, median_interval, quotient
 
 if TYPE_CHECKING:
     import xarray as xr
