@@ -367,12 +367,11 @@ class PreviewLaw(NamedTuple):
         until = np.searchsorted(sample.min(axis=1), np.arange(samples))
         latest = np.broadcast_to(foresight.latest, (modes, m, m))
         move = np.concatenate((table.Phi, table.Gamma), axis=2)
-        arrays = (
-            move.reshape(-1, n * (n + m)),
-            np.column_stack((table.entry, sample)),
-            np.column_stack((begin, until)),
-            np.concatenate((foresight.gains, latest), axis=2).reshape(modes, -1),
-            foresight.modes_ahead(samples),
+        return cls(
+            read_only(move.reshape(-1, n * (n + m))),
+            read_only(np.column_stack((table.entry, sample))),
+            read_only(np.column_stack((begin, until))),
+            read_only(np.concatenate((foresight.gains, latest), axis=2).reshape(modes, -1)),
+            read_only(foresight.modes_ahead(samples)),
+            PreviewState.of(PreviewSizes.of(n, m, m), int((until - begin).max())),
         )
-        slots = int((until - begin).max())
-        return cls(*map(read_only, arrays), PreviewState.of(PreviewSizes.of(n, m, m), slots))

@@ -219,7 +219,8 @@ def _run(
                 last = truth.mode
                 seen = x
                 if measured is not None:
-                    seen = _measured(truth, *(part[k] for part in measured), path, first, grid)
+                    j, offset = measured[0][k], measured[1][k]
+                    seen = _measured(truth, j, offset, path, first, grid)
                 try:
                     asked = update(seen, inputs[:now], last, age)
                     inputs[now] = require_input(asked, inputs.shape[1])
