@@ -12,7 +12,7 @@ from scipy.stats import expon
 import deadtime as dt
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.batch_loop import Loop
-from deadtime.scenarios.window_form import window_form
+from deadtime.scenarios.engine import window_form
 from deadtime.switching import SignalBatch
 
 PAPER, X0 = dt.problems.paper(), (-1.0, 1.0)

@@ -6,9 +6,8 @@ import deadtime as dt
 import plants
 from by_sample import by_sample
 from deadtime.imperfections import Disturbance, Noise, RateLimit, Saturation, Sizes, streams
-from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.loop_arrays import Grid
-from deadtime.simulation.online import run_online
+from deadtime.simulation.online import ImperfectLaw, run_online
 
 MODEL = plants.generic()
 # Not what the law believes: N = 3, φ = 0.051 and other matrices.

@@ -159,7 +159,7 @@ from deadtime.reports.figures.colours import colour_of
 from deadtime.problems.law_registry import the_law
 from deadtime.base.figure_style import SLATE
 from deadtime.problems import json_schema, load_problem
-from deadtime.scenarios.sweeps.study_laws import kinds_of
+from deadtime.scenarios.sweeps.axes import kinds_of
 
 assert laws_on_offer(open_named("paper"))[0]["current mode"] == {"kind": "current-mode"}
 assert colour_of("current mode") == SLATE

@@ -25,7 +25,7 @@ from deadtime.imperfections import (
 from deadtime.scenarios import scenario_seed
 from deadtime.scenarios.sweeps.blocks import _ALONE, _of_law
 from deadtime.scenarios.sweeps.study import Loop
-from deadtime.simulation.imperfection_arrays import Arrays
+from deadtime.simulation.loop_arrays import Arrays
 from shares import mostly_long
 
 LAW = plants.LAWS["averaged"](MODEL)

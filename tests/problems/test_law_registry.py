@@ -24,7 +24,7 @@ from deadtime.problems.law_registry import (
     the_law,
 )
 from deadtime.problems.literature import template
-from deadtime.scenarios.sweeps.study_laws import DEFAULT, KINDS
+from deadtime.scenarios.sweeps.axes import DEFAULT, KINDS
 
 PAPER = dt.problems.paper()
 GAIN = dt.place(PAPER.plant.mean(), [-1.0, -2.0])[0]

@@ -20,7 +20,7 @@ from deadtime.reports.audit_evidence import (
     random_signals,
 )
 from deadtime.reports.figures.audit import plot_claims, plot_distances, plot_dwell_times
-from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired_statistics import Proportion
 
 PROBLEM = dt.problems.paper()
 SCENARIOS = 40

@@ -22,7 +22,7 @@ from deadtime.reports.study.findings import (
 )
 from deadtime.reports.study.phrases import region
 from deadtime.reports.study.report import write_study
-from deadtime.scenarios.paired.statistics import mean_interval, median_interval
+from deadtime.scenarios.paired_statistics import mean_interval, median_interval
 from small_study import PLAIN
 
 

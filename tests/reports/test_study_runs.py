@@ -16,9 +16,8 @@ from deadtime.reports.study.answers import answers
 from deadtime.reports.study.findings import best, summary
 from deadtime.reports.study.study_data import failures
 from deadtime.scenarios.sweeps import load_study
+from deadtime.scenarios.sweeps.axes import FAMILIES, kinds_of, sojourn_section, within
 from deadtime.scenarios.sweeps.cell import run_cell
-from deadtime.scenarios.sweeps.study_laws import kinds_of, within
-from deadtime.scenarios.sweeps.study_sojourns import FAMILIES, sojourn_section
 from small_study import PLAIN, load
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "paper.toml"

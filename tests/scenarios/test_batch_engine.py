@@ -16,8 +16,7 @@ from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import Stretch
 from deadtime.scenarios import draw_signals
 from deadtime.scenarios.batch_loop import Loop
-from deadtime.scenarios.engine import Engine
-from deadtime.scenarios.window_form import window_form
+from deadtime.scenarios.engine import Engine, window_form
 from deadtime.switching import SignalBatch
 
 METRICS = ("ise", "energy", "cost", "peak", "settling_time", "decay_rate", "final_norm")
@@ -117,7 +116,7 @@ class OwnLags(SampledPlant):
 def test_every_input_and_mode_may_have_lags_of_its_own(tabulated, monkeypatch):
     # Against a loop that reads who acts when between any two events, with SciPy's exponential.
     if not tabulated:
-        monkeypatch.setattr("deadtime.scenarios.cut_periods.MOST_NUMBERS", 0.0)
+        monkeypatch.setattr("deadtime.scenarios.periods.MOST_NUMBERS", 0.0)
     plant, step, samples = plants.generic(0.234), 0.1, 30
     loop = Loop(OwnLags(plant, step), np.ones(3), samples * step + 0.03)
     rng = np.random.default_rng(1)
@@ -268,7 +267,7 @@ def test_a_first_mode_of_any_age_is_as_in_single_runs():
 
 
 def test_what_would_not_fit_into_memory_is_refused_with_the_estimate(monkeypatch):
-    module = importlib.import_module("deadtime.scenarios.memory_needed")
+    module = importlib.import_module("deadtime.scenarios.batch_run")
     monkeypatch.setattr(module, "free_memory", lambda: 2.0**30)
     message = r"trajectories of 1,000,000 scenarios of 81 samples under 3 laws would take 5.* GiB"
     with pytest.raises(dt.ArgumentError, match=message):

@@ -11,9 +11,8 @@ import plants
 from deadtime.imperfections import RateLimit, Saturation
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.batch_loop import Loop
-from deadtime.scenarios.engine import Engine
+from deadtime.scenarios.engine import Engine, ModelAhead
 from deadtime.scenarios.lane_loop import run_scenarios
-from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.scenario_sums import ScenarioSums, metrics_of, needs_own_run
 from deadtime.switching import SignalBatch
 from shares import mostly_long

@@ -14,7 +14,7 @@ from scipy.stats import expon, uniform
 
 import deadtime as dt
 import plants
-from deadtime.scenarios.sweeps.content import source_of, values_of
+from deadtime.scenarios.sweeps.function_study import source_of, values_of
 from own_sweep import filled, make_loop
 
 Pair = namedtuple("Pair", "a b")

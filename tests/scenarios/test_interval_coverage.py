@@ -6,8 +6,7 @@ from math import comb
 import numpy as np
 import pytest
 
-from deadtime.scenarios.paired.proportion import Proportion
-from deadtime.scenarios.paired.statistics import mean_interval, median_interval
+from deadtime.scenarios.paired_statistics import Proportion, mean_interval, median_interval
 
 RUNS = 4000
 # Two standard errors of a share near 95 % of so many runs, and then some.

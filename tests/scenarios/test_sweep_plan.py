@@ -5,7 +5,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.scenarios import plan_of
-from deadtime.scenarios.sweeps import pilot
+from deadtime.scenarios.sweeps import plan
 from own_sweep import make_loop
 
 GRID = {"delay": [0.1, 0.2, 0.3, 0.4], "weight": np.linspace(0.2, 0.8, 25).tolist()}
@@ -21,8 +21,8 @@ class Clock:
     def __init__(self, monkeypatch, start, each, compiling=20.0):
         self.now, self.runs, self._compiled = 0.0, [], False
         self._start, self._each, self._compiling = start, each, compiling
-        monkeypatch.setattr(pilot.time, "process_time", lambda: self.now)
-        monkeypatch.setattr(pilot, "run_cell", self.run)
+        monkeypatch.setattr(plan.time, "process_time", lambda: self.now)
+        monkeypatch.setattr(plan, "run_cell", self.run)
 
     def run(self, study, cell):
         self.runs.append((cell.index, study.scenarios))
@@ -42,7 +42,7 @@ def test_cells_that_cost_what_they_are_said_to_but_for_a_factor_are_found_exactl
 ):
     costs = np.linspace(1.0, 3.0, 100).reshape(4, 25)
     clock = Clock(monkeypatch, start * costs, each * costs)
-    found = pilot.time_cells(study_of(), costs, filled(True))
+    found = plan.time_cells(study_of(), costs, filled(True))
     wanted = (start + 10_000 * each) * costs.sum()
     assert found.seconds == pytest.approx(wanted, rel=1e-9)
     assert found.cells == len({index for index, _ in clock.runs})
@@ -61,13 +61,13 @@ def test_kinds_of_cells_that_are_said_to_cost_the_same_are_found_within_a_factor
     start[DEAR[dear]] *= 30.0
     each[DEAR[dear]] *= 30.0
     Clock(monkeypatch, start, each)
-    found = pilot.time_cells(study_of(), filled(0.3), filled(True)).seconds
+    found = plan.time_cells(study_of(), filled(0.3), filled(True)).seconds
     assert 0.5 < found / (start + 10_000 * each).sum() < 2.0
 
 
 def test_a_cell_of_few_signals_is_run_whole_and_never_on_more(monkeypatch):
     clock = Clock(monkeypatch, filled(0.2), filled(0.01))
-    found = pilot.time_cells(study_of(scenarios=100), filled(1.0), filled(True))
+    found = plan.time_cells(study_of(scenarios=100), filled(1.0), filled(True))
     assert {signals for _, signals in clock.runs} == {100}
     assert found.seconds == pytest.approx(100 * 1.2)
 
@@ -76,16 +76,16 @@ def test_cells_that_are_done_are_neither_run_nor_counted(monkeypatch):
     missing = filled(False)
     missing[3, 5:9] = True
     clock = Clock(monkeypatch, filled(0.1), filled(1e-3))
-    found = pilot.time_cells(study_of(), filled(1.0), missing)
+    found = plan.time_cells(study_of(), filled(1.0), missing)
     assert {index for index, _ in clock.runs} == {(3, i) for i in range(5, 9)}
     assert (found.cells, found.seconds) == (4, pytest.approx(4 * 10.1))
-    assert pilot.time_cells(study_of(), filled(1.0), filled(False)) == (0.0, 0)
+    assert plan.time_cells(study_of(), filled(1.0), filled(False)) == (0.0, 0)
 
 
 def test_a_study_without_axes_is_one_cell(monkeypatch):
     clock = Clock(monkeypatch, {(): 0.1}, {(): 1e-3})
     study = dt.function_study(lambda: make_loop(0.3, 0.5), {}, scenarios=10_000)
-    found = pilot.time_cells(study, np.array(5.0), np.array(True))
+    found = plan.time_cells(study, np.array(5.0), np.array(True))
     assert (found.cells, found.seconds) == (1, pytest.approx(10.1))
     assert {index for index, _ in clock.runs} == {()}
 

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 import deadtime as dt
 import ideal_residual
-from deadtime.simulation.ideal.breakpoints import Shift, pass_on
+from deadtime.simulation.ideal.segments import Shift, pass_on
 from shares import mostly_long
 
 SEEDS = range(8)

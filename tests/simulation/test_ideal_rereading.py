@@ -192,7 +192,7 @@ def test_a_law_of_another_model_sends_what_its_predictions_say(name, number, rer
 
 
 def test_delays_that_differ_too_little_are_refused_by_name(monkeypatch):
-    import deadtime.simulation.ideal.rereading as rereading
+    import deadtime.simulation.ideal.branch_march as rereading
 
     monkeypatch.setattr(rereading, "_MOST_PIECES", 3)
     plant, K, signal, x0 = problem(1)

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import deadtime as dt
 import plants
 from deadtime.simulation.ideal import rule_march
-from deadtime.simulation.ideal.sent import Sent
+from deadtime.simulation.ideal.rule_parts import Sent
 from rule_reading_reference import Loop
 from shares import mostly_long
 from swinging import (

@@ -9,7 +9,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
-from deadtime.simulation.step_figures import TRACKING, fill_step_info, step_info
+from deadtime.simulation.tracking import TRACKING, fill_step_info, step_info
 
 PLANT = dt.SwitchedSystem(
     [[[0.0, 1.0], [0.0, -0.5]], [[0.0, 1.1], [0.0, 0.3]]], [[[0.0], [1.0]], [[0.0], [0.8]]], 0.25

@@ -16,7 +16,7 @@ from deadtime.app.settings import DrawnSignal, GivenSignal, Section, Settings
 from deadtime.base.wording import subscript
 from deadtime.problems.file.schema import RULES
 from deadtime.problems.imperfection_registry import SWEPT, Slider
-from deadtime.scenarios.sweeps.study_sojourns import FAMILIES
+from deadtime.scenarios.sweeps.axes import FAMILIES
 
 FROM_FILE = "as in the file"
 IDEAL = "ideal"

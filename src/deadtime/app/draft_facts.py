@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.base.wording import input_names
-from deadtime.scenarios.sweeps.axes import Draft
-from deadtime.scenarios.sweeps.study_sojourns import sojourn_section
+from deadtime.scenarios.sweeps.axes import Draft, sojourn_section
 
 
 def longest_delay(draft: Mapping[str, Any]) -> float:

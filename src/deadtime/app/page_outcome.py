@@ -28,9 +28,9 @@ from deadtime.problems.unit_checks import unit_checks_of
 from deadtime.reports.figures.colours import Look, looks_of
 from deadtime.reports.metrics import measure_title
 from deadtime.simulation import Trajectory
-from deadtime.simulation.columns import numbered_columns
 from deadtime.simulation.outcome import Outcome as Ending, why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR, measure_of
+from deadtime.simulation.trajectory import numbered_columns
 from deadtime.switching import SwitchingSignal
 
 DASHES = ("solid", "dashed", "dashdot", "dotted")

@@ -293,7 +293,7 @@ class InputLimits(NamedTuple):
     relative: Bool[np.ndarray, " limit"]
 
     @classmethod
-    def of(cls, imperfections: Sequence[Imperfection], sizes: Sizes) -> InputLimits:
+    def of(cls, imperfections: Sequence[Imperfection | Limiting], sizes: Sizes) -> InputLimits:
         """The limits among them."""
         limits = [each.limits(sizes) for each in imperfections if isinstance(each, Limiting)]
         shape = len(limits), sizes.inputs

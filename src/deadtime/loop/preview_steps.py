@@ -13,7 +13,7 @@ Pieces have numbers, piece q lies in slot q modulo the number of slots. Numbers 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -62,7 +62,7 @@ class PreviewState(NamedTuple):
 
 
 # A part of who calls it where that is compiled, but run by Python in a run that is short.
-_step = {"nogil": True, "forceinline": True, "_nrt": False}
+_step: dict[str, Any] = {"nogil": True, "forceinline": True, "_nrt": False}
 
 
 @kernel(**_step)

@@ -27,7 +27,7 @@ from deadtime.reports.audit_evidence import (
     random_signals,
 )
 from deadtime.scenarios import monte_carlo
-from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired_statistics import Proportion
 from deadtime.switching import SwitchingSignal
 
 NUMBER = {LEAD: "(2)", MEAN: "(80)"}

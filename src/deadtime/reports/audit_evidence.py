@@ -12,7 +12,7 @@ from deadtime.feedback import Feedback
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Progress
 from deadtime.scenarios import scenario_seed
-from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired_statistics import Proportion
 from deadtime.simulation import Trajectory
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.switching import SwitchingSignal

@@ -17,8 +17,7 @@ from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import events_of
-from deadtime.simulation.step_figures import TRACKING
-from deadtime.simulation.tracking import TRACKING_ERROR
+from deadtime.simulation.tracking import TRACKING, TRACKING_ERROR
 
 if TYPE_CHECKING:
     from deadtime.scenarios.dataset import Comparison as ManyRuns

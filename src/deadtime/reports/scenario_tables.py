@@ -31,8 +31,12 @@ from deadtime.reports.figures.sweeps.selection import (
     text_of,
 )
 from deadtime.scenarios.dataset import Comparison, formula_of
-from deadtime.scenarios.paired.proportion import Proportion
-from deadtime.scenarios.paired.statistics import mean_interval, median_interval, quotient
+from deadtime.scenarios.paired_statistics import (
+    Proportion,
+    mean_interval,
+    median_interval,
+    quotient,
+)
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -16,17 +16,19 @@ from deadtime.imperfections import Limiting
 from deadtime.numerics.covariance import square_root
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.plant.discretisation import snap, snap_all
-from deadtime.scenarios.acting import Acting, acting_of
-from deadtime.scenarios.cut_periods import (
+from deadtime.scenarios.periods import (
     WIDE,
+    Acting,
     CellSeries,
+    Laid,
     Maps,
+    Records,
+    acting_of,
     balanced_norm,
     pack,
     tables_of,
     whole_periods,
 )
-from deadtime.scenarios.records import Laid, Records
 from deadtime.simulation.trajectory import LATE
 from deadtime.switching import SignalBatch
 
@@ -181,7 +183,7 @@ class Loop:
         until: Float[np.ndarray, " part"],
     ) -> Float[np.ndarray, "part n z"]:
         """x(t_k + τ) = M z_k: the M of cut periods `cut`, `until` being τ, seconds."""
-        from deadtime.scenarios.laid_sights import follow_cuts
+        from deadtime.scenarios.laid import follow_cuts
 
         assert self.tables is not None
         _, n, m = self.acting.B.shape

@@ -1,9 +1,17 @@
-"""`monte_carlo`: several laws over many switching signals, as a labelled dataset."""
+"""`monte_carlo`: several laws over many switching signals, as a labelled dataset.
+
+Scenarios are run in blocks on threads, with progress, and with an end when the user asks for one;
+the memory that the whole needs is asked for before it starts.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -27,15 +35,11 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.block import Block
-from deadtime.scenarios.block_threads import Progress, run_blocks, show_progress
-from deadtime.scenarios.dataset import METRICS, Comparison, Results, dataset_of
-from deadtime.scenarios.memory_needed import require_memory
-from deadtime.scenarios.named_laws import named_laws
+from deadtime.scenarios.dataset import METRICS, Comparison, Results, dataset_of, named_laws
 from deadtime.scenarios.source import SignalSampler, source_of
 from deadtime.simulation.outcome import is_pushed
 from deadtime.simulation.simulate import require_steps
-from deadtime.simulation.step_figures import TRACKING
-from deadtime.simulation.tracking import Followed
+from deadtime.simulation.tracking import TRACKING, Followed
 from deadtime.switching import SignalBatch, SwitchingModel, SwitchingSignal
 
 if TYPE_CHECKING:
@@ -45,6 +49,98 @@ if TYPE_CHECKING:
     Model = SignalSampler | Sequence[SwitchingSignal] | SignalBatch
 else:
     Laws = Model = object  # `named_laws` and `source_of` check them, with better messages
+
+_SHARE = 0.8  # of the memory that is free
+
+
+def free_memory() -> float:
+    """Bytes of memory that are free, or all there are where the system does not tell."""
+    for name in ("SC_AVPHYS_PAGES", "SC_PHYS_PAGES"):
+        if name in getattr(os, "sysconf_names", {}):
+            return float(os.sysconf(name)) * float(os.sysconf("SC_PAGE_SIZE"))
+    return float("inf")
+
+
+def require_memory(what: str, needed: float, advice: str) -> None:
+    """Refuse what would take more than four fifths of the free memory."""
+    free = free_memory()
+    if needed > _SHARE * free:
+        raise ArgumentError(
+            f"{what} would take {needed / 2**30:,.1f} GiB, and {free / 2**30:,.1f} GiB of memory "
+            f"are free: {advice}."
+        )
+
+
+Progress = Callable[[int, int], None]
+RunBlock = Callable[[int, int, Callable[[], bool]], int]
+
+_CHECK = 0.2  # seconds between looks at the keyboard
+
+
+def run_blocks(
+    run: RunBlock, scenarios: int, size: int, threads: int, progress: Progress
+) -> tuple[int, bool]:
+    """Run all scenarios in blocks of `size`; the sum of what blocks return, and if cut short.
+
+    Ctrl-C ends the run within a block's time: blocks in hand are left, those done are kept. An
+    error in a block ends the run, too.
+    """
+    starts = iter(range(0, scenarios, size))
+    stop = threading.Event()
+    total, done, running = 0, 0, {}
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="deadtime")
+    try:
+        while True:
+            # No more are handed over than are needed to keep all threads busy.
+            while len(running) < threads + 1 and (start := next(starts, None)) is not None:
+                count = min(size, scenarios - start)
+                running[pool.submit(run, start, count, stop.is_set)] = count
+            if not running:
+                return total, False
+            finished, _ = wait(running, _CHECK, FIRST_COMPLETED)
+            for future in finished:
+                done += running.pop(future)
+                total += future.result()
+                progress(done, scenarios)
+    except KeyboardInterrupt:
+        stop.set()
+        return total + _rest(running), True
+    finally:
+        stop.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _rest(running: dict[Future[int], int]) -> int:
+    """What blocks return that were in hand at the end."""
+    for future in running:
+        future.cancel()
+    finished, _ = wait(running)
+    return sum(
+        future.result() for future in finished if not future.cancelled() and not future.exception()
+    )
+
+
+@contextmanager
+def show_progress(progress: Progress | bool | None, scenarios: int) -> Iterator[Progress]:
+    """The function to report progress to: the user's, a bar on the terminal, or none."""
+    if progress is None or progress is False:
+        yield lambda done, total: None
+    elif progress is True:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+        console = Console(stderr=True)
+        columns = (BarColumn(), MofNCompleteColumn(), "scenarios", TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task("", total=scenarios)
+            yield lambda done, total: bar.update(task, completed=done)
+    elif callable(progress):
+        yield progress
+    else:
+        raise ArgumentError(
+            f"progress must be True, False or a function (done, total), got {progress!r}."
+        )
+
 
 _BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios
 _MOST_TERMS = 1500  # of straight-line code for a period of the plant

@@ -15,18 +15,16 @@ from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingIm
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.dataset import Results
+from deadtime.scenarios.drawn import Rooms
 from deadtime.scenarios.forces import ForceMaps, forces_of
 from deadtime.scenarios.lane_types import Hearing
+from deadtime.scenarios.periods import Laid
 from deadtime.scenarios.received_lanes import HeardBlock
-from deadtime.scenarios.records import Laid
-from deadtime.scenarios.rooms import Rooms
-from deadtime.scenarios.scenario_sums import Path, metrics_of, needs_own_run
-from deadtime.scenarios.shared_instants import Instants
+from deadtime.scenarios.scenario_sums import Instants, Path, metrics_of, needs_own_run
 from deadtime.scenarios.side_by_side import from_scenario, groups
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
-from deadtime.simulation.step_figures import step_info, step_info_of
-from deadtime.simulation.tracking import Followed
+from deadtime.simulation.tracking import Followed, step_info, step_info_of
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 

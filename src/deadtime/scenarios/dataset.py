@@ -1,4 +1,4 @@
-"""Metrics of laws over scenarios as a labelled dataset."""
+"""Metrics of laws, by their names, over scenarios as a labelled dataset."""
 
 from __future__ import annotations
 
@@ -9,12 +9,55 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from deadtime.base.errors import ArgumentError
 from deadtime.base.version import __version__
+from deadtime.feedback import Law
 from deadtime.plant.weight import PLAIN, Weight
-from deadtime.simulation.step_figures import TRACKING
+from deadtime.simulation.tracking import TRACKING
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+def named_laws(laws: object) -> dict[str, Law]:
+    """Laws by name, in their order."""
+    if isinstance(laws, Mapping):
+        pairs = list(laws.items())
+    elif isinstance(laws, Sequence) and not isinstance(laws, str):
+        pairs = [(_label_of(law), law) for law in laws]
+    else:
+        hint = ": for one law, write [law]" if isinstance(laws, Law) else ""
+        raise ArgumentError(
+            f"laws must be a list of laws, or a dict of names to laws, got "
+            f"{type(laws).__name__}{hint}."
+        )
+    if not pairs:
+        raise ArgumentError("laws must hold at least one law, got none.")
+    named: dict[str, Law] = {}
+    for name, law in pairs:
+        if not isinstance(law, Law):
+            raise ArgumentError(f"laws must hold laws only, got {type(law).__name__}.")
+        if not isinstance(name, str):
+            raise ArgumentError(f"laws must have names that are strings, got {name!r}.")
+        if name in named:
+            raise ArgumentError(
+                f"laws must have different labels, got {name!r} twice: "
+                "name them yourself, with a dict of names to laws."
+            )
+        named[name] = law
+    return named
+
+
+def _label_of(law: object) -> str:
+    """A law's own name."""
+    label = getattr(law, "label", "")
+    if not isinstance(label, str):
+        raise ArgumentError(
+            f"{type(law).__name__}.label must be a text, got a {type(label).__name__}: make it a "
+            "property, or name the laws yourself, with a dict of names to laws."
+        )
+    return label
+
 
 # Metric: (unit, long name), in the order and under the names of `Trajectory.metrics()`.
 METRICS = {

@@ -1,23 +1,35 @@
-"""The engine: tables of laws along signals, eight scenarios to a vector (`scenarios.lane_loop`)."""
+"""The engine: tables of laws along signals, eight scenarios to a vector (`scenarios.lane_loop`).
+
+Factorised rows are brought into the form that costs least per period. The factorisation
+G_{c,j} = H_c S^{j−1} Γ_s leaves the basis open: H T, T⁻¹ S T, T⁻¹ Γ_s is the same table. In the
+basis of its eigenvectors S is diagonal, or has 2 × 2 blocks for pairs of complex ones, which saves
+most of the work. Whether a basis is good enough is not guessed from its condition but measured: the
+taps that it gives are compared with the table's own.
+
+Of a law that knows the signal the model is laid along signals, as far ahead as it looks.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Feedback
+from deadtime.feedback import Factor, Feedback, Foresight
 from deadtime.feedback.belief import BankForm, Belief
+from deadtime.feedback.law import Law
 from deadtime.feedback.memory import Memory
 from deadtime.imperfections import Sizes
 from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.numerics.lanes import LANES, KnownNumbers
+from deadtime.plant import SampledPlant
 from deadtime.scenarios.batch_loop import Loop
-from deadtime.scenarios.belief_memory import belief_lanes
+from deadtime.scenarios.laid import compose_cuts
 from deadtime.scenarios.lane_loop import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.lane_types import (
     Dense,
@@ -27,14 +39,218 @@ from deadtime.scenarios.lane_types import (
     PlantLanes,
     RunLanes,
 )
-from deadtime.scenarios.model_ahead import ModelAhead
-from deadtime.scenarios.observer_memory import ObserverLanes, OutputLanes
-from deadtime.scenarios.preview_lanes import KnownSignalModel, PreviewLanes
-from deadtime.scenarios.records import Laid
+from deadtime.scenarios.law_lanes import KnownSignalModel, PreviewLanes
+from deadtime.scenarios.periods import Laid, Records, compose, parts_of
 from deadtime.scenarios.scenario_sums import Path, ScenarioSums
 from deadtime.scenarios.side_by_side import groups
-from deadtime.scenarios.window_form import WindowForm, window_form
-from deadtime.switching import SignalBatch
+from deadtime.scenarios.state_lanes import ObserverLanes, OutputLanes, belief_lanes
+from deadtime.switching import SignalBatch, SwitchingSignal
+
+ACCURACY = 2e-13  # of the largest entry of a tap
+_MOST_ROWS, _MOST_ORDER = 4, 48  # beyond, dense rows cost less than straight-line code
+
+
+class WindowForm(NamedTuple):
+    """Factorised taps for a window of `length` = N − 1 inputs, and the last tap.
+
+    out : H (rows, m, q);  transition : the blocks of S, (q / size, size, size);
+    enter : Γ_s (q, m);  last : G_N (rows, m, m);
+    ahead : S^{W−1−i} Γ_s (W, q, m);  behind : H S^r (W, rows, m, q);
+    """
+
+    out: Float[np.ndarray, "row m q"]
+    transition: Float[np.ndarray, "block size size"]
+    enter: Float[np.ndarray, "q m"]
+    last: Float[np.ndarray, "row m m"]
+    ahead: Float[np.ndarray, "W q m"]
+    behind: Float[np.ndarray, "W row m q"]
+
+
+def window_form(feedback: Feedback) -> WindowForm | None:
+    """The cheapest form whose taps are those of the table to 2e-13; None if there is none.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> form = window_form(problem.laws["averaged"].digital(0.01))
+    >>> form.transition.shape[1], form.out.shape, form.ahead.shape
+    (1, (1, 1, 4), (99, 4, 1))
+    """
+    rows, taps, m, _ = feedback.input_gain.shape
+    if feedback.context not in ("none", "mode") or rows > _MOST_ROWS:
+        return None
+    if taps == 1 or not feedback.input_gain.any():
+        last = feedback.input_gain[:, -1]
+        nothing = Factor(np.zeros((rows, m, 1)), np.zeros((1, 1)), np.zeros((1, m)), last)
+        return _form(nothing, 1, 1)
+    factor = feedback.factor
+    if factor is None or factor.S.shape[0] > _MOST_ORDER:
+        return None
+    for candidate, size in _candidates(factor):
+        form = _form(candidate, size, taps - 1)
+        if _fits(form, feedback):
+            return form
+    return None
+
+
+def _candidates(factor: Factor) -> list[tuple[Factor, int]]:
+    """The factorisation in other bases, and the size of the blocks that S has there."""
+    found = []
+    modal = _modal(factor)
+    if modal is not None:
+        found.append(modal)
+    S, q = factor.S, factor.S.shape[0]
+    sizes = [size for size in range(1, q + 1) if q % size == 0]
+    size = next(s for s in sizes if not (S * (1.0 - _blocks_of_ones(q, s))).any())
+    return [*found, (factor, size)]
+
+
+def _blocks_of_ones(q: int, size: int) -> np.ndarray:
+    return np.kron(np.eye(q // size), np.ones((size, size)))
+
+
+def _modal(factor: Factor) -> tuple[Factor, int] | None:
+    """In real eigenvectors of S: real parts and imaginary parts for complex pairs."""
+    values, vectors = np.linalg.eig(factor.S)
+    real, imaginary = np.real(vectors), np.imag(vectors)
+    single, pairs = np.flatnonzero(np.imag(values) == 0.0), np.flatnonzero(np.imag(values) > 0.0)
+    if pairs.size == 0:
+        size, basis = 1, real
+    elif single.size % 2 == 0:
+        size = 2
+        columns = [real[:, single], *(np.stack((real[:, p], imaginary[:, p]), 1) for p in pairs)]
+        basis = np.column_stack(columns)
+    else:
+        return None
+    try:
+        inverse = np.linalg.inv(basis)
+    except np.linalg.LinAlgError:
+        return None
+    S = inverse @ factor.S @ basis
+    S = S * _blocks_of_ones(S.shape[0], size)
+    return Factor(factor.H @ basis, S, inverse @ factor.input, factor.last), size
+
+
+def _form(factor: Factor, size: int, length: int) -> WindowForm:
+    q = factor.S.shape[0]
+    ahead, behind = np.empty((length, *factor.input.shape)), np.empty((length, *factor.H.shape))
+    column, row = factor.input, factor.H
+    for i in range(length):
+        ahead[length - 1 - i], behind[i] = column, row
+        column, row = factor.S @ column, row @ factor.S
+    blocks = [factor.S[i : i + size, i : i + size] for i in range(0, q, size)]
+    return WindowForm(factor.H, np.array(blocks), factor.input, factor.last, ahead, behind)
+
+
+def _fits(form: WindowForm, feedback: Feedback) -> bool:
+    """Whether the form's taps are the table's, forwards, and across the two blocks."""
+    taps = feedback.input_gain
+    W = taps.shape[1] - 1
+    forwards = np.einsum("cmq,jqp->cjmp", form.out, form.ahead[::-1])
+    backwards = np.einsum("jcmq,qp->cjmp", form.behind, form.enter)
+    scale = np.abs(taps[:, :W]).max(axis=(0, 2, 3))[None, :, None, None]
+    for found in (forwards, backwards):
+        error = np.abs(found - taps[:, :W])
+        if not np.isfinite(found).all() or (error > ACCURACY * scale).any():
+            return False
+    return True
+
+
+class ModelAhead:
+    """The model of a law over the periods 0, …, K + W, W = ⌊D/h⌋ (`scenarios.law_lanes`).
+
+    Attributes
+    ----------
+    loop : Loop
+        What it does in a period; of no plant's state.
+    """
+
+    def __init__(self, law: Law, sampled: SampledPlant, samples: int) -> None:
+        window, n = sampled.window, sampled.plant.states
+        self._law, self._step, self._samples = law, window.step, samples
+        self._foresight = self._ask(SwitchingSignal.constant(0))
+        whole = window.phase >= window.step
+        self._length = window.count if whole else window.count - 1
+        self._rest = 0.0 if whole else window.phase
+        self.loop = Loop(sampled, np.zeros(n), (samples - 1 + self._length) * window.step)
+
+    def lay(self, signals: SignalBatch) -> KnownSignalModel:
+        """The model along signals; an error where one is not known as far as the law looks."""
+        self._ask(signals[int(signals.end.argmin())])
+        return self._own if self._law.foreseen is not None else self._lay(signals)
+
+    @cached_property
+    def _own(self) -> KnownSignalModel:
+        """The model along the signal that the law believes in, the same in all scenarios."""
+        assert self._law.foreseen is not None
+        return self._lay(SignalBatch.of([self._law.foreseen]))
+
+    def lay_nothing(self) -> KnownSignalModel:
+        """The model along no signals, which compiles what `lay` needs but for the laying itself."""
+        return self._model(self.loop.lay_nothing(), read_only(np.zeros(0, np.int64)))
+
+    def _lay(self, signals: SignalBatch) -> KnownSignalModel:
+        return self._model(self.loop.lay(signals), signals.modes)
+
+    def _model(self, laid: Laid, sampled: Int[np.ndarray, " sojourn"]) -> KnownSignalModel:
+        loop, records = self.loop, laid.records
+        tails = np.concatenate((self._own_tails, self._tails_of_cuts(records, sampled)))
+        first, step, which = records.first, records.step, records.map
+        return KnownSignalModel(
+            self._length, loop.acting.lags, laid.maps, first, step, which, tails
+        )
+
+    def _tails_of_cuts(
+        self, records: Records, sampled: Int[np.ndarray, " sojourn"]
+    ) -> Float[np.ndarray, "cut tail"]:
+        """Those of cut periods: over the first seconds, up to t_k + D, then by the gain there."""
+        loop, tables = self.loop, self.loop.tables
+        assert tables is not None
+        n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
+        last, cuts = records.sojourn.astype(np.int64), records.sojourn.size
+        begun = last + 1 < records.until
+        while begun.any():
+            begun[begun] = records.at[last[begun] + 1] <= self._rest
+            last += begun
+            begun &= last + 1 < records.until
+        moves = np.eye(n, wide)[None]
+        if self._rest > 0.0:
+            maps, which, end = (
+                np.empty((cuts, tables.width)),
+                np.arange(cuts),
+                np.full(cuts, self._rest),
+            )
+            given = end, records, sampled, loop.acting, tables.pieces, loop.step
+            compose_cuts(maps, which, last + 1, *given)
+            moves = maps[:, : n * wide].reshape(cuts, n, wide)
+        gains, tails = self._foresight.gains[sampled[last]], np.zeros((cuts, m, n + m))
+        tails[:, :, n:] += self._foresight.latest
+        for j in range(n):
+            tails += gains[:, :, j, None] * moves[:, None, j, : n + m]
+        return tails.reshape(cuts, m * (n + m))
+
+    def _ask(self, signal: SwitchingSignal) -> Foresight:
+        found = self._law.foresight(self._step, signal, self._samples)
+        assert found is not None
+        return found
+
+    @cached_property
+    def _own_tails(self) -> np.ndarray:
+        """The tails of modes that no switch cuts."""
+        loop, plant = self.loop, self.loop.plant
+        n, m, tails = plant.states, plant.inputs, []
+        moves = np.tile(np.eye(n, loop.acting.wide), (plant.modes, 1, 1))
+        if self._rest > 0.0:
+            modes = range(plant.modes)
+            periods = [parts_of(plant, loop.acting, i, 0.0, self._rest) for i in modes]
+            moves = compose(plant, loop.acting, periods, loop.acting.wide).move
+        for K, move in zip(self._foresight.gains, moves, strict=True):
+            tail = K @ move[:, : n + m]
+            tail[:, n:] += self._foresight.latest
+            tails.append(tail.ravel())
+        return np.array(tails)
+
 
 _NOTHING = np.zeros(0)
 PERFECT = Hearing()

@@ -17,11 +17,17 @@ from jaxtyping import Float
 from deadtime.imperfections import Disturbance, Imperfection, Sizes
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.batch_loop import Loop
-from deadtime.scenarios.cut_periods import MOST_NUMBERS, NODES, WIDE, nodes, series_through, stack
-from deadtime.scenarios.drawn import RunLength, in_many_runs
+from deadtime.scenarios.drawn import Rooms, RunLength, in_many_runs
 from deadtime.scenarios.laid import fill_series
-from deadtime.scenarios.records import Records
-from deadtime.scenarios.rooms import Rooms
+from deadtime.scenarios.periods import (
+    MOST_NUMBERS,
+    NODES,
+    WIDE,
+    Records,
+    nodes,
+    series_through,
+    stack,
+)
 from deadtime.scenarios.side_by_side import groups, lay_forces
 from deadtime.simulation.forcing import force_over, lengths_of, spread_over
 from deadtime.switching import SignalBatch
@@ -35,7 +41,7 @@ _FEW = 32  # scenarios that are gone through at a time, so that they stay in the
 class ForceMaps:
     """From what disturbances draw for a stretch to its force, for every map of `Records`.
 
-    A period that one switch cuts has them from series in its instant, as `cut_periods` has what
+    A period that one switch cuts has them from series in its instant, as `periods` has what
     moves the plant: a stretch being as long wherever the switch lies in it, they are analytic.
     """
 

@@ -21,8 +21,8 @@ from typing import Any
 from deadtime.base.threads import processors
 from deadtime.imperfections import Limiting
 from deadtime.numerics.compiling import is_cached, is_kept, where_compiling_starts
+from deadtime.scenarios.engine import ModelAhead
 from deadtime.scenarios.lane_loop import run_scenarios
-from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.prepare import BatchRequest, Runnable, prepare
 
 _CHECK = 0.02  # seconds between looks at it

@@ -43,8 +43,18 @@ from deadtime.numerics.lanes import (
     times,
     where_larger,
 )
-from deadtime.scenarios.belief_memory import believe_again, mean_dense_row, mean_row
-from deadtime.scenarios.hearing import (
+from deadtime.scenarios.lane_types import LoopSizes, PlantLanes, RunLanes
+from deadtime.scenarios.law_lanes import (
+    choose_rows,
+    enter,
+    foresee,
+    look_ahead,
+    refill,
+    sum_dense,
+    turn,
+    window_of,
+)
+from deadtime.scenarios.measured_lanes import (
     add_noise,
     command,
     go_on,
@@ -55,15 +65,15 @@ from deadtime.scenarios.hearing import (
     see,
     told_rows,
 )
-from deadtime.scenarios.lane_types import LoopSizes, PlantLanes, RunLanes
-from deadtime.scenarios.law_rows import choose_rows, refill, sum_dense, window_of
-from deadtime.scenarios.observer_memory import (
+from deadtime.scenarios.state_lanes import (
     begin_observers,
+    believe_again,
     look_at_outputs,
+    mean_dense_row,
+    mean_row,
     note_answer,
     observe_again,
 )
-from deadtime.scenarios.preview_lanes import enter, foresee, look_ahead, turn
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2

@@ -84,7 +84,7 @@ class Dense(NamedTuple):
 class PlantLanes(NamedTuple):
     """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals laid on periods.
 
-    See `records.Laid`.
+    See `periods.Laid`.
     """
 
     lags: np.ndarray

@@ -14,8 +14,7 @@ from deadtime.imperfections import Disturbance, Imperfection, Limiting, TimingIm
 from deadtime.imperfections.received import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.scenarios.batch_loop import Loop
-from deadtime.scenarios.engine import Engine, EngineTable
-from deadtime.scenarios.model_ahead import ModelAhead
+from deadtime.scenarios.engine import Engine, EngineTable, ModelAhead
 from deadtime.switching import SwitchingSignal
 
 _MOST_TERMS = 1500  # of straight-line code for a period of the plant

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,16 +21,25 @@ from deadtime.plant.discretisation import snap
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.ideal_run import IdealRecord
-from deadtime.simulation.imperfect import Told
-from deadtime.simulation.imperfection_arrays import Arrays
-from deadtime.simulation.loop_arrays import DelayLine, Grid, Rows
-from deadtime.simulation.preview_loop import Along, PreviewLaw
-from deadtime.simulation.sight import Sight
+from deadtime.simulation.loop_arrays import Along, Arrays, DelayLine, Grid, PreviewLaw, Rows, Sight
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 
 ModeAt = Callable[[np.ndarray], np.ndarray]
 Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and their streams
+
+
+class Told(NamedTuple):
+    """What a law was told at the samples of a run, and what it made of it.
+
+    measured : (samples, n) or (samples, p), x or y, NaN where nothing arrived
+    commanded : (samples, m), what it asked for
+    estimates : (samples, states), of a law with a memory, what it took the state to be
+    """
+
+    measured: np.ndarray
+    commanded: np.ndarray
+    estimates: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,14 +1,15 @@
-"""The digital loop step by step, where a rule switches the plant or something must be called.
+"""The digital loop period by period, where a rule switches the plant or something must be called.
 
-That is a law without a table, or a sensor or actuator that is a function of a user's own. A rule's
-switches are noted as they come and handed on as the switching signal that they turned out to be;
-while the plant slides along a boundary, the mode is the one that it came from. A plant that
-chatters has no trajectory from there on: the run ends, and for the mismatch before its end alone
-the mode is held.
+That is a law without a table, or a sensor or actuator that is a function of a user's own: an
+`ImperfectLaw` senses and acts through these. A rule's switches are noted as they come and handed on
+as the switching signal that they turned out to be; while the plant slides along a boundary, the
+mode is the one that it came from. A plant that chatters has no trajectory from there on: the run
+ends, and for the mismatch before its end alone the mode is held.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,18 +18,104 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ChatteringError
 from deadtime.feedback import Law
 from deadtime.feedback.belief import Believing
-from deadtime.feedback.law import Update, require_input
+from deadtime.feedback.law import Remembering, Update, require_input
 from deadtime.feedback.table import age_after
+from deadtime.imperfections import (
+    ActuatorImperfection,
+    Imperfection,
+    Seen,
+    SensorImperfection,
+    Sizes,
+)
 from deadtime.plant.discretisation import snap
-from deadtime.simulation.digital import Drawn, RunOutcome, initial_age
-from deadtime.simulation.digital_record import DigitalRecord
-from deadtime.simulation.imperfect import ImperfectLaw
-from deadtime.simulation.imperfection_arrays import MeasurementLags
-from deadtime.simulation.loop_arrays import Grid
-from deadtime.simulation.slides import slides_in_words
+from deadtime.simulation.digital import Drawn, RunOutcome, Told, initial_age
+from deadtime.simulation.digital_record import DigitalRecord, slides_in_words
+from deadtime.simulation.loop_arrays import Grid, MeasurementLags, tells_commands
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.grid import modes_at
+
+
+class ImperfectLaw:
+    """An `Update` that senses and acts through imperfections.
+
+    Where nothing usable arrives and the law has no answer, its last input is asked for again.
+    Before any mode is known the first is assumed. The law's past inputs are those applied, or with
+    predict = "commanded" those asked for. A law that measures outputs is told y = C_σ x, `outputs`
+    being the C of every mode.
+
+    Attributes
+    ----------
+    update : Update
+        The law.
+    lags : Lags or None
+        How long before each sample its state is to be measured.
+    measured : (samples, n) or (samples, p)
+        What the law was told of x or y, NaN where nothing arrived.
+    commanded : (samples, m)
+        What it asked for.
+    """
+
+    def __init__(
+        self,
+        update: Update,
+        sizes: Sizes,
+        pairs: Sequence[tuple[Imperfection, np.random.Generator]],
+        predict: str,
+        samples: int,
+        outputs: np.ndarray | None = None,
+    ) -> None:
+        self._tells_commands = tells_commands(predict)
+        self._outputs = outputs
+        self._sensors = [
+            each.sensor(sizes, rng) for each, rng in pairs if isinstance(each, SensorImperfection)
+        ]
+        self._actuators = [
+            each.actuator(sizes) for each, _ in pairs if isinstance(each, ActuatorImperfection)
+        ]
+        self.lags = MeasurementLags.of(pairs, sizes, samples)
+        self.update = update
+        self._line: np.ndarray | None = None
+        self._mode, self._age = -1, 0
+        self.measured: list[np.ndarray] = []
+        self.commanded: list[np.ndarray] = []
+
+    def __call__(self, x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+        seen = Seen(x if self._outputs is None else self._outputs[mode] @ x, mode)
+        for sense in self._sensors:
+            seen = sense(seen)
+        self._follow(seen.mode, age)
+        if self._line is None:
+            self._line = past.copy()
+        asked = self._ask_law(seen.x, self._line if self._tells_commands else past)
+        self._line[:-1] = self._line[1:]
+        self._line[-1] = asked
+        self.measured.append(seen.x)
+        self.commanded.append(asked)
+        for act in self._actuators:
+            asked = act(asked, past[-1])
+        return asked
+
+    def _follow(self, mode: int, age: int) -> None:
+        """The sampled mode as the law sees it, and its age."""
+        self._age = age if self._mode < 0 else age_after(self._mode, self._age, mode)
+        self._mode = self._mode if mode < 0 else mode
+
+    def record(self, kept: int) -> Told:
+        """What the law was told at the first samples, and made of it."""
+        estimates = self.update.estimates if isinstance(self.update, Remembering) else None
+        return Told(
+            np.array(self.measured[:kept]),
+            np.array(self.commanded[:kept]),
+            None if estimates is None else np.array(estimates[:kept]),
+        )
+
+    def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
+        asked = self.update(x, past, max(self._mode, 0), self._age)
+        asked = require_input(asked, past.shape[1])
+        if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
+            return asked
+        return self.commanded[-1] if self.commanded else past[-1].copy()
 
 
 class _Stop(NamedTuple):
@@ -117,6 +204,7 @@ def _run(
 
     h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
     path, first = [x0], [0]
+    measured = None if lags is None else [part.tolist() for part in lags.instants(h, kept)]
     stop, last = None, None
     for k in range(grid.periods):
         x, now = path[-1], past + k
@@ -129,7 +217,10 @@ def _run(
             if piece == 0 and k < kept:
                 age = age_after(-1 if last is None else last, age, truth.mode)
                 last = truth.mode
-                seen = x if lags is None else _before(truth, k, lags, path, first, grid)
+                seen = x
+                if measured is not None:
+                    j, offset = measured[0][k], measured[1][k]
+                    seen = _measured(truth, j, offset, path, first, grid)
                 try:
                     asked = update(seen, inputs[:now], last, age)
                     inputs[now] = require_input(asked, inputs.shape[1])
@@ -145,23 +236,13 @@ def _run(
     return kept, path, stop
 
 
-def _before(
-    truth: Truth,
-    k: int,
-    lags: MeasurementLags,
-    path: list[np.ndarray],
-    first: list[int],
-    grid: Grid,
+def _measured(
+    truth: Truth, j: int, offset: float, path: list[np.ndarray], first: list[int], grid: Grid
 ) -> np.ndarray:
-    """x as it is measured for t_k, at time 0 at least; NaN while nothing has arrived."""
-    h, late, early = grid.sampled.step, lags.missing[k], lags.early[k]
-    ratio = max(0.0, snap(k - (late + early) / h))
-    if snap(k - late / h) < 0.0:
+    """x at t_j + offset; NaN where j is −1, as nothing has arrived."""
+    if j < 0:
         return np.full(path[0].size, np.nan)
-    j = int(np.floor(ratio))
-    if ratio == j:
-        return path[first[j]]
-    return truth.within(j, (ratio - j) * h, path, grid.acting)
+    return path[first[j]] if offset == 0.0 else truth.within(j, offset, path, grid.acting)
 
 
 def _join(note: str, truth: Truth, end: float | None) -> str:

@@ -26,11 +26,9 @@ from deadtime.plant.discretisation import TOLERANCE
 from deadtime.simulation.digital import Drawn, RunOutcome, run_table
 from deadtime.simulation.ideal.ideal_run import run_ideal
 from deadtime.simulation.ideal.rule_march import run_ideal_rule
-from deadtime.simulation.imperfect import ImperfectLaw
-from deadtime.simulation.imperfection_arrays import Arrays, Pairs, takes
 from deadtime.simulation.initial_input import InitialInput, input_function
-from deadtime.simulation.loop_arrays import Grid
-from deadtime.simulation.online import run_online
+from deadtime.simulation.loop_arrays import Arrays, Grid, Pairs, takes
+from deadtime.simulation.online import ImperfectLaw, run_online
 from deadtime.simulation.tracking import Followed
 from deadtime.simulation.trajectory import Trajectory, belief_at, trajectory_of
 from deadtime.switching import Rule, SwitchingSignal

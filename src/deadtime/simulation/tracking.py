@@ -1,4 +1,10 @@
-"""What a run is to follow, and its outputs beside it."""
+"""The reference that a run is to follow, its outputs beside it, and figures of its steps.
+
+The figures are those of python-control's `step_info`, and integrals of the error. Of a step from
+what the output is, y₀, to r they go by the share of the way, f = (y − y₀)/(r − y₀), at the samples:
+nothing is interpolated, so that times may be late by less than a period, as in python-control. The
+integral of the error alone takes y as straight between samples, and r as held.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +20,168 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.estimation.servo import Reference
 from deadtime.feedback import Law
+from deadtime.numerics.kernels import kernel
 from deadtime.plant.discretisation import TOLERANCE
-from deadtime.simulation.step_figures import step_info
+
+SETTLED, RISE = 0.02, (0.1, 0.9)  # of a step, as in python-control
+_STEP = 1e-9  # of the output: what is less is no step
+
+OF_STEPS = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot")  # NaN where there is none
+
+# Figure: (unit, long name).
+TRACKING = {
+    "RiseTime": ("s", "time from 10 % to 90 % of a step of the reference, inf if never"),
+    "SettlingTime": ("s", "time from which the output stays within 2 % of the step, inf if never"),
+    "Overshoot": ("%", "how far the output goes past the reference, of the step"),
+    "Undershoot": ("%", "how far the output goes the other way, of the step"),
+    "Peak": ("y", "maximum of |y| after the step"),
+    "PeakTime": ("s", "when that is, after the step"),
+    "SteadyStateValue": ("y", "the output at the end"),
+    "SteadyStateError": ("y", "reference minus output at the end"),
+    "IAE": ("y s", "integral of |reference − output| after the step"),
+}
+
+
+def step_info(
+    time: Float[np.ndarray, " T"],
+    y: Float[np.ndarray, "*runs T"],
+    r: Float[np.ndarray, " T"],
+    settling: float = SETTLED,
+    rise: tuple[float, float] = RISE,
+) -> dict[str, Float[np.ndarray, "*runs"]]:
+    """The figures of `TRACKING`, of outputs that start at y₀ = y[…, 0] and are to be at r[−1].
+
+    NaN for those of a step that is none; times count from time[0].
+
+    Examples
+    --------
+    >>> time = np.linspace(0.0, 10.0, 1001)
+    >>> found = step_info(time, 1.0 - np.exp(-time), np.ones(1001))
+    >>> round(found["RiseTime"].item(), 3), found["Overshoot"].item()      # log 9, in samples
+    (2.2, 0.0)
+    """
+    shape, y = y.shape[:-1], y.reshape(-1, time.size)
+    side_by_side = np.ascontiguousarray(y.T[None, :, None])
+    found = step_info_of(side_by_side, 0, len(y), np.ones(1), time, r, settling, rise)
+    return {name: value.reshape(shape) for name, value in found.items()}
+
+
+def step_info_of(
+    states: Float[np.ndarray, "group T n lane"],
+    first: int,
+    runs: int,
+    row: Float[np.ndarray, " some"],
+    time: Float[np.ndarray, " T"],
+    r: Float[np.ndarray, " T"],
+    settling: float = SETTLED,
+    rise: tuple[float, float] = RISE,
+) -> dict[str, Float[np.ndarray, " run"]]:
+    """The same of y = row · x from sample `first` on, in runs that lie side by side.
+
+    Of the n numbers of a sample x is the first.
+    """
+    found, given = np.empty((len(TRACKING), runs)), map(np.array, (row, time, r))  # one type
+    with np.errstate(all="ignore"):  # of runs that are lost
+        fill_step_info(states, first, *given, *map(float, (settling, *rise)), found)
+    return dict(zip(TRACKING, found, strict=True))
+
+
+def _by_numpy(states, first, row, time, r, settling, low, high, found):
+    """As `fill_step_info`."""
+    T = time.size
+    x = states[:, first : first + T]
+    y = row[0] * x[:, :, 0]
+    for i in range(1, row.size):
+        y += row[i] * x[:, :, i]
+    y = np.ascontiguousarray(y.transpose(0, 2, 1)).reshape(-1, T)[: found.shape[1]]
+    start, target, after = y[:, 0], r[-1], time - time[0]
+    size = target - start
+    size = np.where(np.abs(size) > _STEP * np.maximum(abs(target), np.abs(start)), size, np.nan)
+    share = (y - start[:, None]) / size[:, None]
+    begin, end = (_first(share >= part, after) for part in (low, high))
+    outside = np.abs(share - 1.0) >= settling
+    last = T - np.argmax(outside[:, ::-1], axis=1)
+    settled = np.append(after, np.inf)[np.where(outside.any(axis=1), last, 0)]
+    magnitude, some = np.abs(y), np.isfinite(size)
+    peak = magnitude.argmax(axis=1)
+    found[0] = np.where(some, end - np.where(np.isfinite(begin), begin, 0.0), np.nan)
+    found[1] = np.where(some, settled, np.nan)
+    found[2] = np.where(some, 100.0 * np.maximum(share.max(axis=1) - 1.0, 0.0), np.nan)
+    found[3] = np.where(some, 100.0 * np.maximum(-share.min(axis=1), 0.0), np.nan)
+    found[4], found[5] = magnitude.max(axis=1), after[peak]
+    found[6], found[7] = y[:, -1], target - y[:, -1]
+    before, behind = r[:-1] - y[:, :-1], r[:-1] - y[:, 1:]
+    a, b = np.abs(before), np.abs(behind)
+    total = a + b
+    crossed = np.divide(a * a + b * b, total, out=np.zeros(total.shape), where=total > 0.0)
+    area = 0.5 * np.diff(time) * np.where(before * behind < 0.0, crossed, total)
+    # One after the other, as loops add.
+    found[8] = 0.0 if T == 1 else np.cumsum(area, axis=1)[:, -1]
+
+
+def _first(there: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """The first time at which something is so, ∞ if never."""
+    return np.where(there.any(axis=1), time[np.argmax(there, axis=1)], np.inf)
+
+
+@kernel(nogil=True, plain=_by_numpy)
+def fill_step_info(states, first, row, time, r, settling, low, high, found):
+    """Fill the figures (figure, run), in the order of `TRACKING`, of y = row · x.
+
+    states : (group, sample, n, lane), x and whatever else lies behind it, run by run in the last
+        axis
+    """
+    T, lanes = time.size, states.shape[3]
+    target = r[T - 1]
+    for run in range(found.shape[1]):
+        x, lane = states[run // lanes], run % lanes
+        y = row[0] * x[first, 0, lane]
+        for i in range(1, row.size):
+            y += row[i] * x[first, i, lane]
+        start = y
+        size = target - start
+        if not abs(size) > _STEP * max(abs(target), abs(start)):
+            size = np.nan
+        begin, end, outside, peak = -1, -1, -1, 0
+        highest, lowest, magnitude, total = -np.inf, np.inf, -1.0, 0.0
+        for k in range(T):
+            if k > 0:
+                error = r[k - 1] - y
+                y = row[0] * x[first + k, 0, lane]
+                for i in range(1, row.size):
+                    y += row[i] * x[first + k, i, lane]
+                behind = r[k - 1] - y
+                a, b = abs(error), abs(behind)
+                area = a + b
+                if error * behind < 0.0:
+                    area = (a * a + b * b) / area
+                total += 0.5 * (time[k] - time[k - 1]) * area
+            share = (y - start) / size
+            if begin < 0 and share >= low:
+                begin = k
+            if end < 0 and share >= high:
+                end = k
+            if abs(share - 1.0) >= settling:
+                outside = k
+            # What is no number stays.
+            if share > highest or share != share:
+                highest = share
+            if share < lowest or share != share:
+                lowest = share
+            if (abs(y) > magnitude or y != y) and magnitude == magnitude:
+                magnitude, peak = abs(y), k
+        some = abs(size) < np.inf
+        rise = time[end] - time[0] if end >= 0 else np.inf
+        rise -= time[begin] - time[0] if begin >= 0 else 0.0
+        settled = time[outside + 1] - time[0] if outside + 1 < T else np.inf
+        over, under = 100.0 * (highest - 1.0), 100.0 * -lowest
+        found[0, run] = rise if some else np.nan
+        found[1, run] = settled if some else np.nan
+        found[2, run] = (0.0 if over < 0.0 else over) if some else np.nan
+        found[3, run] = (0.0 if under < 0.0 else under) if some else np.nan
+        found[4, run], found[5, run] = magnitude, time[peak] - time[0]
+        found[6, run], found[7, run], found[8, run] = y, target - y, total
+
 
 TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs together: the metric iae
 

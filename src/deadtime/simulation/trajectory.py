@@ -1,8 +1,9 @@
-"""The result of a simulation: samples, metrics, and how to hand them on."""
+"""The result of a simulation: samples, metrics, and how to hand them on as columns and as CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import csv
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -12,16 +13,16 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import index, number, python_control, read_only
 from deadtime.base.errors import ArgumentError
+from deadtime.base.files import replacing
 from deadtime.base.frozen import Frozen
+from deadtime.base.wording import one_line, subscript
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import TOLERANCE
 from deadtime.plant.weight import Weight, costs, weight_of
-from deadtime.simulation.columns import numbered_columns, write_csv
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.ideal.ideal_run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
-from deadtime.simulation.step_figures import OF_STEPS, RISE, SETTLED, step_info
-from deadtime.simulation.tracking import Followed
+from deadtime.simulation.tracking import OF_STEPS, RISE, SETTLED, Followed, step_info
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import first_reads
 
@@ -31,6 +32,47 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.base.figure_files import Width
+
+
+def numbered_columns(
+    signals: Mapping[str, Float[np.ndarray, "signal T"] | None],
+) -> dict[str, Float[np.ndarray, " T"]]:
+    """A column for each row of signals that are there, called by their letter and a number.
+
+    Examples
+    --------
+    >>> list(numbered_columns({"x": np.zeros((2, 3)), "w": None}))
+    ['x[0]', 'x[1]']
+    """
+    return {
+        f"{letter}[{i}]": row
+        for letter, rows in signals.items()
+        if rows is not None
+        for i, row in enumerate(rows)
+    }
+
+
+def write_csv(
+    path: str | PathLike[str],
+    columns: Mapping[str, np.ndarray],
+    names: Mapping[str, Sequence[str]],
+) -> None:
+    """Columns as CSV, full precision, with the names of signals by their letter behind a colon.
+
+    What is called as it would be without a name keeps its column.
+    """
+    told = {
+        f"{letter}[{i}]": f"{letter}[{i}]: {one_line(name)}"
+        for letter, given in names.items()
+        for i, name in enumerate(given)
+        if name not in (letter, f"{letter}{subscript(i + 1)}")
+    }
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    with replacing(path) as place, place.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([told.get(name, name) for name in columns])
+        writer.writerows(rows)
+
 
 LATE = 11  # instants of the second half, at least, whose |x| the decay rate is fitted to
 

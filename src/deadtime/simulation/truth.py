@@ -15,8 +15,8 @@ from deadtime.plant.discretisation import TOLERANCE, Cuts, snap
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.sampled_plant import EveryReading
 from deadtime.simulation.digital import Drawn
+from deadtime.simulation.digital_record import SlidePart, Slides
 from deadtime.simulation.forcing import Forcing
-from deadtime.simulation.slides import SlidePart, Slides
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 from deadtime.switching.rules.motion import Beside, Chatter, Leg

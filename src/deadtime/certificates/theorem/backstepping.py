@@ -23,9 +23,8 @@ from deadtime.gains.state_feedback import check_gains
 from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory
-from deadtime.simulation.ideal.breakpoints import merge, subdivide
 from deadtime.simulation.ideal.ideal_run import NODES, IdealRecord
-from deadtime.simulation.ideal.piecewise import Piecewise
+from deadtime.simulation.ideal.segments import Piecewise, merge, subdivide
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
 

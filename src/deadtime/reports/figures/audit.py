@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 from deadtime.reports.audit import Claim, Sweep
-from deadtime.scenarios.paired.proportion import Proportion
+from deadtime.scenarios.paired_statistics import Proportion
 
 VERDICTS = {
     "holds": (COLOURS[2], "o"),

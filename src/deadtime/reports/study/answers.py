@@ -36,7 +36,7 @@ from deadtime.reports.study.phrases import (
     times_the_oracle,
     words_of,
 )
-from deadtime.scenarios.sweeps.study_laws import AWARE, ORACLE, knowledge_of, within
+from deadtime.scenarios.sweeps.axes import AWARE, ORACLE, knowledge_of, within
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,16 +13,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deadtime.scenarios.paired.proportion import Proportion
-from deadtime.scenarios.paired.ranking import Ranking, pick, ranking_of, verdict_of
-from deadtime.scenarios.paired.statistics import (
+from deadtime.scenarios.paired_statistics import (
+    Proportion,
+    Ranking,
     mean_interval,
     median_interval,
+    pick,
     quotient,
+    ranking_of,
     share_below,
     share_of,
+    verdict_of,
 )
-from deadtime.scenarios.sweeps.study_laws import ORACLE
+from deadtime.scenarios.sweeps.axes import ORACLE
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -20,7 +20,7 @@ from deadtime.reports.figures.sweeps.maps import Scale, colour_map, winners
 from deadtime.reports.figures.sweeps.panels import PanelGrid
 from deadtime.reports.study.findings import LOST, best, duel, summary
 from deadtime.reports.study.phrases import words_of
-from deadtime.scenarios.sweeps.study_laws import AWARE
+from deadtime.scenarios.sweeps.axes import AWARE
 
 if TYPE_CHECKING:
     import xarray as xr

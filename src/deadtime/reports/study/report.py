@@ -14,11 +14,9 @@ from deadtime.reports.study import maps
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.phrases import Answer
 from deadtime.reports.study.study_data import failures, record_of, run_study, write_cells
-from deadtime.scenarios.sweeps.axes import AXES
+from deadtime.scenarios.sweeps.axes import AXES, FAMILIES, ORACLE, knowledge_of, within
 from deadtime.scenarios.sweeps.file_study import FileStudy
 from deadtime.scenarios.sweeps.run_sweep import Report
-from deadtime.scenarios.sweeps.study_laws import ORACLE, knowledge_of, within
-from deadtime.scenarios.sweeps.study_sojourns import FAMILIES
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -16,8 +16,8 @@ from deadtime.problems.law_registry import LEVELS
 from deadtime.reports.study.findings import best, summary
 from deadtime.reports.study.phrases import Answer
 from deadtime.scenarios.sweeps import Cell, FileStudy, sweep
+from deadtime.scenarios.sweeps.axes import ORACLE, knowledge_of, within
 from deadtime.scenarios.sweeps.run_sweep import Report
-from deadtime.scenarios.sweeps.study_laws import ORACLE, knowledge_of, within
 
 if TYPE_CHECKING:
     import xarray as xr

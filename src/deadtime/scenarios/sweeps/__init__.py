@@ -6,8 +6,8 @@ study ── cells ── monte_carlo, on Dask ── Zarr ── xarray.Dataset
 from deadtime.scenarios.sweeps.file_study import FileStudy
 from deadtime.scenarios.sweeps.function_study import FunctionStudy, function_study
 from deadtime.scenarios.sweeps.load import load_study
-from deadtime.scenarios.sweeps.open_store import open_sweep
 from deadtime.scenarios.sweeps.run_sweep import Progress, sweep
+from deadtime.scenarios.sweeps.store import open_sweep
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
 
 __all__ = [

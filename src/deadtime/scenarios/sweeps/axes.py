@@ -1,22 +1,133 @@
-"""Parameters that a sweep knows by name: every one is a way to write a value into a problem file.
+"""Parameters and laws that a sweep knows by name.
 
-A problem file is here what its TOML says, as nested dictionaries and lists. Whatever has no name of
-its own is reached by its path: ``plant.delay``, ``run.x0.1``, ``law.averaged.low_pass``,
-``imperfection.noise.std``.
+Every parameter is a way to write a value into a problem file, which is here what its TOML says, as
+nested dictionaries and lists. Whatever has no name of its own is reached by its path:
+``plant.delay``, ``run.x0.1``, ``law.averaged.low_pass``, ``imperfection.noise.std``. Families of
+sojourn times compare: all are at least τ_d, all have the mean 2 τ_d.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.imperfection_registry import SWEPT, Swept
-from deadtime.scenarios.sweeps.study_sojourns import sojourn_section
+from deadtime.problems.law_registry import LAWS, LEVELS, LawSetting, NamedLaw
+
+TAIL = 2.5  # the Lomax distribution's shape: finite variance, infinite third moment
+
+# Name: (what to say of it, how a problem file writes it for τ_d), in the order of maps.
+FAMILIES: Mapping[str, tuple[str, Callable[[float], Any]]] = {
+    "exponential": (
+        "τ_d plus an exponential time of mean τ_d",
+        lambda time: {"distribution": "expon", "loc": time, "scale": time},
+    ),
+    "uniform": (
+        "uniform between τ_d and 3 τ_d",
+        lambda time: {"distribution": "uniform", "loc": time, "scale": 2.0 * time},
+    ),
+    "heavy-tailed": (
+        f"τ_d plus a Lomax (Pareto II) time of mean τ_d and shape {TAIL:g}, whose variance is "
+        "finite, 5 times that of the exponential, and whose third moment is not",
+        lambda time: {
+            "distribution": "lomax",
+            "c": TAIL,
+            "loc": time,
+            "scale": (TAIL - 1.0) * time,
+        },
+    ),
+    "fixed": (
+        "always 2 τ_d, so that with two modes the future is known",
+        lambda time: 2.0 * time,
+    ),
+}
+
+
+def sojourn_section(family: str, dwell_time: float) -> Any:
+    """The sojourn times of a family at a dwell time, as [switching] of a problem file has them.
+
+    Examples
+    --------
+    >>> sojourn_section("uniform", 0.4)
+    {'distribution': 'uniform', 'loc': 0.4, 'scale': 0.8}
+    >>> sojourn_section("fixed", 0.4)
+    0.8
+    """
+    return FAMILIES[family][1](dwell_time)
+
+
+ORACLE, AWARE = "oracle", ", dwell-aware"
+COARSE = 20  # sampling periods per delay at which minimax laws are sought
+INPUT_WEIGHT = 1e-3  # of ∫|u|² beside ∫|x|² in what the optimal law minimises
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A law of the registry, of one of the modes if there is one for each."""
+
+    known: NamedLaw
+    mode: int | None = None
+
+    @property
+    def knows(self) -> str:
+        """One of `LEVELS`."""
+        return self.known.named.knows
+
+    def make(self, setting: LawSetting, dwell_time: float | None = None) -> Law:
+        """The law for one cell; τ_d for those that are told it."""
+        if self.known.is_told and dwell_time is None:
+            raise ArgumentError("a dwell-aware law is told τ_d: give grid.dwell_time.")
+        return self.known.build(setting, self.mode, dwell_time)
+
+
+# Signals of a study are drawn: no rule decides the mode. The less a law knows, the earlier.
+KINDS: Mapping[str, Kind] = {
+    known.named.name: Kind(known)
+    for known in sorted(LAWS.values(), key=lambda known: LEVELS.index(known.named.knows))
+    if "rule" not in known.entry.needs and not known.per_mode
+}
+DEFAULT = tuple(name for name, kind in KINDS.items() if kind.known.named.in_studies)
+
+
+def kinds_of(modes: int) -> dict[str, Kind]:
+    """The laws by name for a plant with so many modes, the single-mode ones among them.
+
+    Examples
+    --------
+    >>> [name for name in kinds_of(2) if name.endswith("only")]
+    ['mode 0 only', 'mode 1 only']
+    """
+    own = {
+        known.named.name.format(mode=mode): Kind(known, mode)
+        for known in LAWS.values()
+        if known.per_mode
+        for mode in range(modes)
+    }
+    return {**KINDS, **own}
+
+
+def within(laws: Sequence[str], knows: str) -> list[str]:
+    """Those of the named laws that know no more than one of `LEVELS`, in their order.
+
+    Examples
+    --------
+    >>> within(("averaged", "expected", "mode 0 only"), "the dwell time")
+    ['averaged', 'mode 0 only']
+    """
+    most = LEVELS.index(knows)
+    return [law for law in laws if LEVELS.index(knowledge_of(law)) <= most]
+
+
+def knowledge_of(law: str) -> str:
+    """What a named law knows of the switching, one of `LEVELS`."""
+    return KINDS[law].knows if law in KINDS else "nothing"
+
 
 Draft = dict[str, Any]
 Write = Callable[[Draft, Any], None]

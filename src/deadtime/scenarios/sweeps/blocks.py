@@ -1,25 +1,29 @@
-"""What cells cost, and how they are put together into blocks, the pieces of work and of storage."""
+"""Blocks of cells, the pieces of work and of storage: their costs, and a store's words on them."""
 
 from __future__ import annotations
 
 import itertools
+import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
 
 from deadtime.base.checks import read_only
-from deadtime.base.errors import DeadtimeError
+from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Relaying, TimingImperfection
 from deadtime.imperfections.received import is_batched
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
-from deadtime.scenarios.sweeps.study import Loop, Study
+from deadtime.problems.toml import require_valid
+from deadtime.scenarios.dataset import METRICS
+from deadtime.scenarios.sweeps.study import Loop, Study, require_axis
 from deadtime.switching import SwitchingSignal
 
 # Seconds on one core of the machine of benchmarks/README.md: a period of a scenario under one law …
@@ -182,3 +186,62 @@ def _cost_of(study: Study, first: Loop) -> dict[str, str]:
     if len(texts) > 1:
         return {"cost": "∫xᵀQx + uᵀRu, Q and R by cell"}
     return {} if texts == {PLAIN} else {"cost": texts.pop()}
+
+
+MOST = 10**8  # cells of a grid, and scenarios
+
+Strings = Annotated[list[str], Field(min_length=1)]
+
+
+class _Definition(BaseModel):
+    """What all results depend on; more stands there than reading needs."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+    grid: dict[str, Annotated[list[Any], Field(min_length=1)]]
+    laws: Strings
+    scenarios: Annotated[int, Field(ge=1, le=MOST)]
+    metrics: Strings
+
+
+class _StoreAttributes(BaseModel):
+    """The attributes that reading needs."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+    definition: _Definition
+    block: list[Annotated[int, Field(ge=1)]]
+
+
+def read_description(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], BlockLayout]:
+    """The definition of a store's study, and how its grid is cut.
+
+    Raises
+    ------
+    ArgumentError
+        If they are missing or malformed, or contradict each other.
+
+    Examples
+    --------
+    >>> read_description({"block": [1]})
+    Traceback (most recent call last):
+    deadtime.ArgumentError: its definition is no JSON.
+    """
+    known = dict(attributes)
+    try:
+        known["definition"] = json.loads(str(known.get("definition")))
+    except (ValueError, RecursionError):
+        raise ArgumentError("its definition is no JSON.") from None
+    checked = require_valid(_StoreAttributes, known)
+    definition: dict[str, Any] = checked.definition.model_dump()
+    shape = tuple(map(len, definition["grid"].values()))
+    if unknown := set(definition["metrics"]) - set(METRICS):
+        raise ArgumentError(f"its metric {min(unknown)!r:.80} is not known.")
+    for name in definition["grid"]:
+        require_axis(name, ())
+    if math.prod(shape) > MOST:
+        raise ArgumentError(f"its grid has more than {MOST:,} cells.")
+    block = tuple(checked.block)
+    if len(block) != len(shape) or any(b > s for b, s in zip(block, shape, strict=True)):
+        raise ArgumentError(f"block is {list(block)}, of a grid of the shape {shape}.")
+    return definition, BlockLayout(shape, block)

@@ -24,9 +24,8 @@ from deadtime.problems.file.switching import promise_of
 from deadtime.problems.law_registry import LawSetting
 from deadtime.problems.switching_assumptions import random_model
 from deadtime.problems.toml import require_valid, section
-from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
+from deadtime.scenarios.sweeps.axes import AXES, COARSE, INPUT_WEIGHT, Draft, axis_of, kinds_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
-from deadtime.scenarios.sweeps.study_laws import COARSE, INPUT_WEIGHT, kinds_of
 from deadtime.switching import SwitchingModel
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
@@ -44,7 +43,7 @@ class FileStudy(Study):
         Where it lies: its relative paths start there.
     poles : tuple of complex, or None
         Where the gains of every cell's modes, and of their mean, are placed, for the laws of
-        `deadtime.scenarios.sweeps.study_laws`; None: the problem's own gains and laws run.
+        `deadtime.scenarios.sweeps.axes`; None: the problem's own gains and laws run.
     files : mapping
         From the logs that the problem reads to a digest of each.
     """

@@ -1,11 +1,31 @@
-"""Studies in Python: a function makes the plant, laws and model of every cell."""
+"""Studies in Python: a function makes the plant, laws and model of every cell.
+
+A store says of its study what the function and the values that it reads hold, as JSON: equal where
+results are. Values are described by what they hold and never by where they lie: numbers and texts
+as they are, arrays by their entries, other objects by what `pickle` would keep of them, without
+what they only compute once (`functools.cached_property`). A function is its source, its defaults
+and what its code reads by name: the values around it, the globals of its module, and what it reads
+of other modules by their names. Functions, classes and modules of the standard library and of
+installed packages are told by their names.
+"""
 
 from __future__ import annotations
 
+import copyreg
+import dis
+import functools
+import hashlib
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+import json
+import math
+import sys
+import sysconfig
+import textwrap
+import types
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -13,12 +33,285 @@ from deadtime.base.checks import count, instance, positive, real_array, require_
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import weight_of
-from deadtime.scenarios.dataset import METRICS
-from deadtime.scenarios.named_laws import named_laws
+from deadtime.scenarios.dataset import METRICS, named_laws
 from deadtime.scenarios.source import SignalSampler
 from deadtime.scenarios.sweeps.axes import Axis, no_write
-from deadtime.scenarios.sweeps.content import source_of, values_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study, require_axis
+
+_LISTED = 64  # entries of an array that are written out; larger ones are told by a digest
+_DRAWS = ("Generator", "RandomState", "Random", "SystemRandom")
+# What `dataclass` writes into a class, from what its body defines.
+_GENERATED = ("init", "repr", "eq", "lt", "le", "gt", "ge", "hash", "setattr", "delattr", "replace")
+_GENERATED = tuple(f"__{name}__" for name in _GENERATED)
+# Beside cached properties: the state of a distribution's draws, tables that laws keep.
+_MADE = ("_random_state", "_table", "_kept")
+_LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF")
+_HERE = "make it in the function, from numbers, texts and arrays"
+
+
+def source_of(function: Callable[..., Any]) -> str:
+    """The source text; of a function that has none of its own, its name and a digest of its code.
+
+    Several lambdas may share a line of source, so that they have the digest, too.
+    """
+    code = function.__code__
+    try:
+        text = textwrap.dedent(inspect.getsource(code))
+    except (OSError, TypeError):
+        return f"{function.__qualname__} {_digest_of(code)}"
+    return f"{text}{_digest_of(code)}" if code.co_name == "<lambda>" else text
+
+
+def values_of(function: types.FunctionType) -> dict[str, Any]:
+    """Its defaults, and all that its code reads by name from around it, as JSON.
+
+    Raises
+    ------
+    ArgumentError
+        If one of these cannot be compared; the message says which.
+    """
+    return _Description().values(function, "")
+
+
+class _Description:
+    """Describes values; what is met twice is described once, and what holds itself ends there."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[Any, Any]] = {}
+        self._within: list[int] = []
+
+    def of(self, value: Any, path: str) -> Any:
+        """A value as JSON; `path` is what a message calls it."""
+        if value is None or isinstance(value, (str, bool)) or type(value) is int:
+            return value
+        if type(value) is float:
+            return value if math.isfinite(value) else {"number": repr(value)}
+        if id(value) in self._known:
+            return self._known[id(value)][1]
+        if id(value) in self._within:
+            return {"again": len(self._within) - self._within.index(id(value))}
+        self._within.append(id(value))
+        try:
+            found = self._inside(value, path)
+        finally:
+            self._within.pop()
+        self._known[id(value)] = value, found
+        return found
+
+    def values(self, function: types.FunctionType, path: str) -> dict[str, Any]:
+        """Defaults, closure and globals of a function, by name."""
+        parameters = inspect.signature(function, follow_wrapped=False).parameters.items()
+        found = {name: one.default for name, one in parameters if one.default is not one.empty}
+        around = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+        for name, cell in around:
+            try:
+                found[name] = cell.cell_contents
+            except ValueError:  # nothing has been written into it so far
+                continue
+        for name in _globals_read(function.__code__):
+            if name in function.__globals__:
+                found.setdefault(name, function.__globals__[name])
+        for name, value in list(found.items()):
+            if _is_own(value):
+                del found[name]
+                found |= dict(_reads_of(function.__code__, name, value))
+        _require_no_imports(function, path)
+        return {name: self.of(value, _join(path, name)) for name, value in found.items()}
+
+    def _inside(self, value: Any, path: str) -> Any:
+        if isinstance(value, np.ndarray):
+            return self._array(value, path)
+        if isinstance(value, np.generic):
+            return self._array(np.asarray(value), path)["entries"]
+        if type(value) in (list, tuple):
+            return [self.of(one, f"{path}[{i}]") for i, one in enumerate(value)]
+        if type(value) in (dict, types.MappingProxyType):
+            named = {
+                key if isinstance(key, str) else f"({self.of(key, path)})": part
+                for key, part in value.items()
+            }
+            return {name: self.of(part, _join(path, name)) for name, part in named.items()}
+        if type(value) in (set, frozenset):
+            return {"set": sorted((self.of(one, path) for one in value), key=json.dumps)}
+        if type(value) in (bytes, bytearray):
+            return {"bytes": hashlib.sha256(value).hexdigest()}
+        if isinstance(value, types.ModuleType):
+            if _is_own(value):
+                _refuse(value, path, "read what it holds by name, as in settings.delay")
+            return {"module": value.__name__}
+        if isinstance(value, types.FunctionType):
+            return self._function(value, path)
+        if isinstance(value, type):
+            return self._class(value, path)
+        return self._object(value, path)
+
+    def _array(self, value: np.ndarray, path: str) -> dict[str, Any]:
+        kind = f"{value.dtype} {value.shape}"
+        if value.dtype.hasobject or (value.size <= _LISTED and value.dtype.char not in "gG"):
+            return {"array": kind, "entries": self.of(value.tolist(), path)}
+        return {"array": kind, "entries": hashlib.sha256(value.tobytes()).hexdigest()}
+
+    def _function(self, function: types.FunctionType, path: str) -> Any:
+        if _is_library(function.__module__):
+            return {"(function)": f"{function.__module__}.{function.__qualname__}"}
+        return {"(function)": source_of(function), **self.values(function, path)}
+
+    def _class(self, own: type, path: str) -> Any:
+        """A class: by name, or by its bases and everything that its body defines."""
+        found: dict[str, Any] = {"(class)": f"{own.__module__}.{own.__qualname__}"}
+        if _is_library(own.__module__):
+            return found
+        found["(bases)"] = self.of(list(own.__bases__), path)
+        for name, part in vars(own).items():
+            inner = getattr(part, "fget", None) or getattr(part, "func", None)
+            inner = inner or getattr(part, "__func__", None) or part
+            if isinstance(inner, types.FunctionType):
+                if not (name in _GENERATED and "__dataclass_fields__" in vars(own)):
+                    found[name] = self.of(inner, _join(path, name))
+            elif not name.startswith("__") and name != "_abc_impl" and not _is_slot(inner):
+                found[name] = self.of(inner, _join(path, name))
+        return found
+
+    def _object(self, value: Any, path: str) -> Any:
+        """Any other object: what it would be made from again."""
+        module = getattr(value, "__module__", None) or type(value).__module__
+        if type(value).__name__ in _DRAWS:
+            _refuse(value, path, "make it in the function, from a seed")
+        wrapped = getattr(value, "__wrapped__", None) or getattr(value, "py_func", None)
+        if isinstance(wrapped, types.FunctionType) and _is_library(type(value).__module__):
+            # functools.lru_cache, numba.njit
+            return {"(type)": type(value).__name__, "(of)": self.of(wrapped, path)}
+        try:
+            reduce = copyreg.dispatch_table.get(type(value))
+            parts = value.__reduce_ex__(2) if reduce is None else reduce(value)
+        except Exception:  # what an object raises that is not to be copied is its own choice
+            _refuse(value, path, _HERE)
+        if isinstance(parts, str):
+            if not _is_library(module):
+                _refuse(value, path, _HERE)
+            return {"name": f"{module}.{parts}"}
+        made_by, arguments = parts[:2]
+        state, items, pairs = (*parts[2:5], None, None, None)[:3]
+        found: dict[str, Any] = {"(type)": self.of(type(value), path)}
+        if made_by.__name__ != "__newobj__" or arguments != (type(value),):
+            found["(of)"] = self.of([made_by, *arguments], path)
+        if items is not None:
+            found["(items)"] = self.of(list(items), path)
+        if isinstance(state, tuple) and len(state) == 2:  # __dict__, and what is in __slots__
+            state = {**(state[0] or {}), **(state[1] or {})}
+        if isinstance(state, dict):
+            state = {name: part for name, part in state.items() if not _is_made(value, name)}
+            found |= {name: self.of(part, _join(path, name)) for name, part in state.items()}
+        elif state is not None:
+            found["(state)"] = self.of(state, path)
+        if pairs is not None:
+            found["(pairs)"] = self.of([list(pair) for pair in pairs], path)
+        return found
+
+
+def _globals_read(code: types.CodeType) -> Iterator[str]:
+    """Names that code and the functions within it look up in its module."""
+    for one in _with_inner(code):
+        for step in dis.get_instructions(one):
+            if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+                yield step.argval
+
+
+def _with_inner(code: types.CodeType) -> Iterator[types.CodeType]:
+    """Code, and that of all functions within it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _with_inner(constant)
+
+
+def _reads_of(
+    code: types.CodeType, name: str, module: types.ModuleType
+) -> Iterator[tuple[str, Any]]:
+    """What code and the functions within it read of a module that they know by a name.
+
+    Of a module within the module that is what it reads of that.
+    """
+    for one in _with_inner(code):
+        steps = list(dis.get_instructions(one))
+        for place, step in enumerate(steps):
+            if step.opname not in _LOADS or step.argval != name:
+                continue
+            path, value = name, module
+            for after in steps[place + 1 :]:
+                if not _is_own(value) or after.opname not in ("LOAD_ATTR", "LOAD_METHOD"):
+                    break
+                path, value = f"{path}.{after.argval}", getattr(value, after.argval, None)
+            yield path, value
+
+
+def _require_no_imports(function: types.FunctionType, path: str) -> None:
+    """Refuse imports within a function of modules that are neither Python's nor installed."""
+    for code in _with_inner(function.__code__):
+        steps = list(dis.get_instructions(code))
+        for place, step in enumerate(steps):
+            if step.opname != "IMPORT_NAME":
+                continue
+            relative = steps[place - 2].argval > 0  # the level, then the names, are loaded before
+            if relative or not _is_library(step.argval):
+                name = step.argval or "of its package"
+                raise ArgumentError(
+                    f"function{f' {path}' if path else ''} imports {name} within itself, which "
+                    "cannot be compared with that of another run of the study: import it at the "
+                    "top of the file."
+                )
+
+
+def _digest_of(code: types.CodeType) -> str:
+    """What code does, whatever its file and line."""
+
+    def parts(one: types.CodeType) -> list[Any]:
+        inner = [parts(c) if isinstance(c, types.CodeType) else repr(c) for c in one.co_consts]
+        names = [*one.co_names, *one.co_varnames, *one.co_freevars, *one.co_cellvars]
+        return [one.co_code.hex(), inner, names]
+
+    return hashlib.sha256(json.dumps(parts(code)).encode()).hexdigest()
+
+
+@functools.cache
+def _is_library(name: str | None) -> bool:
+    """Whether a module is of Python, of this package or of an installed one."""
+    top = (name or "").split(".")[0]
+    if top in sys.stdlib_module_names or top == __name__.split(".")[0]:
+        return top != "__main__"
+    file = getattr(sys.modules.get(top), "__file__", None)
+    folders = {sysconfig.get_path(kind) for kind in ("purelib", "platlib")}
+    return file is not None and any(Path(file).is_relative_to(folder) for folder in folders)
+
+
+def _is_own(value: Any) -> bool:
+    """Whether a value is a module that is neither Python's nor installed."""
+    return isinstance(value, types.ModuleType) and not _is_library(value.__name__)
+
+
+def _is_made(value: Any, name: str) -> bool:
+    """Whether an entry of an object's state follows from the others, or says nothing of it."""
+    kept = inspect.getattr_static(type(value), name, None)
+    ours = any(_is_library(base.__module__) for base in type(value).__mro__ if base is not object)
+    return (
+        isinstance(kept, functools.cached_property) or name == "__doc__" or (ours and name in _MADE)
+    )
+
+
+def _is_slot(part: Any) -> bool:
+    return isinstance(part, (types.MemberDescriptorType, types.GetSetDescriptorType))
+
+
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
+
+
+def _refuse(value: Any, path: str, advice: str) -> NoReturn:
+    raise ArgumentError(
+        f"function reads {path}, a {type(value).__name__}, which cannot be compared with that of "
+        f"another run of the study: {advice}."
+    )
+
 
 _KEYS = ("plant", "laws", "model", "x0", "horizon", "step")
 
@@ -32,7 +325,7 @@ class FunctionStudy(Study):
     function : callable
         From a cell's values to a mapping of what `monte_carlo` takes.
     values : mapping
-        All that the function reads beside them, as `deadtime.scenarios.sweeps.content` puts it.
+        All that the function reads beside them.
     """
 
     function: Callable[..., Mapping[str, Any]]

@@ -21,11 +21,19 @@ from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.gains_and_laws import as_numbers
 from deadtime.problems.literature import template
 from deadtime.problems.toml import SectionError, read_toml, require_valid, section
-from deadtime.scenarios.sweeps.axes import AXES, OVERWRITES, Draft, axis_of, path_of
+from deadtime.scenarios.sweeps.axes import (
+    AXES,
+    DEFAULT,
+    ORACLE,
+    OVERWRITES,
+    Draft,
+    axis_of,
+    kinds_of,
+    path_of,
+)
 from deadtime.scenarios.sweeps.file_study import FileStudy, without_signal
 from deadtime.scenarios.sweeps.schema import StudyFile, distinct, require_known
 from deadtime.scenarios.sweeps.study import require_axis
-from deadtime.scenarios.sweeps.study_laws import DEFAULT, ORACLE, kinds_of
 
 
 class _Base(NamedTuple):

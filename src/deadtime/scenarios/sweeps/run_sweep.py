@@ -18,13 +18,13 @@ from deadtime.scenarios.sweeps.blocks import BlockLayout, costs_of, facts_of, la
 from deadtime.scenarios.sweeps.cell import run_cell
 from deadtime.scenarios.sweeps.cluster import cluster
 from deadtime.scenarios.sweeps.load import load_study
-from deadtime.scenarios.sweeps.open_store import open_sweep
 from deadtime.scenarios.sweeps.store import (
     Store,
     cached_store,
     create,
     exists,
     open_store,
+    open_sweep,
     place_of,
 )
 from deadtime.scenarios.sweeps.study import Study

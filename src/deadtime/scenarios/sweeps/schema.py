@@ -12,7 +12,7 @@ from deadtime.problems.file.schema import CostSection, ImperfectionEntry
 from deadtime.problems.imperfection_registry import SWEPT, ImperfectionAxis
 from deadtime.problems.toml.sections import Count, First, NotNegative, Poles, Section
 from deadtime.scenarios.dataset import METRICS
-from deadtime.scenarios.sweeps.study_sojourns import FAMILIES
+from deadtime.scenarios.sweeps.axes import FAMILIES
 
 MOST_VALUES = 5000  # of an axis
 

@@ -12,8 +12,7 @@ from deadtime.feedback import Forecast, Functional
 from deadtime.feedback.table import require_finite_gains
 from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SwitchedSystem, Weight
-from deadtime.simulation.ideal.piecewise import Piecewise
-from deadtime.simulation.ideal.segments import NODES, segments_of
+from deadtime.simulation.ideal.segments import NODES, Piecewise, segments_of
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
 
@@ -140,7 +139,7 @@ def _solve(
 
         states, done = march_branches(moving, line, law, x0, nodes, rereads)
     else:
-        from deadtime.simulation.ideal.window_march import march_windows, windows_of
+        from deadtime.simulation.ideal.collocation import march_windows, windows_of
 
         states, done = march_windows(moving, line, windows_of(law, middles), x0, nodes)
     # The states of the delay line's last inputs may leave the limit after the run's end.

@@ -32,9 +32,8 @@ from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import RunOutcome
 from deadtime.simulation.ideal.ideal_run import NODES, IdealRecord
-from deadtime.simulation.ideal.piecewise import Piecewise, side_by_side
-from deadtime.simulation.ideal.rule_parts import RulePart, no_loop, outcome_of
-from deadtime.simulation.ideal.sent import Sent, with_edge
+from deadtime.simulation.ideal.rule_parts import RulePart, Sent, no_loop, outcome_of, with_edge
+from deadtime.simulation.ideal.segments import Piecewise, side_by_side
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.switching import Rule
 from deadtime.switching.rules.motion import Beside, Leg, Motion, Move

@@ -1,17 +1,188 @@
-"""The segments of an ideal run: their edges, and how short they must be."""
+"""The segments of an ideal run, between instants where it is not analytic, and polynomials on them.
+
+The state's slope jumps at a switch; a delay passes every jump on, one derivative smoother:
+to the times shifted by the plant's delay (through the input) and by the law's (through the
+edge of its window). A jump passed on ten times has no weight left in double precision.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
 from deadtime.feedback import Forecast, Functional
+from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.ideal.breakpoints import Shift, merge, pass_on, subdivide
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import first_reads
+
+_SAME = 1e-12
+
+
+class Shift(NamedTuple):
+    """A delay by which jumps are passed on.
+
+    seconds; the mode in which it is read, None for any; and by how much a jump counts less one
+    derivative further up, over the order of that derivative.
+    """
+
+    seconds: float
+    mode: int | None
+    weight: float
+
+
+def merge(times: np.ndarray, low: float, high: float) -> Float[np.ndarray, " edge"]:
+    """The times within [low, high], sorted, both ends included, near repeats dropped.
+
+    Examples
+    --------
+    >>> merge(np.array([2.0, 1.0, 1.0 + 1e-14, 5.0]), 0.0, 3.0)
+    array([0., 1., 2., 3.])
+    """
+    tolerance = _SAME * max(1.0, high - low)
+    inner = np.sort(times[(times > low + tolerance) & (times < high - tolerance)])
+    kept = inner[np.concatenate(([True], np.diff(inner) > tolerance))] if inner.size else inner
+    return np.concatenate(([low], kept, [high]))
+
+
+def pass_on(
+    times: np.ndarray,
+    shifts: list[Shift],
+    signal: SwitchingSignal,
+    high: float,
+    faint: float = 1e-15,
+) -> np.ndarray:
+    """The times and their shifts up to `high`, as long as what is passed on weighs over `faint`.
+
+    A plant with delays of its own in every mode passes an input on by those of the mode that reads
+    it. Gauss sums of p nodes on segments of length h see a jump of the k-th derivative, of what
+    moves at a rate λ, as (λh/2p)ᵏ/k!, which is what the weights of shifts multiply to.
+
+    Examples
+    --------
+    >>> shifts = [Shift(0.5, 0, 0.01), Shift(0.2, 1, 0.01)]
+    >>> signal = SwitchingSignal([0.0, 0.6], [0, 1])
+    >>> pass_on(np.array([0.0]), shifts, signal, 0.95).round(9).tolist()
+    [0.0, 0.5, 0.7, 0.9]
+    """
+    close = _SAME * max(1.0, high)
+    reached, weight, order = [times], np.ones(times.size), 0
+    while times.size:
+        order += 1
+        found, weights = [], []
+        for shift in shifts:
+            t, w = times + shift.seconds, weight * (shift.weight / order)
+            kept = (t <= high) & (w > faint)
+            if shift.mode is not None:
+                inside = np.maximum(t, 0.0)
+                kept &= (
+                    (signal(inside) == shift.mode)
+                    | (signal(np.maximum(inside - close, 0.0)) == shift.mode)
+                    | (signal(inside + close) == shift.mode)
+                )
+            found.append(t[kept])
+            weights.append(w[kept])
+        times, weight = np.concatenate(found), np.concatenate(weights)
+        if times.size:
+            place = np.argsort(times, kind="stable")
+            times, weight = times[place], weight[place]
+            first = np.flatnonzero(np.append(True, np.diff(times) > close))
+            times, weight = times[first], np.maximum.reduceat(weight, first)
+            reached.append(times)
+    return np.concatenate(reached)
+
+
+def subdivide(edges: np.ndarray, longest: float) -> Float[np.ndarray, " edge"]:
+    """The edges, with segments longer than `longest` cut into equal parts.
+
+    Examples
+    --------
+    >>> subdivide(np.array([0.0, 0.1, 1.0]), 0.5)
+    array([0.  , 0.1 , 0.55, 1.  ])
+    """
+    parts = np.maximum(1, np.ceil(np.diff(edges) / longest - 1e-9).astype(int))
+    fraction = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    start = np.repeat(edges[:-1], parts)
+    return np.append(start + fraction * np.repeat(np.diff(edges) / parts, parts), edges[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Piecewise(Frozen):
+    """A vector-valued function of time, a polynomial on each segment; values are right limits.
+
+    Attributes
+    ----------
+    edges : (segments + 1,)
+        Ends of the segments.
+    values : (segments, nodes, k)
+        Values at the support nodes of each segment: its start, Gauss points, its end.
+
+    Examples
+    --------
+    >>> line = Piecewise(np.array([0.0, 2.0]), 2.0 * gauss(3).support[None, :, None])
+    >>> line(np.array([0.5, 1.5])).ravel()
+    array([0.5, 1.5])
+    """
+
+    edges: Float[np.ndarray, " edge"]
+    values: Float[np.ndarray, "segment node k"]
+
+    @property
+    def slack(self) -> float:
+        """How far before an edge a time counts as at it."""
+        return 1e-12 * max(1.0, float(self.edges[-1]))
+
+    def __call__(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
+        """Values at times within the edges, in any order."""
+        from deadtime.simulation.ideal.collocation import sample
+
+        nodes, edges = gauss(self.values.shape[1] - 2), self.edges
+        # A time within round-off before an edge is at it.
+        following = edges[np.minimum(np.searchsorted(edges, times), edges.size - 1)]
+        close = following - times <= self.slack
+        times = np.where(close, following, times)
+        order = np.argsort(times, kind="stable")
+        result = np.empty((times.size, self.values.shape[2]))
+        result[order] = sample(
+            edges, self.values, nodes.support, nodes.barycentric, times[order], 0
+        )
+        return result
+
+    def form_integral(self, start: float, end: float, Q: np.ndarray | None = None) -> float:
+        """∫fᵀQf over [start, end], both of them edges; None: Q = I."""
+        inside = (self.edges[:-1] >= start - 1e-12) & (self.edges[1:] <= end + 1e-12)
+        weights = np.diff(self.edges)[inside, None] * gauss(self.values.shape[1] - 2).weights
+        f = self.values[inside, 1:-1]
+        return float(np.sum(weights * np.sum(f**2 if Q is None else f * (f @ Q), axis=2)))
+
+
+def side_by_side(functions: list[Piecewise]) -> Piecewise:
+    """Functions as one, on the segments of all and where all are known.
+
+    Those on the same segments keep their values, others are interpolated.
+
+    Examples
+    --------
+    >>> t = gauss(3).support[None, :, None]
+    >>> slow = Piecewise(np.array([0.0, 2.0]), 2.0 * t)
+    >>> both = side_by_side([slow, Piecewise(np.array([0.0, 1.0]), 3.0 * t)])
+    >>> both.edges, both(np.array([0.5])).round(12)
+    (array([0., 1.]), array([[0.5, 1.5]]))
+    """
+    first = functions[0]
+    if all(np.array_equal(each.edges, first.edges) for each in functions):
+        return Piecewise(first.edges, np.concatenate([each.values for each in functions], axis=2))
+    low, high = max(each.edges[0] for each in functions), min(each.edges[-1] for each in functions)
+    edges = merge(np.concatenate([each.edges for each in functions]), float(low), float(high))
+    joint = InputHistory(lambda t: np.hstack([each(t) for each in functions]), np.empty(0))
+    return Piecewise(edges, joint.on(edges, gauss(first.values.shape[1] - 2)))
+
 
 NODES = 10
 _MOST_SEGMENTS = 1e6

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.reports.figures.sweeps.selection import NOT_RUN, RATES, RUNS, axes_of, laws_of
-from deadtime.scenarios.paired.ranking import winners_of
-from deadtime.scenarios.paired.statistics import mean_interval, quotient
+from deadtime.scenarios.paired_statistics import mean_interval, quotient, winners_of
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,9 +1,10 @@
-"""Transitions over a period, whole or cut by switches.
+"""The periods of a loop: what acts over them, the maps of whole and cut ones, and signals by these.
 
-Over a period the plant sees z, its state and what acts on it (`scenarios.acting`), and moves by
-x_{k+1} = M z with ∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts the period, M and E
-are analytic in the instant of the switch, as long as no piece of either mode ends there: series in
-it replace two exponentials by one short polynomial.
+Over a period the plant sees z, its state at the sample, inputs of several lags and forces of
+disturbances, each constant over its stretch (`simulation.forcing`), and moves by x_{k+1} = M z with
+∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts the period, M and E are analytic in the
+instant of the switch, as long as no piece of either mode ends there: series in it replace two
+exponentials by one short polynomial.
 """
 
 from __future__ import annotations
@@ -14,11 +15,122 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
-from deadtime.scenarios.acting import Acting, acting_of
+from deadtime.plant.pieces import Stretches
+
+
+class Acting(NamedTuple):
+    """The stretches of all modes on one vector, z = (x_k, u_{k−l} for the l of `lags`, forces).
+
+    states : the entries of x; plain : those of x and the inputs; wide : those of z
+    lags : (lags,), oldest first
+    stretches : those of every mode; column : (stretches, inputs), the entry of z that is input j of
+        B (modes, n, inputs), to which forces add n unit vectors
+    edges : (parts + 1,), seconds: between two of these no stretch of any mode begins or ends
+    arrival, arriving : (arrivals,), seconds into the period at which an input u_{k−l} begins to
+        act, and its l
+    """
+
+    states: int
+    plain: int
+    wide: int
+    lags: Int[np.ndarray, " lag"]
+    stretches: Stretches
+    column: Int[np.ndarray, "stretch input"]
+    B: Float[np.ndarray, "mode n input"]
+    edges: Float[np.ndarray, " part+1"]
+    arrival: Float[np.ndarray, " arrival"]
+    arriving: Int[np.ndarray, " arrival"]
+
+
+def acting_of(sampled: SampledPlant, forced: bool = False) -> Acting:
+    """What acts on a sampled plant; if `forced`, a force over each stretch, too.
+
+    Stretches of the same place in their modes' periods have the same force.
+
+    Examples
+    --------
+    >>> from deadtime.plant import SwitchedSystem
+    >>> acting = acting_of(SampledPlant(SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.27), 0.1))
+    >>> acting.lags, acting.column.ravel(), acting.edges.round(12), acting.arriving
+    (array([3, 2]), array([1, 2]), array([0.  , 0.07, 0.1 ]), array([2]))
+    """
+    stretches, n, m = sampled.every_stretch, sampled.plant.states, sampled.plant.inputs
+    lags = np.unique(stretches.lag)[::-1]
+    block = np.searchsorted(-lags, -stretches.lag)
+    column, B, wide = n + block * m + np.arange(m), sampled.plant.B, n + lags.size * m
+    plain = wide
+    if forced:
+        place = np.concatenate([np.arange(count) for count in np.diff(stretches.first)])
+        column = np.concatenate((column, plain + place[:, None] * n + np.arange(n)), axis=1)
+        B = np.concatenate((B, np.broadcast_to(np.eye(n), sampled.plant.A.shape)), axis=2)
+        wide += (int(place.max()) + 1) * n
+    edges = np.unique(np.concatenate((stretches.start, stretches.stop)))
+    begins = np.flatnonzero(stretches.start > 0.0)
+    arrivals = {
+        (float(stretches.start[s]), int(lag))
+        for s in begins
+        for lag in stretches.lag[s][stretches.lag[s] != stretches.lag[s - 1]]
+    }
+    pairs = np.reshape(sorted(arrivals), (-1, 2))
+    arrays = lags.copy(), column, B.copy(), edges, pairs[:, 0].copy(), pairs[:, 1].astype(np.int64)
+    lags, *rest = map(read_only, arrays)
+    return Acting(n, plain, wide, lags, stretches, *rest)
+
+
+class Records(NamedTuple):
+    """Which map takes a scenario over a period, from that period on.
+
+    Record r of scenario s, first[s] ≤ r < first[s + 1], says that from period `step[r]` on the
+    sampled mode is `mode[r]` and the map is `map[r]`. A map below the number of modes is that
+    mode's. Map modes + c is that of cut period c with the sojourns sojourn[c], …, until[c] − 1 of
+    the signals, of which sojourn i begins at[i] seconds into the period, the first one before it
+    or at its start. A scenario's last period counts as cut, and is marked in `last`.
+    """
+
+    first: Int[np.ndarray, " scenario+1"]
+    step: Int[np.ndarray, " record"]
+    mode: Int[np.ndarray, " record"]
+    map: Int[np.ndarray, " record"]
+    sojourn: Int[np.ndarray, " cut"]
+    until: Int[np.ndarray, " cut"]
+    last: Bool[np.ndarray, " cut"]
+    at: Float[np.ndarray, " sojourn"]
+
+    def modes(self, samples: int) -> Int[np.ndarray, "scenario sample"]:
+        """The sampled mode of every scenario at the samples 0, …, samples − 1."""
+        return self._along(self.mode, samples)
+
+    def maps(self, samples: int) -> Int[np.ndarray, "scenario period"]:
+        """The map of every scenario over the periods 0, …, samples − 1."""
+        return self._along(self.map, samples)
+
+    def _along(self, values: Int[np.ndarray, " record"], samples: int) -> Int[np.ndarray, "s k"]:
+        ends = np.append(self.step[1:], samples)
+        ends[self.first[1:-1] - 1] = samples
+        return np.repeat(values, ends - self.step).reshape(-1, samples).astype(np.int64)
+
+
+class Laid(NamedTuple):
+    """Signals laid on the periods 0, …, K, the last of which goes on to the horizon only.
+
+    Row `records.map[r]` of `maps` takes the plant over a period: `move` and the upper triangle of
+    `energy` with its off-diagonal doubled, flat (`Maps`). `age` is that of the first
+    mode at time 0, in samples.
+    """
+
+    records: Records
+    maps: Float[np.ndarray, "map size"]
+    age: Int[np.ndarray, " scenario"]
+
+    @property
+    def scenarios(self) -> int:
+        """How many there are."""
+        return self.age.size
+
 
 WIDE = 8  # entries of a map come in vectors of so many
 NODES, _ROUND_OFF = 20, 2e-15

@@ -1,10 +1,7 @@
-"""What the laws of eight scenarios hear: samples late or lost, noise, rows by the modes told.
+"""Measurements and modes as they reach the laws of eight scenarios: late, lost, noisy or wrong.
 
-`layout.Relayed` has it, drawn before the run.
+`lane_types.Relayed` has them, drawn before the run.
 """
-
-# Intrinsics take one argument less than the functions that declare them.
-# pyright: reportCallIssue=false
 
 from __future__ import annotations
 
@@ -26,6 +23,10 @@ from deadtime.numerics.lanes import (
     times,
 )
 
+# Intrinsics take one argument less than the functions that declare them.
+# pyright: reportCallIssue=false
+
+
 _ONE = (0.0,)
 
 
@@ -36,7 +37,7 @@ class Recent(NamedTuple):
 
     slot : of x_k, one number;  places : where what is heard lies
     lost : 1 where nothing is heard;  number : the row of the law's table, as `choose` reads it
-    row : of `layout.Sight`, each scenario's;  own : what that holds, (degree, n, z)
+    row : of `SightLanes`, each scenario's;  own : what that holds, (degree, n, z)
     """
 
     states: np.ndarray

@@ -1,1 +1,0 @@
-"""Laws compared in pairs, on the same signals: statistics of quotients, and the best law."""
