@@ -104,7 +104,7 @@ def nested(value, name, *shape):
 
 
 def array(value, name, *shape):
-    """The same from base64."""
+    """Nested lists of a stored array, whose numbers are base64."""
     sizes, data = take(value, name, "shape data")
     fits = all(k in (None, whole(s, name, 0)) for s, k in zip(sizes, shape, strict=True))
     raw = base64.b64decode(data, validate=True)
@@ -137,7 +137,7 @@ def depth(value):
 
 
 def certificate(content):
-    """What the file says, checked for shapes and ranges."""
+    """The content of a file, checked for shapes and ranges."""
     keys = "format version decay_rate plant law signals rho lyapunov hints"
     form, by, rate, plant, law, signals, rho, lyapunov, hints = take(content, "the file", keys)
     need(form == "deadtime certificate 2", "the format is not 'deadtime certificate 2'")
@@ -539,7 +539,7 @@ class Loop:
                 yield from ((c.measured + row, lost, lost + 1) for row in rows)
 
     def unseen(self, mode, age, lost):
-        """What acts at the last of so many lost samples in a row, before `measured` is added."""
+        """Rows at the last of so many lost samples in a row, before `measured` is added."""
         c = self.c
         if c.context == "none" or (age >= lost and not self.bucket) or c.modes == 1:
             return self.counted(mode, age, lost)
@@ -690,7 +690,7 @@ class Loop:
         return W, X
 
     def arrivals(self, i, j, q, at, u, f, g):
-        """What input `at` goes through: (mode, lag), its end, how u, f and g move that, f and g the
+        """The pieces of input `at`: (mode, lag), its end, how u, f and g move that, f and g the
         places of its delays in modes i and j. The last piece ends with the period."""
         (late, first, last, low, high), to = self.places[i][at], self.places[j][at]
         phase, zero = low + f * (high - low), arb(0)
@@ -723,7 +723,7 @@ class Loop:
         return [*found, (j, late + 1, self.h, ())]
 
     def box_period(self, i, j, q, p, slopes):
-        """The same as `period` for delays that each have a range, by u, by the place in each."""
+        """As `period`, for delays that each have a range, by u, by the place in each."""
         c, k, n, m = self.c, self.k, self.n, self.c.m
         u, f, g, weights = p[0], p[1 : m + 1], p[m + 1 : 2 * m + 1], p[2 * m + 1 :]
         zero, totals = arb_mat(k, k), None
@@ -806,7 +806,7 @@ class Loop:
         return found
 
     def box_roots(self, i, j, low, high, weights):
-        """The same where each delay has its range: s is cut at both ends of all of them."""
+        """As `roots`, where each delay has its range: s is cut at both ends of all of them."""
         marks, found, switches = [Fraction(0)], [], i != j
         ends = {x for mode in (i, j) for at in self.places[mode] for x in at[1:3] if switches}
         for x in sorted(ends):
