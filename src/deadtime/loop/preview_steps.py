@@ -58,7 +58,8 @@ class PreviewState(NamedTuple):
         """Empty stacks with room for a window of so many pieces, of so many scenarios if any."""
         n, _, acting, room = sizes
         shapes = (max(1, slots) + 1, room), (acting,), (n,), (room,)
-        return cls(sizes, *arrays_of(*shapes, lanes=lanes), np.zeros(3, np.int64))
+        maps, inputs, x, spare = arrays_of(*shapes, lanes=lanes)
+        return cls(sizes, maps, inputs, x, spare, np.zeros(3, np.int64))
 
 
 # A part of who calls it where that is compiled, but run by Python in a run that is short.
