@@ -7,6 +7,7 @@ are only those up to its end, and would flatter the law.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -203,6 +204,8 @@ class LawRuns:
     lost : (law, scenario) of bool
         Where a law diverged.
     """
+
+    _keep: Callable[[Any], np.ndarray]
 
     def __init__(self, data: xr.Dataset | Comparison) -> None:
         if isinstance(data, Comparison):
