@@ -262,3 +262,22 @@ def test_a_row_or_mode_that_does_not_exist_is_refused():
         lifted_loop(plant, feedback, 0, row=3)
     with pytest.raises(dt.ArgumentError, match=r"mode must be in 0\.\.2, got -1"):
         lifted_loop(plant, feedback, -1)
+
+
+# -- Arnoldi's method -----------------------------------------------------------------------------
+
+
+def test_arnoldi_s_method_finds_the_largest_eigenvalue_of_an_operator_and_its_vector():
+    M = np.random.default_rng(1).normal(size=(60, 60)) + 20.0 * np.eye(60)[::-1]
+    start = np.ones(60)
+    found = lifted.leading_eigenvalue(lambda z: M @ z, start, 1e-12)
+    assert found is not None
+    value, vector = found
+    assert abs(value) == pytest.approx(np.abs(np.linalg.eigvals(M)).max(), rel=1e-11)
+    plants.close(M @ vector, value * vector, 1e-9)
+
+
+def test_arnoldi_s_method_says_nothing_of_eigenvalues_that_lie_too_close():
+    turned = np.roll(np.eye(400), 1, axis=0)  # 400 of one modulus
+    start = np.random.default_rng(0).normal(size=400)
+    assert lifted.leading_eigenvalue(lambda z: turned @ z, start, 1e-11) is None
