@@ -215,12 +215,12 @@ def test_an_encoding_without_infinity_is_no_reason_to_fail(monkeypatch):
 def test_an_interrupted_command_says_so_and_stops_with_130(tmp_path):
     code = """
 import os, signal, time
-from deadtime.cli import certificates, main
+from deadtime.cli import main, options
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
 def interrupted(place):
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(60.0)
-certificates.problem_of = interrupted
+options.problem_of = interrupted
 main(["certify", "paper"])
 """
     command = [sys.executable, "-c", code]
@@ -235,13 +235,13 @@ def test_an_interrupted_command_leaves_at_once_those_who_are_at_work(tmp_path):
     code = """
 import atexit, threading
 from deadtime.base import threads
-from deadtime.cli import certificates, main
+from deadtime.cli import main, options
 atexit.register(print, "Python's own end")
 threads.processors = lambda: 2
 def interrupted(place):
     for _ in threads.in_order(lambda i: i or threading.Event().wait(60.0), [1, 0]):
         raise KeyboardInterrupt
-certificates.problem_of = interrupted
+options.problem_of = interrupted
 main(["certify", "paper"])
 """
     command = [sys.executable, "-c", code]
