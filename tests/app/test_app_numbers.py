@@ -293,7 +293,7 @@ def test_a_page_keeps_to_samples_where_the_modes_of_its_file_change_there(tmp_pa
     page = Page(document, None)
     page.draw_by_hand(1.512, 2)
     np.testing.assert_array_equal(page.outcome.signal.times, [0.0, 0.6, 1.5])
-    assert page.outcome.problem.switches_at == "samples"
+    assert page.outcome.problem.signals.at == "samples"
     asked = []
 
     def stop(*given, **_):
