@@ -183,7 +183,7 @@ def test_proportions_count_what_the_test_of_the_claim_says(claims):
         ],
     }
     for key, outcomes in counts.items():
-        assert claims[key].proportion == Proportion(sum(outcomes), SCENARIOS)
+        assert claims[key].proportion == Proportion(int(sum(outcomes)), SCENARIOS)
 
 
 def test_one_run_is_that_on_the_problem_s_signal(claims):

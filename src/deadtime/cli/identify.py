@@ -337,8 +337,8 @@ def fit(
         between, switches = found["off_grid"], found["switches"]
         if between:
             print(
-                f"Between samples of {chain.step:g} s: {between:,} of {switches:,} switches; the "
-                "chain makes each at the next sample.\n"
+                f"# Between samples of {chain.step:g} s: {between:,} of {switches:,} switches; "
+                "the chain makes each at the next sample."
             )
         print(chain.section())
         return
