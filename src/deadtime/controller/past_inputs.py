@@ -69,7 +69,7 @@ class DensePast:
 
 
 class FactoredPast(DensePast):
-    """The same with block sums, for a factorised table of many taps."""
+    """The last N inputs in a ring, with block sums for a factorised table of many taps."""
 
     arrays = ("ring", "place", "power", "sums", "partial")
 

@@ -1,4 +1,4 @@
-"""What every law has: a model of the plant and gains; and, all but one, a table at any period."""
+"""The interface of laws: a model of the plant, gains, and for all but one a table at any period."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ class Law(Frozen, ABC):
     def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Foresight | None:
-        """What a law that knows the signal does with its prediction; None for every other law.
+        """The preview of a law that knows the signal; None for every other law.
 
         `signal` and `steps` as in `digital`.
         """
@@ -301,7 +301,7 @@ class TableLaw(Law):
 
 
 def require_input(asked: Any, inputs: int) -> Float[np.ndarray, " m"]:
-    """What an `Update` returned, as an input; a number is that of a plant with one."""
+    """The answer of an `Update` as an input vector; a number stands for a plant with one input."""
     if asked is None or (np.shape(asked) != (inputs,) and (np.ndim(asked) or inputs > 1)):
         raise ArgumentError(
             f"law.online(step) must make a function that returns u_k of shape (m,) = ({inputs},), "

@@ -1,4 +1,4 @@
-"""What a law remembers from sample to sample, as a table for compiled loops.
+"""The state that a law keeps between samples, as a table for compiled loops.
 
 Beside its `Feedback`, such a law has a state z = (x̂, q, r) that its rows are multiplied with: an
 estimate, sums of errors, and a reference. In mode i, from the past inputs u that the law has and

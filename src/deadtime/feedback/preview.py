@@ -22,7 +22,7 @@ from deadtime.switching.grid import cuts_of, modes_at
 
 
 class Foresight(NamedTuple):
-    """What a law that knows the signal does with its prediction.
+    """The preview of a law that knows the signal: model, gains and signal.
 
     sampled : the law's model at its period
     gains : (modes, m, n), K_i

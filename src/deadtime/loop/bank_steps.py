@@ -187,7 +187,7 @@ def _predict(form, bank):
 
 @inner_kernel
 def _move_state(chain, x, sent, j, result, wide):
-    """What mode j makes of x over a period, and the size of its terms."""
+    """Move x through a period in mode j, and note the size of the terms."""
     Phi, Gamma = chain.Phi, chain.Gamma
     for a in range(x.size):
         total = size = 0.0

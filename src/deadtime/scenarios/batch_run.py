@@ -111,7 +111,7 @@ def run_blocks(
 
 
 def _rest(running: dict[Future[int], int]) -> int:
-    """What blocks return that were in hand at the end."""
+    """Collect the blocks in hand at the end, cancel the others, and sum the results."""
     for future in running:
         future.cancel()
     finished, _ = wait(running)
@@ -390,7 +390,7 @@ def _unseen(model: object, plant: SwitchedSystem) -> str:
 def _message(
     results: Results, names: Sequence[str], continued: int, interrupted: bool, unseen: str
 ) -> str:
-    """What is worth knowing about the run as a whole."""
+    """The notes on the run as a whole: interruptions, continued signals, divergence."""
     done, scenarios = int(results.done.sum()), results.done.size
     notes = [unseen] if unseen else []
     if interrupted:

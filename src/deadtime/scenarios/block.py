@@ -225,7 +225,7 @@ class Block:
 
     @cached_property
     def _followed(self) -> list[Followed | None]:
-        """What each law is to follow."""
+        """The tracked outputs and reference of each law, None where it tracks nothing."""
         return [Followed.of(law) for law in self.laws.values()]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:

@@ -340,11 +340,11 @@ class Engine:
         return table._replace(shape=shape, bank=bank, outputs=outputs)
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> EngineTable:
-        """What a law that knows these signals does, of each of them."""
+        """The table of a law that knows these signals, for each of them."""
         return self._foreseeing(ahead, ahead.lay(signals))
 
     def along(self, law: EngineTable | ModelAhead, signals: SignalBatch) -> EngineTable:
-        """What a law does, along signals."""
+        """The table of a law along signals."""
         return law if isinstance(law, EngineTable) else self.foresee(law, signals)
 
     def compile(self, law: EngineTable | ModelAhead) -> None:
@@ -382,7 +382,7 @@ class Engine:
         keep: int = 0,
         room: np.ndarray = _NOTHING,
     ) -> tuple[ScenarioSums, Path]:
-        """The same with states and inputs from sample `keep` on, laid in `room` where that does.
+        """Run as `run` does, with states and inputs from sample `keep` on, in `room` if it fits.
 
         New memory costs about as much as a run of a few scenarios.
         """

@@ -1,4 +1,4 @@
-"""What disturbances do in a block of scenarios: a force for every stretch of every period.
+"""Disturbances in a block of scenarios: a force for every stretch of every period.
 
 It is constant over the stretch and does to the state there what the disturbance does; what draws it
 and what it is are as in a single run (`simulation.forcing`).

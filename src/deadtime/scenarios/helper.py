@@ -115,7 +115,7 @@ def share_of(tables: Mapping[str, Runnable]) -> frozenset[str]:
 
 
 def _kind(table: Runnable) -> tuple[Hashable, ...]:
-    """What laws that share a loop have in common."""
+    """The key of a compiled loop, the same for laws that share one."""
     if isinstance(table, ModelAhead):
         return ModelAhead, table.loop.acting.lags.size
     return table.shape, table.dense is None, table.memory is None

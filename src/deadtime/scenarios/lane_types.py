@@ -1,4 +1,4 @@
-"""What the compiled loop of `scenarios.lane_loop` is given: sizes as types, law, plant and run."""
+"""Arguments of the compiled loop of `scenarios.lane_loop`: sizes as types, law, plant and run."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class RunLanes(NamedTuple):
 
 
 class Relayed(NamedTuple):
-    """What sensors tell a law in every scenario, by groups of eight that lie side by side, flat.
+    """Sensor data that reach a law in every scenario, in flat groups of eight side by side.
 
     lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
         was began, −1 for nothing: the last command is held; empty where every sample is heard at
@@ -145,7 +145,7 @@ class SightLanes(NamedTuple):
 
 
 class Hearing(NamedTuple):
-    """What a law hears, None for all of it; `sight` is None where all is measured at samples."""
+    """The received data of a law, None for all; `sight` is None with measurements at samples."""
 
     relayed: Relayed | None = None
     sight: SightLanes | None = None

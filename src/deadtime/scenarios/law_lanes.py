@@ -62,7 +62,7 @@ def dot(a, i, b, j, length):
 
 @inner_kernel
 def refill(shape, factored, ring, period, now, carry):
-    """What the previous block of inputs adds to each sum of the coming one.
+    """Fill `carry` with the share of the previous block of inputs in each sum of the coming one.
 
     With s_r = Σ_{i ≥ r} S^{W−1−i} Γ u_{k−W+i}, the sum r periods on gets H S^r s_r. Nothing is
     subtracted, so nothing cancels.

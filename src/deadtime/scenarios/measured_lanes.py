@@ -62,7 +62,7 @@ def recent_of(shape, relayed, sight):
 
 @inner_kernel
 def hear(shape, relayed, recent, x, at):
-    """What was measured as long before x_k as is said at `at`."""
+    """The measurement of as many samples before x_k as the lags at `at` say."""
     n, slots, slot = len(shape.seen), relayed.reach + 1, recent.slot[0]
     spread(recent.states, slot * n, slots * n, x)
     _look_back(relayed, recent, at, slots, n)
@@ -72,7 +72,7 @@ def hear(shape, relayed, recent, x, at):
 
 @inner_kernel
 def see(shape, relayed, sight, recent, x, at):
-    """The same within a period; its inputs follow by `go_on`."""
+    """The measurement at an instant within a period, whose inputs follow by `go_on`."""
     size, slots = len(shape.z), relayed.reach + 1
     spread(recent.states, recent.slot[0] * size, slots * size, x)
     _look_back(relayed, recent, at, slots, size)
@@ -125,7 +125,7 @@ def _look_back(relayed, recent, at, slots, size):
 
 @inner_kernel
 def add_noise(shape, relayed, x, at):
-    """What the law takes x to be."""
+    """The measurement x with its noise added."""
     return times(same(1.0, shape.seen), x, load(relayed.noise, at * len(shape.seen), shape.seen))
 
 
@@ -152,6 +152,6 @@ def told_rows(recent, row):
 
 @inner_kernel
 def command(shape, recent, u, before):
-    """What is asked for: u, or what was asked for before where nothing was heard."""
+    """The command: u, or the one before where no measurement was received."""
     both = first_of(u, before, before, shape.pair)
     return choose(both, load(recent.lost, 0, _ONE), shape.u)

@@ -175,7 +175,7 @@ _FEW = 32  # scenarios that are gone through at a time, so that they stay in the
 
 
 class _Stack(NamedTuple):
-    """What is heard in all scenarios: as `Relayed` has it, and the modes.
+    """The received data of all scenarios, as in `Relayed`, and the modes.
 
     sight : as `Hearing` has it
     modes : (scenario, sample), the modes told, or None where they are the plant's
@@ -190,7 +190,7 @@ class _Stack(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HeardBlock:
-    """What is heard in scenarios first, first + 1, …, the same under every law.
+    """The received data of scenarios first, first + 1, …, the same under every law.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ class HeardBlock:
     def hearing(
         self, feedback: Feedback | None, begin: int, count: int, remembers: bool = False
     ) -> Hearing:
-        """What a law with this table hears in `count` scenarios of the block from `begin` on.
+        """The received data of a law with this table, in `count` scenarios from `begin` on.
 
         `begin` is a multiple of eight; a law that `remembers` goes by the mode besides.
         """
@@ -245,7 +245,7 @@ class HeardBlock:
 
     @cached_property
     def _heard(self) -> _Stack:
-        """What reaches the law of every scenario."""
+        """The data that reach the law of every scenario."""
         plant, samples = self.loop.plant, self.loop.whole + 1
         count = self.laid.scenarios
         sizes = Sizes(plant.modes, self.measured, plant.inputs, self.loop.step)

@@ -24,7 +24,7 @@ def groups(scenarios: int) -> int:
 
 
 def from_scenario(laid: np.ndarray, begin: int, scenarios: int) -> np.ndarray:
-    """What is laid of so many scenarios, from one on whose number is a multiple of eight."""
+    """The part of lane-ordered data from a scenario on whose number is a multiple of eight."""
     return laid[begin // LANES * (laid.size // groups(scenarios)) :]
 
 

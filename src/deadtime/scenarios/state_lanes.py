@@ -178,7 +178,7 @@ def mean_row(shape, bank, mind, answers):
 
 @inner_kernel
 def mean_dense_row(shape, bank, mind, dense, window, place, known, before):
-    """The same of dense rows."""
+    """The mean of the answers of dense rows."""
     both = len(shape.both)
     spread(mind.both, 0, both, first_of(known, before, before, shape.both))
     _answer_dense(mind, dense, window.line, place, len(shape.u), both)
@@ -187,7 +187,7 @@ def mean_dense_row(shape, bank, mind, dense, window, place, known, before):
 
 @kernel(eager=True, nogil=True)
 def _answer_dense(mind, dense, line, place, m, both):
-    """What the dense rows of any weight ask for in every scenario."""
+    """Fill in the answers of the dense rows that have any weight, in every scenario."""
     width, answer, share, z = line.size // LANES, mind.answer, mind.chain.weight, mind.both
     for lane in range(LANES):
         start = lane * width + (place + 1) * m

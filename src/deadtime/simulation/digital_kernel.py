@@ -68,7 +68,7 @@ def bare_loop(
 def _filled(
     line: DelayLine, samples: int, flat: list[float], path: list[list[float]]
 ) -> tuple[int, np.ndarray]:
-    """What `closed_loop` returns, its inputs in their line."""
+    """The return value of `closed_loop`, after writing the inputs into their line."""
     line.inputs[line.past : line.past + samples] = np.reshape(
         flat[line.past * line.inputs.shape[1] :], (samples, -1)
     )
@@ -199,7 +199,7 @@ def _go_on(table, sight, k, x, inputs, past, result):
 
 @kernel(forceinline=True)
 def _see(sight, k, x, measured, seen):
-    """What is measured of x, or nothing."""
+    """Write the measurement of x at sample k into `seen`, NaN where there is none."""
     for i in range(seen.size):
         if sight.piece[k] < 0:
             seen[i] = np.nan

@@ -24,7 +24,7 @@ _SINGULAR = 1e-8  # of a piece
 
 
 class Forcing:
-    """What the disturbances of a run draw, and how to read it along the plant's modes.
+    """The draws of a run's disturbances, read along the plant's modes.
 
     `through` (modes, n, f) is how what acts does so on dx/dt: d by itself, and behind it, for each
     disturbance whose force goes by the mode, that force, times whether it acts.
@@ -94,7 +94,7 @@ class Forcing:
         return shift, force
 
     def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " f"]:
-        """What acts over a stretch that starts in a mode; a switch within it leaves d as it is."""
+        """The force over a stretch that starts in a mode; a switch within it leaves d as it is."""
         (spreads, inverse), entry = self._of_held, self._first[mode] + piece
         pairs = zip(spreads, self._draws, strict=True)
         shift = np.zeros(self._plant.states)

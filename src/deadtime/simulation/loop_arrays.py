@@ -91,7 +91,7 @@ def lags_of(
 
 
 class Arrays(NamedTuple):
-    """What imperfections do to a run, all that is random drawn; it needs neither plant nor signal.
+    """The imperfections of a run as arrays, all draws made; independent of plant and signal.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Arrays(NamedTuple):
 
 
 def heard_of(pairs: Pairs, sizes: Sizes, samples: int) -> Heard:
-    """What is heard through all sensors among them, one after the other."""
+    """The measurements received through all sensors among them, one after the other."""
     heard = Heard.perfect(samples, sizes)
     for each, rng in pairs:
         if isinstance(each, Relaying):
@@ -159,7 +159,7 @@ class Rows(NamedTuple):
 
 
 class DelayLine(NamedTuple):
-    """What goes into the delay line, (past + samples, m), u_k in row past + k, and comes before.
+    """The inputs of the delay line, (past + samples, m), u_k in row past + k, and their sources.
 
     The law asks for `asked`, the plant is given `inputs`, and the law is `told` past inputs: all
     three are one array where what is asked for is applied. What is `measured` (samples, n or p) is
@@ -230,7 +230,7 @@ class Grid:
 
 
 class Sight(NamedTuple):
-    """What the law's measurement is at every sample.
+    """The measurement instant of the law at every sample, and the map to it.
 
     piece : (samples,), the piece in which x is measured; −1 where nothing is heard
     step : (samples,), the period of that piece

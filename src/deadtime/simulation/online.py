@@ -102,7 +102,7 @@ class ImperfectLaw:
         self._mode = self._mode if mode < 0 else mode
 
     def record(self, kept: int) -> Told:
-        """What the law was told at the first samples, and made of it."""
+        """The measurements and answers of a law at the first samples."""
         estimates = self.update.estimates if isinstance(self.update, Remembering) else None
         return Told(
             np.array(self.measured[:kept]),
@@ -186,7 +186,7 @@ def run_online(
 
 
 def _belief(update: Update, kept: int) -> np.ndarray | None:
-    """What a law that keeps a belief took each mode's probability to be, (samples, modes)."""
+    """The probability of each mode in a law with a mode belief, (samples, modes)."""
     return np.array(update.beliefs[:kept]) if isinstance(update, Believing) else None
 
 
@@ -246,7 +246,7 @@ def _measured(
 
 
 def _join(note: str, truth: Truth, end: float | None) -> str:
-    """What to say about a plant that chatters, after what there is to say already."""
+    """Join the note on a plant that chatters to a note that there is already."""
     time, _, reason = truth.chatter or (0.0, (), "")
     chattering = f"chattering at t = {time:.12g} s: {reason}"
     if time == end:

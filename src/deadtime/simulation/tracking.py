@@ -76,7 +76,7 @@ def step_info_of(
     settling: float = SETTLED,
     rise: tuple[float, float] = RISE,
 ) -> dict[str, Float[np.ndarray, " run"]]:
-    """The same of y = row · x from sample `first` on, in runs that lie side by side.
+    """The figures of `step_info` for y = row · x from sample `first` on, in runs side by side.
 
     Of the n numbers of a sample x is the first.
     """
@@ -188,7 +188,7 @@ TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs toge
 
 @dataclass(frozen=True, eq=False)
 class Followed(Frozen):
-    """What is to follow, H C_σ x, and the reference (immutable).
+    """The tracked outputs H C_σ x, and the reference (immutable).
 
     Attributes
     ----------

@@ -141,7 +141,7 @@ class Trajectory(Frozen):
 
     @property
     def reference(self) -> Float[np.ndarray, "tracked T"] | None:
-        """What that is to be."""
+        """The reference of the tracked outputs."""
         if self.followed is None:
             return None
         return read_only(self.followed.reference.along(self.time).T)
@@ -194,7 +194,7 @@ class Trajectory(Frozen):
         }
 
     def _outputs(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "tracked T"]]:
-        """What is tracked at the samples, and these, without a horizon within a period."""
+        """The sample times and the tracked outputs there, without a horizon within a period."""
         assert self.followed is not None
         time = self.record.grid(self.end)
         if time.size > 2 and np.diff(time[-2:]) < (1.0 - TOLERANCE) * time[1]:
@@ -374,7 +374,7 @@ class Trajectory(Frozen):
 def belief_at(
     run: Trajectory, belief: Float[np.ndarray, "samples modes"]
 ) -> Float[np.ndarray, "modes T"]:
-    """What was believed at the samples, at the times of a run: held from sample to sample."""
+    """The belief of the samples at the times of a run: held from sample to sample."""
     assert isinstance(run.record, DigitalRecord)
     step, _ = run.record.locate(run.time)
     return read_only(belief[np.minimum(step, len(belief) - 1)].T)

@@ -31,7 +31,7 @@ _COUNTERS = 80  # bytes of integers and clock in a controller's state
 
 
 class TableExtra(NamedTuple):
-    """What is exported with a law's table, in any form of that: its name and bytes.
+    """The name and the bytes of the parts that are exported with a law's table, in any form of it.
 
     `single` is ROM in single precision, None where there is none.
     """
@@ -44,7 +44,7 @@ class TableExtra(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What goes into ROM for the inputs: named arrays with a comment each (immutable)."""
+    """The constants in ROM for the inputs: named arrays with a comment each (immutable)."""
 
     kind: Literal["dense", "low rank", "factorised"]
     arrays: dict[str, tuple[np.ndarray, str]]

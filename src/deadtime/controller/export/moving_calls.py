@@ -149,7 +149,7 @@ class _FilterMotion:
         return x
 
     def seen(self, mode: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " seen"]:
-        """What is measured of x: with noise where that is an output."""
+        """The measurement of x: x itself, or noisy outputs where the law runs on those."""
         bank = self.belief.bank
         if bank is None:
             return x.copy()

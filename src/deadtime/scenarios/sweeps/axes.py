@@ -125,7 +125,7 @@ def within(laws: Sequence[str], knows: str) -> list[str]:
 
 
 def knowledge_of(law: str) -> str:
-    """What a named law knows of the switching, one of `LEVELS`."""
+    """The knowledge of the switching that a named law has, one of `LEVELS`."""
     return KINDS[law].knows if law in KINDS else "nothing"
 
 

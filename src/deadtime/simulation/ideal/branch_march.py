@@ -47,7 +47,7 @@ _MOST_PIECES = 10_000
 
 
 class FirstRead(NamedTuple):
-    """What will be sent from `begin` to `end`, by where it is first read.
+    """The input to be sent from `begin` to `end`, by where it is first read.
 
     gain : (n,), K of the system that reads it
     later : seconds after it is sent; None where it is overdue at a switch and `held` is its value
@@ -91,7 +91,7 @@ class Predicted:
 def feedback_through_rereading(
     line, g: int, t: float, branch, x: np.ndarray, nodes: Nodes, longest: float
 ) -> Float[np.ndarray, "m columns"]:
-    """What a branch sends at t on segment g, a row per input: 1, then u of the nodes, (p, m).
+    """The feedback of a branch at t on segment g, a row per input: 1, then u of the nodes, (p, m).
 
     `line` and `branch` are those of `deadtime.simulation.ideal.branch_march`; no piece is longer
     than `longest` seconds.
@@ -156,7 +156,7 @@ def _bends(
 
 
 def _sent_before(line, g: int, times: np.ndarray, j: int, nodes: Nodes) -> np.ndarray:
-    """What was sent to input j at times within one segment, (T, 1 + p m)."""
+    """The values sent to input j at times within one segment, (T, 1 + p m)."""
     edges, p, m = line.edges, nodes.points.size, line.inputs.shape[2]
     value = np.zeros((times.size, 1 + p * m))
     q = min(int(np.searchsorted(edges, times.mean())) - 1, g)
@@ -171,7 +171,7 @@ def _sent_before(line, g: int, times: np.ndarray, j: int, nodes: Nodes) -> np.nd
 def _read_again(
     own: list[FirstRead], middle: float, times: np.ndarray, path: Predicted, nodes: Nodes
 ) -> np.ndarray:
-    """What will have been sent to an input at times within one part, (T, 1 + p m)."""
+    """The values that will have been sent to an input at times within one part, (T, 1 + p m)."""
     part = next(each for each in own if middle < each.end)
     if part.later is None:
         return np.broadcast_to(part.held, (times.size, part.held.size))
@@ -187,7 +187,7 @@ class ReadsAgain(Exception):
 
 
 class Branch(NamedTuple):
-    """What one branch believes on a segment: the `Forecast`'s systems, and when each begins."""
+    """One branch of a forecast on a segment: the `Forecast`'s systems, and when each begins."""
 
     A: np.ndarray
     B: np.ndarray
@@ -199,7 +199,7 @@ class Branch(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What whole segments bring about, by branch, system and inputs under their own feedback.
+    """The maps over whole segments, by branch, system and inputs under their own feedback.
 
     done : (places, segments), whether it is known;  passed : (places, segments, n, n)
     moved : (places, segments, m, n)
@@ -318,7 +318,7 @@ def _hear(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, m
 
 @kernel(eager=True)
 def _keep(line, q, length, S, B, flow, nodes, panel, u, kept, place):
-    """What segment q, all of it, brings about in a system: e^{S length}, and ∫ e^{S …} b_j u_j."""
+    """Store the maps of a system over all of segment q: e^{S length}, and ∫ e^{S …} b_j u_j."""
     count, (n, m) = panel.points.size, B.shape
     flows(S, length, panel.points, flow, np.empty((0, n, n)))
     for a in range(n):

@@ -86,7 +86,7 @@ def sample(edges, values, support, barycentric, times, hint):
 
 @kernel(eager=True)
 def arrivals(line, delays, times, nodes, hint):
-    """What acts at increasing times in a mode, u_j(t − D_j), (T, m)."""
+    """The inputs that act in a mode at increasing times, u_j(t − D_j), (T, m)."""
     edges, inputs = line.edges, line.inputs
     known = inputs, nodes.support, nodes.barycentric
     result = sample(edges, *known, times - delays[0], hint)
@@ -210,7 +210,7 @@ def solve_state(forward, backward, B, x, delayed, length, nodes, states):
 
 @kernel(eager=True)
 def solve_alone(A, B, x, u, length, nodes):
-    """The same of a segment whose flows nobody else needs: (p + 2, n), u at the nodes (p, m)."""
+    """`solve_state` with flows that no other segment needs: (p + 2, n), u at the nodes (p, m)."""
     p, n = u.shape[0], x.size
     forward, backward = np.empty((p + 1, n, n)), np.empty((p, n, n))
     flows(A, length, nodes.points, forward, backward)

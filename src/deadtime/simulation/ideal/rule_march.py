@@ -50,7 +50,7 @@ _FINEST = 64  # parts of the longest piece: no shorter for modes that are not in
 
 
 class _Known(NamedTuple):
-    """What some modes read of input j, `delay` seconds late: how many of the w it takes."""
+    """A known part of input j as modes read it, `delay` seconds late; `size` of the w it takes."""
 
     j: int
     delay: float
@@ -58,7 +58,7 @@ class _Known(NamedTuple):
 
 
 class _Readings(NamedTuple):
-    """What is read on a piece.
+    """The readings of a piece.
 
     anew : (modes, m), whether a mode reads what no mode has read before
     reader : (m,), the mode in force that does, −1 where none does
@@ -141,7 +141,7 @@ def _rate(A: np.ndarray) -> float:
 
 
 def _line(plant: SwitchedSystem, u0: InitialInput, rate: float) -> Float[np.ndarray, "piece m"]:
-    """What is in the delay line at time 0, over equal pieces, oldest first."""
+    """The content of the delay line at time 0, over equal pieces, oldest first."""
     if callable(u0):
         raise ArgumentError(
             "u0 must be None, a number, (m,) or held samples (m, N), oldest first, where the ideal "
@@ -256,7 +256,7 @@ class _RuleMarch:
         return np.unique(own[~readings.anew[modes, j]]).tolist()
 
     def _known(self, readings: _Readings, end: float) -> list[_Known]:
-        """What modes read up to `end` of what is known.
+        """The known inputs that modes read up to `end`.
 
         What others than those in force would read says on which side of a boundary they lead, no
         more: when they are in force the piece begins anew. Where their delays hardly differ it is
