@@ -116,7 +116,7 @@ class ModeBelief:
     ----------
     running : deadtime.loop.running_belief.RunningBelief
     form, bank : Belief, BankForm or None
-        The filter as data; `bank` where it is told outputs.
+        The filter as data; `bank` where it receives outputs.
     """
 
     def __init__(self, form: Belief | BankForm, table: Feedback) -> None:

@@ -40,7 +40,7 @@ class Prediction(Frozen):
         P_i, the state expected if the forecast ends in mode i; NaN where it cannot. A
         `MeanPredictor` has one mode, the mean one.
     probabilities : (inputs, modes)
-        p_i: of what the law believes, and, of a `BeliefPredictor`, of what its filter has seen.
+        p_i: by the law's forecast, and, of a `BeliefPredictor`, by its filter.
     horizons : (inputs, modes)
         D_j, by the mode in which the forecast ends, in seconds.
 

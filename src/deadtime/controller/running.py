@@ -125,7 +125,7 @@ class RunningLaw(Stateful):
             When this sample was taken, seconds on any clock that goes on; a call without one is
             the next period. Jitter below half a period is taken for none. A call whose period has
             been served is refused; periods without a call are made up for: their input is taken to
-            have been held, and `late` counts them. A time more than 100,000 periods ahead is
+            have been held, and `late` counts them. A time more than 100,000 periods later is
             refused like one out of order: the clock is not the same.
         belief : array_like, shape (modes,) or (modes, ages), optional
             Of a `BeliefPredictor`: what is known of the mode at t_k from elsewhere; it replaces
@@ -240,7 +240,7 @@ class RunningLaw(Stateful):
     def _believe(
         self, x: Float[np.ndarray, " n"], told: Float[np.ndarray, "mode age"] | None
     ) -> None:
-        """The belief at this sample: of what x says, or what was told."""
+        """Set the belief at this sample: updated by x, or the one that was passed."""
         assert self.believing is not None
         self.believing.see(x)
         if told is not None:

@@ -53,12 +53,12 @@ class Belief(NamedTuple):
 
 
 class Believing(ABC):
-    """An `Update` that keeps a belief over the modes in place of the mode that it is told.
+    """An `Update` that keeps a belief over the modes in place of a reported mode.
 
     Attributes
     ----------
     beliefs : list of (modes,) arrays
-        What it believed, once a call.
+        Its belief after every call.
     """
 
     beliefs: list[np.ndarray]

@@ -135,7 +135,7 @@ class Law(Frozen, ABC):
 
     @property
     def is_linear(self) -> bool:
-        """Whether u_k is linear in what it measures and remembers, along any signal of modes."""
+        """Whether u_k is linear in measurements and the law's state, along any signal of modes."""
         return False
 
     @property
@@ -162,7 +162,7 @@ class Law(Frozen, ABC):
 
     @property
     def foreseen(self) -> SwitchingSignal | None:
-        """The signal that it foresees, where that is one of its own and not the run's."""
+        """The signal of its preview, where that is one of its own and not the run's."""
         return None
 
     @property
@@ -197,7 +197,7 @@ class Law(Frozen, ABC):
         return None
 
     def beginning_at(self, memory: Float[np.ndarray, " w"]) -> Law:
-        """The law with no reference that remembers w before its first sample."""
+        """The law with no reference whose state before its first sample is w."""
         return self
 
     @abstractmethod
@@ -215,7 +215,7 @@ class Law(Frozen, ABC):
 
         Of a law that measures outputs it is a `Remembering`, to be called with y in place of x.
         `signal` and `steps` as in `digital`. Raises `ArgumentError` for a law that must know the
-        future and is not told it.
+        future and does not get it.
         """
 
     def foresight(
@@ -232,7 +232,7 @@ class Law(Frozen, ABC):
 
     @property
     def horizons(self) -> Float[np.ndarray, "future m"]:
-        """How far ahead it predicts for each input, seconds, by the system its forecast ends in."""
+        """The prediction horizon of each input, seconds, by the system its forecast ends in."""
         return self.plant.delays
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:

@@ -1,4 +1,4 @@
-"""Foresight: the rows of a law that knows the switching signal, without a table.
+"""Preview: the rows of a law that knows the switching signal, without a table.
 
 Such a law has a row for every sample, which holds the pieces of the plant over a whole delay. All
 of them are one product: of the state and the inputs in flight the model makes x(t_k + D), and
@@ -27,7 +27,7 @@ class Foresight(NamedTuple):
     sampled : the law's model at its period
     gains : (modes, m, n), K_i
     latest : (m, m), L, what the latest input adds besides
-    signal : the signal that the law believes in, known up to the last sample plus the delay
+    signal : the signal that the law assumes, known up to the last sample plus the delay
     """
 
     sampled: SampledPlant

@@ -137,7 +137,7 @@ def _integrate(memory, state, applied, at_push):
 
     `push` is the law's answer to q. Where the input applied was not the one asked for, a change
     of q that drives it further the same way is left out, so that nothing winds up. Round-off of
-    what was applied, as of one that was measured and told, refuses nothing.
+    what was applied, as of one that was measured and reported, refuses nothing.
     """
     sizes = memory.sizes
     n, q, m = sizes.n, sizes.q, sizes.m

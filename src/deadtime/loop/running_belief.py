@@ -21,7 +21,7 @@ class RunningBelief:
     Attributes
     ----------
     form, bank : Belief, BankForm or None
-        The filter as data; `bank` where it is told outputs.
+        The filter as data; `bank` where it receives outputs.
     state : BeliefState
         The belief at the last sample is `state.now`; a view that changes.
     begun : bool

@@ -140,7 +140,7 @@ class Loop:
         )
 
     def lay(self, signals: SignalBatch) -> Laid:
-        """Signals laid on the periods up to the horizon."""
+        """Signals sampled on the periods up to the horizon."""
         records, tables = self.place(signals), self.tables
         assert tables is not None
         modes = self.plant.modes

@@ -256,6 +256,6 @@ class Block:
 
 
 def _by_mode(table: EngineTable) -> bool:
-    """Whether a law goes by the mode."""
+    """Whether a law depends on the mode."""
     by_rows = table.feedback is not None and table.feedback.context != "none"
     return by_rows or table.memory is not None

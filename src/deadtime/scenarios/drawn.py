@@ -114,7 +114,7 @@ class InManyRuns:
     ) -> np.ndarray:
         """The draws of a disturbance in the scenarios from `first` on, (stretch, one, period, r).
 
-        The axis of scenarios has length 1 where one stands for all; stretches of no length have no
+        The axis of scenarios has length 1 where all draw the same; stretches of no length have no
         part in it.
         """
         one, there = self.one, [i for i, length in enumerate(lengths) if length > 0.0]

@@ -6,7 +6,7 @@ basis of its eigenvectors S is diagonal, or has 2 × 2 blocks for pairs of compl
 most of the work. Whether a basis is good enough is not guessed from its condition but measured: the
 taps that it gives are compared with the table's own.
 
-Of a law that knows the signal the model is laid along signals, as far ahead as it looks.
+Of a law that knows the signal the model is sampled along signals, up to the end of its preview.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class ModelAhead:
 
     @cached_property
     def _own(self) -> KnownSignalModel:
-        """The model along the signal that the law believes in, the same in all scenarios."""
+        """The model along the signal that the law assumes, the same in all scenarios."""
         assert self._law.foreseen is not None
         return self._lay(SignalBatch.of([self._law.foreseen]))
 
@@ -260,7 +260,7 @@ class EngineTable(NamedTuple):
     """A law as `scenarios.lane_loop` takes it: one of three, its memory or belief, its window.
 
     `taps` is how many inputs it reads, and `feedback` what its rows are, where it has some and goes
-    by the modes that it is told; `outputs` the plant's C where these are measured, and `gains`
+    by the reported modes; `outputs` the plant's C where these are measured, and `gains`
     (rows, m, n) what its rows make of the state where a belief weighs them.
     """
 
@@ -283,7 +283,7 @@ class EngineTable(NamedTuple):
 
 
 class Engine:
-    """Runs tables along signals that are laid on a loop; holds nothing that changes."""
+    """Runs tables along signals on the grid of a loop; holds nothing that changes."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
@@ -314,7 +314,7 @@ class Engine:
     def remember(
         self, feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode p n"]
     ) -> EngineTable:
-        """The rows of a law on what it remembers of y = C_σ x, `outputs` being the plant's C."""
+        """The rows of a law on its observer of y = C_σ x, `outputs` being the plant's C."""
         table, (_, p, _) = self.table(feedback), outputs.shape
         z = memory.start.size
         shape = replace(
@@ -348,7 +348,7 @@ class Engine:
         return law if isinstance(law, EngineTable) else self.foresee(law, signals)
 
     def compile(self, law: EngineTable | ModelAhead) -> None:
-        """Compile the loop under a law that hears everything: run it along no signals."""
+        """Compile the loop under a law that receives every sample: run it along no signals."""
         table = law if isinstance(law, EngineTable) else self._foreseeing(law, law.lay_nothing())
         self.run(table, self._loop.lay_nothing())
 
@@ -367,7 +367,7 @@ class Engine:
         hearing: Hearing = PERFECT,
         force: np.ndarray | None = None,
     ) -> ScenarioSums:
-        """Run a table along the scenarios first, …, first + count − 1 which hear and feel this."""
+        """Run a table along scenarios first, …, first + count − 1 with these data and forces."""
         count = laid.scenarios - first if count is None else count
         return self._run_kernel(table, laid, first, count, hearing, force, _NOTHING, 0)
 

@@ -161,7 +161,7 @@ def forces_of(
     first: int,
     rooms: Rooms,
 ) -> np.ndarray:
-    """The forces in scenarios first, first + 1, … with these signals, laid on periods.
+    """The forces in scenarios first, first + 1, … with these signals, period by period.
 
     (group, sample, stretch, n, lane), flat, in `rooms`; what is drawn is the same whatever the
     signals are.

@@ -276,7 +276,7 @@ def find_instants(missing, early, step, period, offset):
 def lay_periods(lag, reach, heard, period, begin, few):
     """Fill `lag` of scenarios from `begin` on; the longest, `reach` at least.
 
-    heard : (few or 1, sample), whose measurement is heard, −1 for none;  period : as above, when
+    heard : (few or 1, sample), whose measurement is received, −1 for none;  period : as above, when
         that is taken
     """
     samples = heard.shape[1]

@@ -3,7 +3,7 @@
 All sizes are types (`deadtime.numerics.lanes`), so that one period is straight-line code with
 states, window sums and metrics in registers. Each scenario's transition over a period lies in
 memory and is rewritten where its records say so: when its mode changes, and for a period that a
-switch cuts. A law is factorised rows, dense ones, or a model that moves ahead; what there is none
+switch cuts. A law is factorised rows, dense ones, or a model for a preview; what there is none
 of is None, and Numba leaves out what hangs on that alone.
 """
 

@@ -82,7 +82,7 @@ class Dense(NamedTuple):
 
 
 class PlantLanes(NamedTuple):
-    """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals laid on periods.
+    """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals by periods.
 
     See `periods.Laid`.
     """
@@ -113,12 +113,12 @@ class Relayed(NamedTuple):
     """Sensor data that reach a law in every scenario, in flat groups of eight side by side.
 
     lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
-        was began, −1 for nothing: the last command is held; empty where every sample is heard at
+        was begun, −1 for nothing: the last command is held; empty where every sample arrives at
         once
     reach : the longest of them
     noise : (group, sample, n, lane), what was added to it; empty for nothing
     row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
-    told : (group, sample, lane), the mode that a memory goes by; empty where that is the plant's
+    told : (group, sample, lane), the mode reported to an observer; empty where that is the plant's
     """
 
     lag: np.ndarray

@@ -2,7 +2,7 @@
 
 The stacks of a preview are those of `loop.preview_steps`; a piece is the affine map x → Φ_p x +
 Γ_p z_p of the model over a period p, its inputs z_p being in flight. At t_k the prediction takes
-x_k over the W = ⌊D/h⌋ periods that lie ahead and over the rest φ' of the delay, 0 ≤ φ' < h
+x_k over the W = ⌊D/h⌋ coming periods and over the rest φ' of the delay, 0 ≤ φ' < h
 (`deadtime.feedback.preview`).
 """
 
@@ -236,7 +236,7 @@ def enter(ahead, ring):
 
 @inner_kernel
 def foresee(shape, length, ahead, k, x, latest):
-    """The input: x predicted over the W periods ahead, then by the tail."""
+    """The input: x predicted over the W coming periods, then by the tail."""
     eight = lanes_of(ahead)
     if length > 0:
         move_window(eight.stacks, k)

@@ -35,8 +35,8 @@ class Recent(NamedTuple):
 
     Where measurements lie within periods, the inputs that act in its period are beside each.
 
-    slot : of x_k, one number;  places : where what is heard lies
-    lost : 1 where nothing is heard;  number : the row of the law's table, as `choose` reads it
+    slot : of x_k, one number;  places : where the received measurement lies
+    lost : 1 where nothing is received;  number : the row of the law's table, as `choose` reads it
     row : of `SightLanes`, each scenario's;  own : what that holds, (degree, n, z)
     """
 
@@ -88,7 +88,7 @@ def see(shape, relayed, sight, recent, x, at):
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _lay_out(sight, recent, at):
-    """Lay out what is new of scenarios whose row is another one."""
+    """Copy the series of scenarios whose row is another one into their lanes."""
     several, cut_size = len(sight.series), sight.cuts.shape[1]
     for lane in range(LANES):
         row = np.int64(sight.row[at + lane])
@@ -113,7 +113,7 @@ def go_on(shape, relayed, recent, acting):
 
 @inner_kernel
 def _look_back(relayed, recent, at, slots, size):
-    """Note where what is heard lies, and where nothing is."""
+    """Note where the received measurements lie, and in which scenarios there is none."""
     slot = recent.slot[0]
     for lane in range(LANES):
         lag = np.int64(relayed.lag[at + lane])
@@ -138,14 +138,14 @@ def hear_rows(relayed, recent, at):
 
 @inner_kernel
 def hear_modes(relayed, mode, at):
-    """Note the mode that is told in every scenario."""
+    """Note the mode that is reported in every scenario."""
     for lane in range(LANES):
         mode[lane] = relayed.told[at + lane]
 
 
 @inner_kernel
 def told_rows(recent, row):
-    """Put the rows of the modes told in place of those of the plant's."""
+    """Put the rows of the reported modes in place of those of the plant's."""
     for lane in range(LANES):
         row[lane] = np.int64(recent.number[lane])
 

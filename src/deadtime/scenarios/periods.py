@@ -115,7 +115,7 @@ class Records(NamedTuple):
 
 
 class Laid(NamedTuple):
-    """Signals laid on the periods 0, …, K, the last of which goes on to the horizon only.
+    """Signals by the periods 0, …, K, the last of which goes on to the horizon only.
 
     Row `records.map[r]` of `maps` takes the plant over a period: `move` and the upper triangle of
     `energy` with its off-diagonal doubled, flat (`Maps`). `age` is that of the first

@@ -44,7 +44,7 @@ from deadtime.switching import SignalBatch
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Where the measurements of a block of scenarios lie, laid a few scenarios at a time.
+    """Where the measurements of a block of scenarios lie, filled in a few scenarios at a time.
 
     row, place, news : as `SightLanes` has them, or None where all is measured at samples
     cuts : the M of measurements in cut periods, a few scenarios' each
@@ -96,9 +96,9 @@ class Sights:
         lag: np.ndarray,
         reach: int,
     ) -> int:
-        """Lay the measurements of scenarios begin, …, begin + few − 1 of the block.
+        """Place the measurements of scenarios begin, …, begin + few − 1 of the block on periods.
 
-        `heard` (scenario or 1, sample) is whose measurement is heard; `lag`, which is filled for
+        `heard` (scenario or 1, sample) is whose measurement arrives; `lag`, which is filled for
         these scenarios, and `reach`, which is returned, are as `Relayed` has them.
         """
         from deadtime.scenarios.laid import find_instants, lay_periods, lay_places
@@ -129,7 +129,7 @@ class Sights:
         return reach
 
     def sight(self) -> SightLanes | None:
-        """All that was laid."""
+        """All places and cuts that were filled in."""
         if self.row is None or self.place is None or self.news is None:
             return None
         series = sight_series(self.loop.sampled, self.loop.cells, self.loop.forced)
@@ -178,7 +178,7 @@ class _Stack(NamedTuple):
     """The received data of all scenarios, as in `Relayed`, and the modes.
 
     sight : as `Hearing` has it
-    modes : (scenario, sample), the modes told, or None where they are the plant's
+    modes : (scenario, sample), the reported modes, or None where they are the plant's
     """
 
     lag: np.ndarray
@@ -195,13 +195,13 @@ class HeardBlock:
     Attributes
     ----------
     signals, laid : SignalBatch, Laid
-        Their signals, and these laid on periods.
+        Their signals, and these sampled on the grid.
     by_mode : bool
-        Whether a law goes by the modes that it is told.
+        Whether a law depends on the reported modes.
     measured : int
         How many numbers laws measure.
     rooms : Rooms
-        Where all that is heard lies.
+        Memory of the received data.
     """
 
     loop: Loop
@@ -219,7 +219,7 @@ class HeardBlock:
     ) -> Hearing:
         """The received data of a law with this table, in `count` scenarios from `begin` on.
 
-        `begin` is a multiple of eight; a law that `remembers` goes by the mode besides.
+        `begin` is a multiple of eight; the observer of a law that `remembers` needs the mode, too.
         """
         heard, row, told_mode = self._heard, np.zeros(0, np.int32), np.zeros(0, np.int32)
         if heard.modes is not None:
@@ -236,7 +236,7 @@ class HeardBlock:
         return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
 
     def _rows(self, told: np.ndarray, begin: int, count: int, apart: int, ages: int) -> np.ndarray:
-        """The rows of a table in scenarios that are told these modes, laid on samples."""
+        """The rows of a table in scenarios to which these modes are reported, by samples."""
         part = slice(begin, begin + count)
         size = groups(count) * told.shape[1] * LANES
         row = self._room(("rows", apart, ages), size, np.int32)

@@ -1,4 +1,4 @@
-"""Numbers of every scenario and sample, laid eight scenarios side by side for the compiled loop.
+"""Numbers of every scenario and sample, eight scenarios side by side, for the compiled loop.
 
 (scenario, sample, …) goes to (group, sample, …, lane), flat: group g has the scenarios 8g, …,
 8g + 7, the last of all filling the rest.
@@ -32,7 +32,7 @@ def from_scenario(laid: np.ndarray, begin: int, scenarios: int) -> np.ndarray:
 def lay_lags(sample, scenarios, begin, lag, reach):
     """Fill `lag`, from group `begin` on; how long the longest is, `reach` at least.
 
-    `sample` (scenario or 1, sample) is whose measurement is heard, −1 for none.
+    `sample` (scenario or 1, sample) is whose measurement is received, −1 for none.
     """
     samples, at = sample.shape[1], begin * sample.shape[1] * LANES
     for first in range(0, scenarios, LANES):
@@ -91,7 +91,7 @@ def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, state
 
 @kernel(eager=True, nogil=True)
 def lay_rows(told, sampled, begun, apart, ages, row):
-    """Fill `row` with a table's rows by the modes told, −1 for none, as `feedback.table.follow`.
+    """Fill `row` with a table's rows by reported modes, −1 for none, as `feedback.table.follow`.
 
     told, sampled : (scenario, sample), the mode that is reported to a law, and the plant's
     begun : (scenario,), how old the first mode is at time 0, samples

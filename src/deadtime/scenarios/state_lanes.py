@@ -61,7 +61,7 @@ class OutputLanes(NamedTuple):
 
 
 class ObserverLanes(NamedTuple):
-    """The observers of eight scenarios: their state, the mode of each, and the modes told."""
+    """The observers of eight scenarios: their state, the mode of each, and the reported modes."""
 
     state: ObserverState
     mode: np.ndarray
@@ -90,7 +90,7 @@ def begin_observers(memory, kept):
 
 @inner_kernel
 def observe_again(shape, memory, kept, outputs, line, row, mode, heard, lost, k):
-    """z at sample k of every scenario, from what is heard; `line` are the inputs to row `row`."""
+    """z at sample k of all scenarios, from received outputs; `line` are the inputs to row `row`."""
     state, y = lanes_of(kept.state), lanes_of(outputs.y)
     store(outputs.y, 0, heard)
     for i in range(y.size):

@@ -57,9 +57,9 @@ class RunOutcome:
     note : str
         What else is worth knowing.
     told : Told or None
-        What the law was told, where that is not the state.
+        The measurements that the law received, where those are not the state.
     belief : (samples, modes) or None
-        How likely a law that is not told the mode took each to be.
+        The probability of each mode in a law that does not receive the mode.
     """
 
     record: DigitalRecord | IdealRecord

@@ -1,7 +1,7 @@
 """The inner loops of a digital run: compiled, and over Python's own numbers.
 
 `closed_loop` reads arrays element by element, which costs Python several times what lists do. Most
-runs are told the state itself at every sample and have neither limits nor disturbances; of these
+runs receive the state itself at every sample and have neither limits nor disturbances; of these
 little is left of the loop, and uncompiled it is done by `bare_loop`, over lists: the same products,
 added in the same order, so the bits are those of the kernel.
 """
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def is_bare(
     table: PieceTable, line: DelayLine, sight: Sight, limits: InputLimits, shift: np.ndarray
 ) -> bool:
-    """Whether every sample is told the state there, and the plant given what the law asks for."""
+    """Whether the law receives the state at every sample, and the plant what the law asks for."""
     seen = not (sight.noise.size or sight.C.shape[1]) and (sight.way < 0).all()
     given = line.told is line.inputs is line.asked and not (limits.relative.size or shift.size)
     return bool(given and seen and np.array_equal(sight.piece, table.first[: sight.piece.size]))

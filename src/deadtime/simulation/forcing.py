@@ -27,7 +27,7 @@ class Forcing:
     """The draws of a run's disturbances, read along the plant's modes.
 
     `through` (modes, n, f) is how what acts does so on dx/dt: d by itself, and behind it, for each
-    disturbance whose force goes by the mode, that force, times whether it acts.
+    disturbance whose force depends on the mode, that force, times whether it acts.
 
     They are drawn for the stretches of a period, which are the same time in all modes (the plant is
     `SampledPlant.cut_alike`). A switch to a mode that reads its inputs with other delays cuts a

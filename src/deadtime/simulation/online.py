@@ -41,7 +41,7 @@ class ImperfectLaw:
 
     Where nothing usable arrives and the law has no answer, its last input is asked for again.
     Before any mode is known the first is assumed. The law's past inputs are those applied, or with
-    predict = "commanded" those asked for. A law that measures outputs is told y = C_σ x, `outputs`
+    predict = "commanded" those asked for. A law that measures outputs receives y = C_σ x, `outputs`
     being the C of every mode.
 
     Attributes
@@ -51,7 +51,7 @@ class ImperfectLaw:
     lags : Lags or None
         How long before each sample its state is to be measured.
     measured : (samples, n) or (samples, p)
-        What the law was told of x or y, NaN where nothing arrived.
+        The measurements of x or y that the law received, NaN where nothing arrived.
     commanded : (samples, m)
         What it asked for.
     """

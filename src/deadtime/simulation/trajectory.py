@@ -103,14 +103,14 @@ class Trajectory(Frozen):
         What is worth knowing: when and why the run diverged or was chattering, how long it slid
         along a boundary, that its signal was continued. Often empty.
     measured : (n, samples) or (p, samples) or None
-        What the law was told of x, or of its outputs, NaN where nothing arrived; of runs with
+        The x or outputs that the law received, NaN where nothing arrived; of runs with
         imperfections and of laws that measure outputs.
     commanded : (m, samples) or None
         What the law asked for, `inputs` being what was applied; of the same runs.
     estimates : (states of the law's model, samples) or None
         What a law that measures outputs took the state of its model to be.
     belief : (modes, T) or None
-        How likely a law that is not told the mode took each to be, as of the last sample.
+        The probability of each mode in a law that does not receive the mode, as of the last sample.
     tracked, reference : (tracked, T) or None
         What follows a reference, H C_σ x, and r; of a law with a servo.
     """
@@ -391,7 +391,7 @@ def trajectory_of(
     diverged: bool,
     message: str,
 ) -> Trajectory:
-    """Lay a record out on its own grid, or on the times asked for.
+    """Sample a record on its own grid, or at the times asked for.
 
     `mode_at` is σ with switches snapped to samples; `gains` are the K of the mismatch.
     """

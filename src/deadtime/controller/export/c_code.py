@@ -344,7 +344,7 @@ def _magic(told: str) -> str:
 
 
 def _measured(controller: RunningLaw) -> tuple[int, int]:
-    """How many outputs the law is told, and how many references it follows."""
+    """How many outputs the law receives, and how many references it follows."""
     if controller.observing is not None:
         _, outputs, _, tracked = ObserverForm.of(controller.observing).sizes
         return outputs, tracked

@@ -44,8 +44,8 @@ def controller_variables(
 
     What it reads is at `rest` until something is connected.
 
-    With a `belief` it is not told the mode: it tells how likely each mode is. With an `observer` it
-    is told outputs and what is tracked, and tells the estimate.
+    With a `belief` it writes how likely each mode is in place of reading it. With an `observer` it
+    reads outputs and references, and writes the estimate.
     """
     n, m = plant.states, plant.inputs
     p = rest.given.size

@@ -77,7 +77,7 @@ def windows_of(table: Feedback) -> tuple[int, ...]:
 def past_of(
     table: Feedback, windows: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "context m past"], str]:
-    """The taps side by side as a controller remembers inputs, and how that is."""
+    """The taps side by side as a controller stores inputs, and how that is."""
     if not windows:
         return table.oldest_first, "the oldest input first"
     own = [table.input_gain[:, :count, :, j][:, ::-1] for j, count in enumerate(windows)]

@@ -6,7 +6,7 @@ as they are, arrays by their entries, other objects by what `pickle` would keep 
 what they only compute once (`functools.cached_property`). A function is its source, its defaults
 and what its code reads by name: the values around it, the globals of its module, and what it reads
 of other modules by their names. Functions, classes and modules of the standard library and of
-installed packages are told by their names.
+installed packages are told apart by their names.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def _base(file: StudyFile, source: Path) -> _Base:
 
 
 def _own_fault(error: SectionError, file: StudyFile, before: int) -> SectionError:
-    """A fault of the problem, told of the key of the study that it comes from."""
+    """A fault of the problem, reported under the key of the study that it comes from."""
     message, table = str(error), error.path[:1]
     if file.poles is not None and table == ("gains",):
         return SectionError(message if message.startswith("poles") else f"poles: {message}", ())

@@ -183,7 +183,7 @@ _FEW, _SHORT = 4, 0.125  # nodes that do on a panel so much shorter than the lon
 
 
 class ReadsAgain(Exception):
-    """A prediction reads again what it has predicted, on segments laid for none that does."""
+    """A prediction reads again what it has predicted, on segments cut for none that does."""
 
 
 class Branch(NamedTuple):

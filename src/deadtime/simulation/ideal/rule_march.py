@@ -1,6 +1,6 @@
 """The ideal loop under a rule: exact prediction where the state switches the plant.
 
-With the plant as its model the law knows x ahead, so that what it sends to input j is K_i,j x of
+With the plant as its model the law predicts x exactly, so that it sends to input j the K_i,j x of
 where it is first read, by the mode i of that instant: with one delay x' = (A_σ + B_σ K_σ) x from D
 on, σ = r(x). Where delays differ between modes it is a delay equation. A mode with a longer delay
 than the one before reads once more what was read already, and one with a shorter delay finds
