@@ -130,6 +130,8 @@ def _row(
     """(w_{k+1}, u_k) over (x_k, w_k, u_{k−1}, …, u_{k−taps}), under a row in a mode."""
     n, n_o, sums = C.shape[1], memory.gain.shape[1], memory.push.shape[2]
     F, m, h = feedback.state_gain[row], feedback.state_gain.shape[1], memory.step
+    # Each quantity is a row over (x, w, past inputs), begun from rows of the unit matrix: so the
+    # equations of the module stand below as they are written there.
     unit = np.eye(n + n_o + sums + taps * m)
     x, x_bar, s, past = np.split(unit, np.cumsum([n, n_o, sums]))
     measured = memory.C[mode] @ x_bar if lost else C @ x
@@ -137,6 +139,7 @@ def _row(
     estimate = x_bar + memory.gain[mode] @ (measured - memory.C[mode] @ x_bar)
     u = F[:, :n_o] @ estimate + F[:, n_o : n_o + sums] @ (s + h / 2.0 * v)
     u = u + feedback.latest_first[row] @ past[: feedback.taps * m]
+    # Row l is u_{k−l}, so that the lags of the memory index it.
     line = np.stack((u, *past.reshape(taps, m, -1)))
     ahead = memory.Phi[mode] @ estimate + (memory.Gamma[mode] @ line[memory.lag]).sum(axis=0)
     return np.concatenate((ahead, s + h * v, u))

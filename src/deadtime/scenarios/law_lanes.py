@@ -48,6 +48,7 @@ _FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 @kernel(eager=True, nogil=True)
 def dot(a, i, b, j, length):
     """Σ a[i + k] b[j + k] over a length that is a multiple of 8."""
+    # Four sums of eight lanes: in one, each addition would wait for the one before.
     sums = same(0.0, _FOUR)
     k = 0
     while k + 4 * LANES <= length:
@@ -71,6 +72,7 @@ def refill(shape, factored, ring, period, now, carry):
     q = len(shape.b)
     s = same(0.0, shape.b)
     place = now
+    # From the latest input back: s_r is s_{r+1} and one older input.
     for r in range(factored.length - 1, -1, -1):
         place = period - 1 if place == 0 else place - 1
         u = load(ring, place * m * LANES, shape.u)
@@ -119,6 +121,7 @@ def sum_dense(shape, dense, window, place):
     for lane in range(LANES):
         row = window.row[lane]
         window.head[lane] = row * head
+        # Row `place` holds the latest input, which is added with the head.
         start = lane * width + (place + 1) * m
         for i in range(m):
             begin = (row * m + i) * dense.width

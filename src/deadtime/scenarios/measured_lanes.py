@@ -81,6 +81,7 @@ def see(shape, relayed, sight, recent, x, at):
     z, delta = gather(recent.states, recent.places, shape.z), load(sight.place, at, _ONE)
     block = len(shape.x) * size * LANES
     x = same(0.0, shape.x)
+    # Horner's rule over the degrees of the series in time, the highest first.
     for part in range(recent.own.size - block, -1, -block):
         x = matrix_product(x, delta, own_product(recent.own, part, z, same(0.0, shape.x)))
     return x
@@ -95,6 +96,7 @@ def _lay_out(sight, recent, at):
         if row != recent.row[lane]:
             recent.row[lane] = row
             for i in range(sight.series.shape[1]):
+                # A cut period has a map for one instant, a series of degree 0: clear the rest.
                 value = 0.0
                 if row < several:
                     value = sight.series[row, i]
@@ -118,6 +120,7 @@ def _look_back(relayed, recent, at, slots, size):
     for lane in range(LANES):
         lag = np.int64(relayed.lag[at + lane])
         recent.lost[lane] = 1.0 if lag < 0 else 0.0
+        # Of a lost sample any place will do: `lost` masks what is read there.
         place = slot - max(lag, 0)
         place += slots if place < 0 else 0
         recent.places[lane] = (lane * slots + place) * size

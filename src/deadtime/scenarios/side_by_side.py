@@ -71,6 +71,7 @@ def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, state
     n, r = len(states), len(numbers)
     drawn, flat = draws.reshape(-1), maps.reshape(-1)
     for f in range(few + -few % LANES):
+        # Lanes beyond the last scenario repeat it, so that they hold numbers of a run, too.
         run = min(f, few - 1, runs - 1)
         at = (begin + f) // LANES * samples * stretches * n * LANES + f % LANES
         record, last = first[begin + min(f, few - 1)], first[begin + min(f, few - 1) + 1] - 1

@@ -153,6 +153,7 @@ def believe_again(belief, bank, mind, line, row, seen, lost, k):
     eight = lanes_of(mind)
     store(mind.x, 0, seen)
     for a in range(eight.x.size):
+        # A filter takes NaN as missing, so that lanes with and without a measurement share it.
         eight.x[a] = where(lost[0] > 0.0, math.nan, eight.x[a])
     if bank is not None:
         if k > 0:
@@ -194,6 +195,7 @@ def _answer_dense(mind, dense, line, place, m, both):
         for c in range(answer.shape[0]):
             for i in range(m):
                 total, row = 0.0, c * m + i
+                # Most rows have no weight: their sums over all past inputs are spared.
                 if share[c, lane] > 0.0:
                     total = dot(dense.rest, row * dense.width, line, start, dense.width)
                     for j in range(both):

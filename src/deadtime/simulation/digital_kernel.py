@@ -57,6 +57,7 @@ def bare_loop(
             ]
         for q in range(first[k], first[k + 1]):
             lags = lag[entry[q]]
+            # Past the last sample the plant runs on only while it reads inputs that were sent.
             if k - min(lags) >= samples:
                 return _filled(line, samples, flat, path)
             acting = [flat[(past + k - late) * m + i] for i, late in enumerate(lags)]
@@ -281,6 +282,7 @@ def closed_loop(
             samples = k
         if k < samples:
             at, q = past + k, piece[k]
+            # q is −1 where nothing is received; any row will do, as `_see` writes NaN then.
             for i in range(n):
                 spare[i] = path[max(q, 0), i]
             if way[k] >= 0:
@@ -302,8 +304,10 @@ def closed_loop(
                     own = _row_dot(F, row[k], i, known)
                     answer[i] = _dot(G[row[k], i], recent) + own
             if memory is not None:
+                # Before the limits: the sums of errors must see what those refuse.
                 for i in range(m):
                     observer.asked[i] = answer[i]
+            # An observer or a filter has an answer to a lost sample: then nothing is held.
             held = not (_finite(seen) or _finite(answer))
             _apply(answer, held, at, asked, inputs, low, high, relative)
         for q in range(first[k], first[k + 1]):
@@ -326,6 +330,7 @@ def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
     result = np.empty((step.size, A.shape[1]))
     for i in range(step.size):
         q = table.first[step[i]]
+        # A run may have ended within the period: its path has fewer pieces than the table.
         last = min(table.first[step[i] + 1], path.shape[0]) - 1
         while q < last and table.start[table.entry[q + 1]] <= offset[i]:
             q += 1

@@ -264,6 +264,7 @@ def _divide(t, branch, into):
             return count
         for j in range(m):
             first, last = s - branch.delays[i, j], stop - branch.delays[i, j]
+            # By the middle: an end may lie within round-off of t, on either side.
             into.flying[count, j] = 1 if 0.5 * (first + last) < t else 0
             if into.flying[count, j] == 0 and first < newest[j] - near:
                 return _AGAIN
@@ -279,6 +280,7 @@ def _divide(t, branch, into):
 def _share(c, points, scale, share):
     """The polynomials through the Gauss nodes, 1 at one and 0 at the others, at c ∈ [0, 1]."""
     p = points.size
+    # Products from the left and from the right: nothing is divided by, even at a node.
     before = after = 1.0
     for z in range(p):
         share[z] = scale[z] * before
@@ -374,6 +376,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
     R, carried, moved = np.zeros((m, n)), np.zeros((m, n)), np.empty(n)
     S, flow, u = np.empty((n, n)), np.empty((p + 1, n, n)), np.empty((1, m))
     none = np.empty((0, n, n))
+    # From the end of the prediction back: m rows are carried instead of n columns.
     for r in range(count - 1, -1, -1):
         i, known, place, bit = into.system[r], -1.0, 0, 1
         for j in range(m):
@@ -381,6 +384,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                 for a in range(n):
                     R[j, a] = branch.weight * branch.K[into.reader[j], j, a]
         for j in range(m):
+            # The map depends on which inputs are in flight, so one bit of its place is each one's.
             place += 0 if into.flying[r, j] else bit
             bit *= 2
         place += first + i * bit
@@ -402,6 +406,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                     if whole:
                         if not kept.done[place, q]:
                             _keep(line, q, length, S, B, flow, nodes, panel, u, kept, place)
+                            # `_keep` wrote its own flows over those of the length that was known.
                             known = -1.0
                         for k in range(m):
                             for a in range(n):
