@@ -147,6 +147,7 @@ class _Observed:
         """z at this sample, and what is kept; `inputs` the latest first, `before` the last mode."""
         observer, place = self._running, self.past - 1
         size, outputs = observer.z.size, observer.memory.sizes.p
+        # python-control owns the state and may call with any: the observer is rebuilt from it.
         observer.load(
             {
                 "z": kept[:size],

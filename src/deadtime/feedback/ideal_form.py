@@ -213,6 +213,7 @@ class Forecast:
         def signals(t: float) -> tuple[np.ndarray, np.ndarray]:
             now = np.array([t])
             until = float(signal.last_switch(now)[0]) + dwell_time
+            # The first part must have begun at t: any earlier time will do.
             starts = np.tile([min(t, until) - 1.0, until], (branches, 1))
             here = np.full(branches, int(signal(now)[0]))
             return starts, np.stack((here, follows), axis=1)

@@ -217,6 +217,7 @@ class Block:
             found = figures(output, where, r)
             for name, values in found.items():
                 self.results.tracking[name][row, these, output] = values
+            # The metric is over the whole run, not over the window of the last step.
             if r.size < time.size:
                 along = followed.reference.along(time)[:, output]
                 found = figures(output, slice(0, time.size), along)

@@ -97,6 +97,7 @@ def window_form(feedback: Feedback) -> WindowForm | None:
 def _candidates(factor: Factor) -> list[tuple[Factor, int]]:
     """The factorisation in other bases, and the size of the blocks that S has there."""
     found = []
+    # The modal basis first: its blocks are the smallest, where round-off lets it pass.
     modal = _modal(factor)
     if modal is not None:
         found.append(modal)
@@ -117,6 +118,7 @@ def _modal(factor: Factor) -> tuple[Factor, int] | None:
     single, pairs = np.flatnonzero(np.imag(values) == 0.0), np.flatnonzero(np.imag(values) > 0.0)
     if pairs.size == 0:
         size, basis = 1, real
+    # With blocks of two for complex pairs, real eigenvalues must pair up as well.
     elif single.size % 2 == 0:
         size = 2
         columns = [real[:, single], *(np.stack((real[:, p], imaginary[:, p]), 1) for p in pairs)]
@@ -128,6 +130,7 @@ def _modal(factor: Factor) -> tuple[Factor, int] | None:
     except np.linalg.LinAlgError:
         return None
     S = inverse @ factor.S @ basis
+    # Off the blocks is round-off, which the kernel never reads: the check must not either.
     S = S * _blocks_of_ones(S.shape[0], size)
     return Factor(factor.H @ basis, S, inverse @ factor.input, factor.last), size
 
@@ -418,6 +421,7 @@ class Engine:
         outputs = None if table.outputs is None else OutputLanes.of(table.outputs)
         room = work, ahead, kept, mind, outputs
         run_scenarios(*table[:8], *loop, first, count, path, keep, *room)
+        # The last two are exponents, which the kernel has added to the logarithms.
         figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)
         return ScenarioSums(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
 

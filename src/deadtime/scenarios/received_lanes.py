@@ -260,6 +260,7 @@ class HeardBlock:
             these = slice(begin, begin + few)
             for each, room in zip(kinds, rooms, strict=True):
                 heard = each.relay(begin, room[:few], heard, sizes)
+            # By identity below: a sensor that changes nothing of a part hands the same array on.
             sample = heard.sample
             if sights is not None or sample is not nothing.sample:
                 lag = lag if lag.size else self._room("lag", size, np.int32)
@@ -271,6 +272,7 @@ class HeardBlock:
             if heard.noise is not nothing.noise:
                 if noise.size == 0:
                     noise = self._room("noise", size * self.measured)
+                    # The room is used again, and scenarios may have gone by without noise.
                     noise.fill(0.0)
                 lay_numbers(heard.noise, begin // LANES, noise)
             true = heard.mode_of is nothing.mode_of and heard.named is nothing.named

@@ -83,6 +83,7 @@ class Forcing:
         shared = np.unique(head[goes_on])
         parts = np.flatnonzero(np.isin(head, shared))
         if parts.size:
+            # The head's force is held over all pieces of its stretch, each by its own Γ.
             given = _stacked([own[entry[q] - first] for q in parts])
             Gamma = pushed_over(self._plant.A, *given)
             shift[parts] = np.einsum("qij,qj->qi", Gamma, force[parts])

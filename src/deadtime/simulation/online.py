@@ -88,6 +88,7 @@ class ImperfectLaw:
         if self._line is None:
             self._line = past.copy()
         asked = self._ask_law(seen.x, self._line if self._tells_commands else past)
+        # Before the actuators: with predict = "commanded" the law reads what it asked for.
         self._line[:-1] = self._line[1:]
         self._line[-1] = asked
         self.measured.append(seen.x)
@@ -98,6 +99,7 @@ class ImperfectLaw:
 
     def _follow(self, mode: int, age: int) -> None:
         """The sampled mode as the law sees it, and its age."""
+        # The age before the mode: it is counted from the mode of the sample before.
         self._age = age if self._mode < 0 else age_after(self._mode, self._age, mode)
         self._mode = self._mode if mode < 0 else mode
 

@@ -150,9 +150,11 @@ def fill_step_info(states, first, row, time, r, settling, low, high, found):
                 y = row[0] * x[first + k, 0, lane]
                 for i in range(1, row.size):
                     y += row[i] * x[first + k, i, lane]
+                # r steps at samples: up to this one the error is against the value before.
                 behind = r[k - 1] - y
                 a, b = abs(error), abs(behind)
                 area = a + b
+                # It crosses 0 in between: two triangles in place of a trapezium.
                 if error * behind < 0.0:
                     area = (a * a + b * b) / area
                 total += 0.5 * (time[k] - time[k - 1]) * area

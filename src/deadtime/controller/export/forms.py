@@ -106,6 +106,7 @@ def low_ranks(table: Feedback) -> Iterator[Form]:
     for rank in range(1, len(values) + 1):
         if rank * (rows + columns) >= G.size:
             return
+        # Half of each singular value on either side: single precision serves both alike.
         root = np.sqrt(values[:rank])
         missing = missing - np.outer(left[:, rank - 1] * values[rank - 1], right[rank - 1])
         L, R = scale[:, None] * left[:, :rank] * root, root[:, None] * right[:rank]

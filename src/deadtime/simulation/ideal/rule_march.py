@@ -223,6 +223,7 @@ class _RuleMarch:
                 if delay in here:
                     cuts.append((cut, None if i >= 0 else 1))
                 else:
+                    # A mode that is not in force decides at boundaries only: no finer piece for it.
                     cuts.append((max(cut, self.t + self.longest / _FINEST), None))
             for delay in here:
                 cuts += [(time + delay, order + 1) for time, order in sent.bends]
@@ -243,6 +244,7 @@ class _RuleMarch:
         end, order = self._until(readings)
         known = self._known(readings, end)
         length = self.longest
+        # Halvings of one length, so that motions, which are dear to build, are met again.
         while length * 0.5 >= end - self.t and length > self.longest * 0.5**_SHORTEST:
             length *= 0.5
         motion = self._motion(readings, known, length)
@@ -266,6 +268,7 @@ class _RuleMarch:
         for j, sent in enumerate(self.sent):
             here = self._delays_of_known(readings, j, self._modes)
             for delay in self._delays_of_known(readings, j, list(range(self.plant.modes))):
+                # A little less than half, as other pieces begin at the ends.
                 middle, half = 0.5 * (self.t + end) - delay, 0.49 * (end - self.t)
                 held = sent.is_held(middle - half, middle + half)
                 known.append(_Known(j, delay, 1 if held else NODES if delay in here else _ROUGH))
@@ -279,6 +282,7 @@ class _RuleMarch:
         order = np.arange(known.size)
         terms = np.linalg.solve(points[:, None] ** order, values)
         factorials = np.array([math.factorial(k) for k in order.tolist()], dtype=float)
+        # From powers of a share of the piece to the units in which `_motion` chains the w.
         return terms * factorials * (length / size / _STRETCH) ** order
 
     def _motion(self, readings: _Readings, known: list[_Known], length: float) -> Motion:
