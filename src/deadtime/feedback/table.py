@@ -151,9 +151,9 @@ class Feedback(Frozen):
     factor : Factor or None
         The taps as H_c S^{j−1} Γ_s, where that form exists: O(1) cost in N for who uses it.
     memory : int
-        How many of the m outputs, the first ones, are no inputs of the plant but what the law
-        remembers, of which it reads the last (`feedback.recurrence`); 0 of a law that remembers
-        nothing but its inputs.
+        How many of the m outputs, the first ones, are no inputs of the plant but the law's state,
+        of which it reads the last (`feedback.recurrence`); 0 of a law that keeps nothing but its
+        inputs.
 
     Examples
     --------

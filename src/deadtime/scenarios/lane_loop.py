@@ -181,9 +181,9 @@ def run_scenarios(
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
-    it remembers, `belief` what its rows are weighed by (`feedback.belief.Belief`), and `bank` what
-    it makes of outputs meanwhile. These may be None, and so may `limits` of the inputs, `relayed`
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory`
+    its observer, `belief` the chain that weighs its rows (`feedback.belief.Belief`), and `bank`
+    its filters of outputs. These may be None, and so may `limits` of the inputs, `relayed`
     and `sight`, how measurements and modes reach the law (`lane_types.Hearing`), and `force`, what
     acts on the plant besides (`forces`). `path`, unless it is empty, gets x and u of every sample
     from `keep` on. The last scenario fills the last group of eight.
