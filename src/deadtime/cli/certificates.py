@@ -345,7 +345,7 @@ def bound(
     dwell_time: float | None = None,
     json_output: options.AsJson = False,
 ) -> None:
-    """What the paper's stability theorem says about a plant: its constants in three forms.
+    """Print the constants of the paper's stability theorem for a plant, in three forms.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ def experiment(
     out: Path = Path("experiment.csv"),
     json_output: options.AsJson = False,
 ) -> None:
-    """What to send to a plant so that its log tells the delays best: a table of inputs, CSV.
+    """Design the inputs whose log tells the delays of a plant best, as a CSV table.
 
     Parameters
     ----------

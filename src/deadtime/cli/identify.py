@@ -62,7 +62,7 @@ def identify(
     report: Path | None = None,
     json_output: options.AsJson = False,
 ) -> None:
-    """What plant is this the log of? Matrices, delays and noise, each with its 95 % interval.
+    """Identify a plant from logs: matrices, delays and noise, each with its 95 % interval.
 
     Parameters
     ----------

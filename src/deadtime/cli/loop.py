@@ -165,7 +165,7 @@ def robustness(
     out: options.Picture = None,
     json_output: options.AsJson = False,
 ) -> None:
-    """What does the loop stand? Wrong delay and gain, lost and late samples, late modes, noise.
+    """Find the delay and gain errors, lost and late samples, late modes and noise a loop tolerates.
 
     Where the file has an [uncertainty], as `deadtime identify` writes it, also on how many of 100
     plants drawn from it every law is stable.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Controller(RunningLaw):
     """A law that runs: call `update` once a period.
 
-    The controller remembers the past inputs and the modes, and predicts with the inputs *as
+    The controller keeps the past inputs and the modes, and predicts with the inputs *as
     applied*: saturated by its own limits, or as reported by `applied`, so that an actuator that
     does something else, or an operator who takes over, does not mislead it. A factorised table
     costs the same whatever the delay.

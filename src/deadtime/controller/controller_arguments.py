@@ -20,7 +20,7 @@ _MOST = 100_000  # periods that a call may be ahead of the last one
 
 
 class Status(enum.IntEnum):
-    """What became of a controller's last `update`."""
+    """The status of a controller's last `update`."""
 
     OK = 0
     SATURATED = 1  # the law asked for more than the limits allow

@@ -1,4 +1,4 @@
-"""What a controller keeps from sample to sample: its observer, or its belief over the modes."""
+"""The state that a controller keeps between samples: its observer, or its mode belief."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Observing:
         reference: ArrayLike | None,
         samples: int,
     ) -> tuple[Float[np.ndarray, " z"], bool, bool]:
-        """What the law is given; whether y was of no use, and whether the reference was unusable.
+        """The vector for the law, whether y was unusable, and whether the reference was unusable.
 
         A mode below 0 is not known: then y corrects nothing, if what it would depends on the mode.
         """
@@ -79,7 +79,7 @@ class Observing:
         return require_shape("reference", r, self._r.shape, "(tracked,)")
 
     def note(self, asked: Float[np.ndarray, " m"]) -> None:
-        """What the law asked for, to be compared with what is applied."""
+        """Store the input that the law asked for, to be compared with the input applied."""
         self._running.asked[:] = asked
 
     @property
@@ -94,7 +94,7 @@ class Observing:
 
     @property
     def z(self) -> Float[np.ndarray, " z"]:
-        """What the law was given last; a view that changes."""
+        """The vector that the law received last; a view that changes."""
         return self._running.z
 
     def snapshot(self) -> dict[str, Any]:
@@ -116,7 +116,7 @@ class ModeBelief:
     ----------
     running : deadtime.loop.running_belief.RunningBelief
     form, bank : Belief, BankForm or None
-        The filter as data; `bank` where it is told outputs.
+        The filter as data; `bank` where it receives outputs.
     """
 
     def __init__(self, form: Belief | BankForm, table: Feedback) -> None:

@@ -91,7 +91,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
         return age_after(round(state[last]), round(state[last + 1]), mode)
 
     def seen(state: np.ndarray, given: np.ndarray, mode: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the rows are multiplied with, and what is kept of this sample."""
+        """The vector that multiplies the rows, and the state that is kept of this sample."""
         if observed is None:
             return given[:n], np.zeros(0)
         inputs = state[: past * m].reshape(past, m)
@@ -147,6 +147,7 @@ class _Observed:
         """z at this sample, and what is kept; `inputs` the latest first, `before` the last mode."""
         observer, place = self._running, self.past - 1
         size, outputs = observer.z.size, observer.memory.sizes.p
+        # python-control owns the state and may call with any: the observer is rebuilt from it.
         observer.load(
             {
                 "z": kept[:size],

@@ -46,6 +46,7 @@ def push(u, place, ring):
     count = ring.shape[0] // 2
     at = place[0]
     for j in range(u.size):
+        # Twice, N rows apart: so the last N lie in a row wherever the ring begins.
         ring[at, j] = u[j]
         ring[at + count, j] = u[j]
     place[0] = (at + 1) % count
@@ -60,6 +61,7 @@ def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
     partial : (2, L + 1, q) Q of the old and of the middle block;  spare : (q, q)
     """
     count, L, size = ring.shape[0] // 2, steps.shape[0], S.shape[0]
+    # B becomes S B + Γ u, from a copy, as each row of S reads all of B.
     _copy(sums[0], spare[0])
     _clear(sums[0])
     _add_product(S, spare[0], sums[0])
@@ -79,6 +81,7 @@ def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
         _copy(spare.reshape(-1), power.reshape(-1))
         place[1] = b
         return
+    # The newest block is whole: it becomes the middle one, and that one the old one.
     place[1], place[2] = 0, 1 - place[2]
     _copy(sums[0], sums[1])
     _clear(sums[0])
@@ -92,6 +95,7 @@ def window_sum(window, place, whole, power, sums, partial, spare, q):
     """q of the module; `window` is M and `whole` S^L."""
     L = partial.shape[1] - 1
     _copy(sums[1], spare[0])
+    # Row M − L − b of the old block: as many of its inputs are still in the window.
     _add_product(whole, partial[place[2], window - L - place[1]], spare[0])
     _copy(sums[0], q)
     _add_product(power, spare[0], q)
@@ -118,6 +122,7 @@ def factored_row(F, H, last, x, q, place, ring, u):
     _clear(u)
     _add_product(F, x, u)
     _add_product(H, q, u)
+    # u_{k−N} lies where the window begins; its tap is not of the form H S^j Γ.
     _add_product(last, ring[place[0]], u)
 
 

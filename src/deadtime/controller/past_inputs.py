@@ -69,7 +69,7 @@ class DensePast:
 
 
 class FactoredPast(DensePast):
-    """The same with block sums, for a factorised table of many taps."""
+    """The last N inputs in a ring, with block sums for a factorised table of many taps."""
 
     arrays = ("ring", "place", "power", "sums", "partial")
 
@@ -79,6 +79,7 @@ class FactoredPast(DensePast):
         self.ring = np.zeros((2 * taps, m))
         self.place = np.zeros(3, np.int64)
         q, self.window = len(factor.S), taps - 1
+        # Half a window, so that it never reaches into more than three blocks.
         block = math.ceil(self.window / 2)
         self.steps = np.empty((block, q, m))
         column = factor.input

@@ -1,4 +1,4 @@
-"""What a controller predicts: the state at which the input of now will arrive, and how surely."""
+"""Prediction of a controller: the state at which the input of now arrives, and its covariance."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Prediction(Frozen):
         P_i, the state expected if the forecast ends in mode i; NaN where it cannot. A
         `MeanPredictor` has one mode, the mean one.
     probabilities : (inputs, modes)
-        p_i: of what the law believes, and, of a `BeliefPredictor`, of what its filter has seen.
+        p_i: by the law's forecast, and, of a `BeliefPredictor`, by its filter.
     horizons : (inputs, modes)
         D_j, by the mode in which the forecast ends, in seconds.
 
@@ -97,7 +97,7 @@ class Prediction(Frozen):
     def covariance_by_mode(
         self, disturbance: ArrayLike | None = None, estimate: ArrayLike | None = None
     ) -> Float[np.ndarray, "input mode n n"]:
-        """The same about P_i, if the forecast ends in mode i; NaN where it cannot."""
+        """The covariance about P_i if the forecast ends in mode i; NaN where it cannot."""
         share, state, C = self._cases(disturbance, estimate)
         total = share.sum(axis=0)
         with np.errstate(invalid="ignore"):
@@ -127,7 +127,7 @@ class Prediction(Frozen):
 
 
 class _Source(Frozen):
-    """What a prediction was made of."""
+    """The law, the tables and the estimate from which a prediction was computed."""
 
     def __init__(self, running: RunningLaw, known: Known) -> None:
         filt = running.law.filter
@@ -141,7 +141,7 @@ class _Source(Frozen):
         self.__post_init__()
 
     def uncertain(self, estimate: ArrayLike | None) -> Known:
-        """What is known, with the covariance of the state now."""
+        """The estimate of the state with its covariance at this sample."""
         if self.refused and (estimate is None or "servo" in self.refused):
             raise ArgumentError(self.refused)
         if estimate is None:
@@ -174,7 +174,7 @@ def _without_covariance(running: RunningLaw) -> str:
 
 
 def prediction_of(running: RunningLaw) -> Prediction:
-    """What a controller predicts from the last sample that it served."""
+    """The prediction of a controller from the last sample that it served."""
     table, known = running.prediction_table, _known(running)
     p, moved = _moments(table, known)
     p, moved = (np.einsum("c,c...->...", known.share, part) for part in (p, moved))

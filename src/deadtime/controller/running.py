@@ -125,7 +125,7 @@ class RunningLaw(Stateful):
             When this sample was taken, seconds on any clock that goes on; a call without one is
             the next period. Jitter below half a period is taken for none. A call whose period has
             been served is refused; periods without a call are made up for: their input is taken to
-            have been held, and `late` counts them. A time more than 100,000 periods ahead is
+            have been held, and `late` counts them. A time more than 100,000 periods later is
             refused like one out of order: the clock is not the same.
         belief : array_like, shape (modes,) or (modes, ages), optional
             Of a `BeliefPredictor`: what is known of the mode at t_k from elsewhere; it replaces
@@ -147,6 +147,7 @@ class RunningLaw(Stateful):
         """
         x = vector("x" if self.law.outputs is None else "y", x, self.measured)
         applied = None if applied is None else vector("applied", applied, self._u.size)
+        # Whatever may raise comes first: an error leaves the controller as it was.
         self._require(mode, reference)
         x = x - self.rest.given
         applied = None if applied is None else applied - self.rest.u
@@ -156,9 +157,11 @@ class RunningLaw(Stateful):
         if not periods:
             self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
             return self._answer(out)
+        # The missed periods before this one: past inputs are pushed in the order of time.
         self._pass(applied, periods - 1)
         self._x[:] = x
         status = self._remember(applied)
+        # A refused mode outranks an applied input that is not finite.
         status = self._see(mode) or status
         if self.believing:
             self._believe(x, told)
@@ -240,7 +243,7 @@ class RunningLaw(Stateful):
     def _believe(
         self, x: Float[np.ndarray, " n"], told: Float[np.ndarray, "mode age"] | None
     ) -> None:
-        """The belief at this sample: of what x says, or what was told."""
+        """Set the belief at this sample: updated by x, or the one that was passed."""
         assert self.believing is not None
         self.believing.see(x)
         if told is not None:
@@ -270,6 +273,7 @@ class RunningLaw(Stateful):
                 status = Status.BAD_STATE if lost else Status.BAD_REFERENCE if astray else status
                 observing.note(self._asked)
                 return status
+        # No answer: the held input counts as asked for, so that no sum of errors is refused.
         observing.note(self._u)
         return status
 

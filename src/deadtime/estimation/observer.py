@@ -230,7 +230,7 @@ class Observer(Frozen):
 def believed_plant(
     plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"], model: Model
 ) -> tuple[SwitchedSystem, Float[np.ndarray, "believed p n"]]:
-    """What an observer predicts with, and its C: all modes, or one that stands for all."""
+    """The model of an observer, and its C: all modes, or one that stands for all."""
     if model == "modes":
         return plant, C
     if (C[:1] != C).any():

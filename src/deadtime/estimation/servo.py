@@ -58,7 +58,7 @@ from deadtime.plant.discretisation import TOLERANCE, finite_discretisation
 
 @runtime_checkable
 class Drawable(Protocol):
-    """What scipy.stats freezes."""
+    """A distribution as scipy.stats freezes it."""
 
     def rvs(self, size: Any = ..., random_state: Any = ...) -> Any:
         """Numbers drawn."""
@@ -96,7 +96,7 @@ class Reference:
 
     @property
     def values(self) -> Float[np.ndarray, "count size"]:
-        """What it is known to come to: none of a function; of a distribution its mean and ends."""
+        """The values known beforehand: none of a function; of a distribution its mean and ends."""
         if self.schedule is None:
             return np.zeros((0, self.size))
         if self.distribution is None:

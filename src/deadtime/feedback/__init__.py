@@ -1,4 +1,4 @@
-"""What a predictor-feedback law is: a table of rows, a forecast, and the interface of laws."""
+"""Predictor-feedback laws as data: a table of rows, a forecast, and the interface of laws."""
 
 import lazy_loader
 

@@ -53,12 +53,12 @@ class Belief(NamedTuple):
 
 
 class Believing(ABC):
-    """An `Update` that keeps a belief over the modes in place of the mode that it is told.
+    """An `Update` that keeps a belief over the modes in place of a reported mode.
 
     Attributes
     ----------
     beliefs : list of (modes,) arrays
-        What it believed, once a call.
+        Its belief after every call.
     """
 
     beliefs: list[np.ndarray]
@@ -70,7 +70,7 @@ def held_noise(belief: Belief) -> Float[np.ndarray, "mode n n"]:
 
 
 def frozen(belief: Belief) -> Belief:
-    """The same with arrays that cannot be written to: one type for compiled loops."""
+    """A belief with read-only arrays: one type for compiled loops."""
     arrays = [read_only(part) if isinstance(part, np.ndarray) else part for part in belief]
     return Belief(*arrays)  # pyright: ignore[reportArgumentType]
 
@@ -93,6 +93,6 @@ class BankForm(NamedTuple):
 
 
 def frozen_bank(form: BankForm) -> BankForm:
-    """The same with arrays that cannot be written to: one type for compiled loops."""
+    """A filter bank with read-only arrays: one type for compiled loops."""
     chain, *arrays = form
     return BankForm(chain, *map(read_only, arrays))

@@ -1,6 +1,6 @@
 """Laws in continuous time: `Functional`, windows on the past inputs, and `Forecast`, branches.
 
-A `Functional` is a law that believes in no particular switch, with gains by the mode in force or
+A `Functional` is a law that assumes no particular switch, with gains by the mode in force or
 for all; `deadtime.laws.tables.windows` fills it. A `Forecast` is a belief in branches, signals that
 its model may follow. Along each branch, a signal that is followed for sure, u is the exact
 feedback: what is sent at t is first read at
@@ -154,9 +154,9 @@ class Forecast:
     weights : (branches,)
         By which the branches are added up.
     breaks : (count,)
-        Times at which what is believed changes.
+        Times at which the forecast changes.
     signals : callable
-        From a time t to what the branches believe at it: start times, increasing, and the system
+        From a time t to the forecast of each branch at it: start times, increasing, and the system
         from there on, both (branches, parts); the first part has begun at t, and the last has no
         end.
     settled : Functional
@@ -213,6 +213,7 @@ class Forecast:
         def signals(t: float) -> tuple[np.ndarray, np.ndarray]:
             now = np.array([t])
             until = float(signal.last_switch(now)[0]) + dwell_time
+            # The first part must have begun at t: any earlier time will do.
             starts = np.tile([min(t, until) - 1.0, until], (branches, 1))
             here = np.full(branches, int(signal(now)[0]))
             return starts, np.stack((here, follows), axis=1)

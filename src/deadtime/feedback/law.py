@@ -1,4 +1,4 @@
-"""What every law has: a model of the plant and gains; and, all but one, a table at any period."""
+"""The interface of laws: a model of the plant, gains, and for all but one a table at any period."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Law(Frozen, ABC):
 
     @property
     def is_linear(self) -> bool:
-        """Whether u_k is linear in what it measures and remembers, along any signal of modes."""
+        """Whether u_k is linear in measurements and the law's state, along any signal of modes."""
         return False
 
     @property
@@ -162,7 +162,7 @@ class Law(Frozen, ABC):
 
     @property
     def foreseen(self) -> SwitchingSignal | None:
-        """The signal that it foresees, where that is one of its own and not the run's."""
+        """The signal of its preview, where that is one of its own and not the run's."""
         return None
 
     @property
@@ -197,7 +197,7 @@ class Law(Frozen, ABC):
         return None
 
     def beginning_at(self, memory: Float[np.ndarray, " w"]) -> Law:
-        """The law with no reference that remembers w before its first sample."""
+        """The law with no reference whose state before its first sample is w."""
         return self
 
     @abstractmethod
@@ -215,13 +215,13 @@ class Law(Frozen, ABC):
 
         Of a law that measures outputs it is a `Remembering`, to be called with y in place of x.
         `signal` and `steps` as in `digital`. Raises `ArgumentError` for a law that must know the
-        future and is not told it.
+        future and does not get it.
         """
 
     def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Foresight | None:
-        """What a law that knows the signal does with its prediction; None for every other law.
+        """The preview of a law that knows the signal; None for every other law.
 
         `signal` and `steps` as in `digital`.
         """
@@ -232,7 +232,7 @@ class Law(Frozen, ABC):
 
     @property
     def horizons(self) -> Float[np.ndarray, "future m"]:
-        """How far ahead it predicts for each input, seconds, by the system its forecast ends in."""
+        """The prediction horizon of each input, seconds, by the system its forecast ends in."""
         return self.plant.delays
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
@@ -301,7 +301,7 @@ class TableLaw(Law):
 
 
 def require_input(asked: Any, inputs: int) -> Float[np.ndarray, " m"]:
-    """What an `Update` returned, as an input; a number is that of a plant with one."""
+    """The answer of an `Update` as an input vector; a number stands for a plant with one input."""
     if asked is None or (np.shape(asked) != (inputs,) and (np.ndim(asked) or inputs > 1)):
         raise ArgumentError(
             f"law.online(step) must make a function that returns u_k of shape (m,) = ({inputs},), "

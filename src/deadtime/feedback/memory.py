@@ -1,4 +1,4 @@
-"""What a law remembers from sample to sample, as a table for compiled loops.
+"""The state that a law keeps between samples, as a table for compiled loops.
 
 Beside its `Feedback`, such a law has a state z = (x̂, q, r) that its rows are multiplied with: an
 estimate, sums of errors, and a reference. In mode i, from the past inputs u that the law has and
@@ -93,7 +93,7 @@ class Memory(NamedTuple):
 class Tables(NamedTuple):
     """A law as tables: its rows, and what they are multiplied with where that is not x or y.
 
-    A law that knows the signal has a foresight in place of rows; one with a belief weighs its rows
+    A law that knows the signal has a preview in place of rows; one with a belief weighs its rows
     by that in place of choosing one by the mode. One with a bank does so on outputs, and is a table
     in batches alone.
     """

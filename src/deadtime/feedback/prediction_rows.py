@@ -74,6 +74,7 @@ def prediction_table(
     F, G = (np.stack(kind, axis=1) for kind in zip(*parts, strict=True))
     F = F.reshape(-1, first.size, futures, n + 1, n + 1)
     G = G.reshape(-1, first.size, futures, n + 1, G.shape[-1])
+    # The state that stays 1 is the last row and column: its own entry is p_i.
     state, taps = np.ascontiguousarray(F[..., :n, :n]), np.ascontiguousarray(G[..., :n, :])
     return PredictionTable(state, taps, F[..., n, n].copy(), of_input.reshape(-1))
 

@@ -1,4 +1,4 @@
-"""Foresight: the rows of a law that knows the switching signal, without a table.
+"""Preview: the rows of a law that knows the switching signal, without a table.
 
 Such a law has a row for every sample, which holds the pieces of the plant over a whole delay. All
 of them are one product: of the state and the inputs in flight the model makes x(t_k + D), and
@@ -22,12 +22,12 @@ from deadtime.switching.grid import cuts_of, modes_at
 
 
 class Foresight(NamedTuple):
-    """What a law that knows the signal does with its prediction.
+    """The preview of a law that knows the signal: model, gains and signal.
 
     sampled : the law's model at its period
     gains : (modes, m, n), K_i
     latest : (m, m), L, what the latest input adds besides
-    signal : the signal that the law believes in, known up to the last sample plus the delay
+    signal : the signal that the law assumes, known up to the last sample plus the delay
     """
 
     sampled: SampledPlant

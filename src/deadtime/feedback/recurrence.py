@@ -1,8 +1,8 @@
-"""A law and what it remembers as one table: a linear update from period to period.
+"""A law and its state as one table: a linear update from period to period.
 
 Before the sample at t_k a `Memory` holds w_k = (x̄_k, s_k): its prediction, and of the sums of
 errors s_k = q_{k−1} + h v_{k−1}/2. What the law's rows are multiplied with is linear in x_k and
-w_k, and so is what it holds a period later. In the mode i that is told at t_k
+w_k, and so is what it holds a period later. In the mode i that is reported at t_k
 
     x̂ = x̄ + L_i (C x − C_i x̄),    q = s + h v/2,    v = H C x,
     u_k = F_c (x̂, q) + Σ_j G_{c,j} u_{k−j},
@@ -13,8 +13,8 @@ l over the lags at which inputs reach the model, C and C_i the true outputs and 
 it gives are w: the plant does not read them, and the law reads the last of them. The reference is
 0, every sample is measured, and every input is applied as asked for.
 
-Where a sample is lost, `with_lost_rows`: an observer goes on as if it had been told C_i x̄, what it
-expects, so x̂ = x̄ and v = H C_i x̄, i the mode that it was told last; a law of the state holds its
+Where a sample is lost, `with_lost_rows`: an observer goes on as if it had received C_i x̄, what it
+expects, so x̂ = x̄ and v = H C_i x̄, i the mode reported last; a law of the state holds its
 last input, u_k = u_{k−1}. These are rows of their own.
 """
 
@@ -30,9 +30,9 @@ from deadtime.switching import SwitchingSignal
 
 
 def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) -> Feedback | None:
-    """A law's table, with what it remembers among its outputs; None of a law that is no table.
+    """A law's table, with its state among the outputs; None of a law that is no table.
 
-    `signal` is what a law sees that foresees it, the constant mode 0 by default; such a law with a
+    `signal` is the one that a preview knows, the constant mode 0 by default; such a law with a
     memory is none.
 
     Examples
@@ -93,7 +93,7 @@ def with_lost_rows(law: Law, table: Feedback) -> Feedback:
 def same_outputs(law: Law) -> bool:
     """Whether a law measures the same of the state in every mode.
 
-    Else what a law sees that is told another mode than the plant's depends on both.
+    Else the measurement of a law to which another mode is reported depends on both modes.
     """
     return law.outputs is None or bool(np.all(law.outputs == law.outputs[:1]))
 
@@ -130,6 +130,8 @@ def _row(
     """(w_{k+1}, u_k) over (x_k, w_k, u_{k−1}, …, u_{k−taps}), under a row in a mode."""
     n, n_o, sums = C.shape[1], memory.gain.shape[1], memory.push.shape[2]
     F, m, h = feedback.state_gain[row], feedback.state_gain.shape[1], memory.step
+    # Each quantity is a row over (x, w, past inputs), begun from rows of the unit matrix: so the
+    # equations of the module stand below as they are written there.
     unit = np.eye(n + n_o + sums + taps * m)
     x, x_bar, s, past = np.split(unit, np.cumsum([n, n_o, sums]))
     measured = memory.C[mode] @ x_bar if lost else C @ x
@@ -137,6 +139,7 @@ def _row(
     estimate = x_bar + memory.gain[mode] @ (measured - memory.C[mode] @ x_bar)
     u = F[:, :n_o] @ estimate + F[:, n_o : n_o + sums] @ (s + h / 2.0 * v)
     u = u + feedback.latest_first[row] @ past[: feedback.taps * m]
+    # Row l is u_{k−l}, so that the lags of the memory index it.
     line = np.stack((u, *past.reshape(taps, m, -1)))
     ahead = memory.Phi[mode] @ estimate + (memory.Gamma[mode] @ line[memory.lag]).sum(axis=0)
     return np.concatenate((ahead, s + h * v, u))

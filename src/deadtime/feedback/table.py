@@ -11,7 +11,7 @@ alone, the `context`:
     none        one row
     mode        row = mode
     mode_age    row = mode·ages + min(age, ages − 1); age counts samples since the sampled mode
-                last changed, 0 when a new mode is first seen and, unless told, at the start
+                last changed, 0 when a new mode is first seen and, unless given, at the start
     step        row = k (laws that know the signal in advance)
 """
 
@@ -92,9 +92,9 @@ def ages_along(modes: np.ndarray, initial_age: ArrayLike) -> np.ndarray:
 
 
 def age_after(before: int, age: int, now: int) -> int:
-    """The age of the mode that a law goes by at a sample, from the mode and age at the one before.
+    """The age of the mode that a law uses at a sample, from the mode and age at the one before.
 
-    Where it is told none, `now` is −1 and the last goes on; where none was known, `before` is −1,
+    Where none is reported, `now` is −1 and the last goes on; where none was known, `before` is −1,
     and the first is as old as `age` says.
 
     Examples
@@ -110,9 +110,9 @@ def age_after(before: int, age: int, now: int) -> int:
 def follow(
     told: np.ndarray, sampled: np.ndarray, initial_age: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The mode that a law goes by at each sample, and its age, from the modes that it is told.
+    """The mode that a law uses at each sample, and its age, from the reported modes.
 
-    Where it is told none (−1) the last goes on; before the first it is −1, at the age of the
+    Where none is reported (−1) the last goes on; before the first it is −1, at the age of the
     `sampled` mode, and the first is taken to be as old as that. Samples come last, runs before.
 
     Examples
@@ -151,9 +151,9 @@ class Feedback(Frozen):
     factor : Factor or None
         The taps as H_c S^{j−1} Γ_s, where that form exists: O(1) cost in N for who uses it.
     memory : int
-        How many of the m outputs, the first ones, are no inputs of the plant but what the law
-        remembers, of which it reads the last (`feedback.recurrence`); 0 of a law that remembers
-        nothing but its inputs.
+        How many of the m outputs, the first ones, are no inputs of the plant but the law's state,
+        of which it reads the last (`feedback.recurrence`); 0 of a law that keeps nothing but its
+        inputs.
 
     Examples
     --------
@@ -270,7 +270,7 @@ class Feedback(Frozen):
 class Known(NamedTuple):
     """The rows that may apply, with the state in each, and the inputs in flight.
 
-    A law that is told the mode has one row; of one on a belief each has its `share`.
+    A law that receives the mode has one row; of one on a belief each has its `share`.
 
     row : (cases,), of the law's table
     share : (cases,), probabilities

@@ -307,7 +307,7 @@ class InputLimits(NamedTuple):
 # Arrays of their own and not a tuple of them: that would cost as much as 50 terms.
 @kernel(nogil=True, forceinline=True, _nrt=False)
 def limit_input(low, high, relative, i, u, before):
-    """What limits leave of input i, u being asked for and `before` applied in the last period.
+    """Limit input i: u is the value asked for, `before` the one applied in the last period.
 
     Numbers are floats, or vectors of eight scenarios (`deadtime.numerics.numbers`).
     """

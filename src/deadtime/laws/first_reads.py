@@ -117,7 +117,7 @@ class _Way:
         return bool((self.newest >= 0).all())
 
     def acting(self, q: int) -> np.ndarray:
-        """What every mode reads in stretch q; what nobody has read yet is not known."""
+        """The inputs that every mode reads in stretch q; those not read before are not known."""
         return self.sent[self.ahead.longest + self.ahead.sample[q], self._columns].ravel()
 
     def _samples(self, q: int, mode: int) -> np.ndarray:

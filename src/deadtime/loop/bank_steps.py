@@ -73,6 +73,7 @@ class BankState(NamedTuple):
         pairs = pair, (*pair, n), pair, (*pair, n), pair, (modes, modes)
         shapes = (modes, n), (modes, n, n), *pairs, (n,), square, (3, n, n), (n,), (p,)
         state = cls(BeliefState.of(form.chain, rows, *lanes), *arrays_of(*shapes, lanes=lanes))
+        # Transposed, the axis of scenarios comes first: one value is spread over all of them.
         state.x.T[:] = np.tile(form.estimate, (modes, 1)).T
         state.P.T[:] = np.tile(form.covariance, (modes, 1, 1)).T
         return state
@@ -93,14 +94,17 @@ def begin_bank(form, bank, y):
             now[j, a] = form.chain.start[j, a]
         copy(bank.x[j], bank.pair_x[0, j])
         copy(flat(bank.P[j]), flat(bank.pair_P[0, j]))
+        # `_observe` starts from these, and goes back to them where an output is missing.
         copy(bank.x[j], bank.ahead_x[0, j])
         copy(flat(bank.P[j]), flat(bank.ahead_P[0, j]))
+    # Nothing has been predicted: round-off is relative to the first estimate.
     for a in range(bank.wide.size):
         bank.wide[a] = abs(form.estimate[a])
     finite, top, total = _correct(form, bank, 1, y), -math.inf, 0.0
     for j in range(modes):
         copy(bank.pair_x[0, j], bank.x[j])
         copy(flat(bank.pair_P[0, j]), flat(bank.P[j]))
+        # A mode that cannot be sets no scale: its density could make all other factors vanish.
         for a in range(now.shape[1]):
             top = where((now[j, a] > 0.0) & (density[0, j] > top), density[0, j], top)
     for j in range(modes):
@@ -125,6 +129,8 @@ def advance_bank(form, bank, y, told, row):
     copy(flat(bank.ahead_P), flat(bank.pair_P))
     for a in range(y.size):
         seen = seen | math.isfinite(y[a])
+    # No branch: of eight scenarios some may have a measurement and others none. All are corrected,
+    # and those without are put back below.
     seen = seen & _correct(form, bank, modes, y)
     for i in range(modes):
         for j in range(modes):
@@ -133,6 +139,7 @@ def advance_bank(form, bank, y, told, row):
                 for b in range(n):
                     kept = bank.ahead_P[i, j, a, b]
                     bank.pair_P[i, j, a, b] = where(seen, bank.pair_P[i, j, a, b], kept)
+    # Before the merge, which weighs pairs by the masses and factors that this leaves.
     move(form.chain, bank.chain, seen)
     _merge(form, bank)
     _require_finite(form, bank)
@@ -174,6 +181,7 @@ def _predict(form, bank):
     for a in range(n):
         bank.wide[a] = 0.0
     for i in range(modes):
+        # Where modes change at samples, the mode at the begin moves x through the whole period.
         for j in range(modes):
             if i == j or chain.within:
                 _move_state(chain, x[i], sent, j, own[j], bank.wide)
@@ -187,7 +195,7 @@ def _predict(form, bank):
 
 @inner_kernel
 def _move_state(chain, x, sent, j, result, wide):
-    """What mode j makes of x over a period, and the size of its terms."""
+    """Move x through a period in mode j, and note the size of the terms."""
     Phi, Gamma = chain.Phi, chain.Gamma
     for a in range(x.size):
         total = size = 0.0
@@ -213,6 +221,7 @@ def _spread_out(chain, bank, i, j, apart, bent):
         for b in range(n):
             slope[a, b] = Phi[j, a, b] - Phi[i, a, b] if chain.within else 0.0
             middle[a, b] = Phi[i, a, b] + 0.5 * slope[a, b]
+            # The variance of a switch time that is spread evenly over the period.
             moved[i, j, a, b] = chain.noise[i, end, a, b] + apart[a] * apart[b] * (1.0 / 12.0)
         moved[i, j, a, a] += bent[a]
         if chain.within and i != j:
@@ -325,6 +334,7 @@ def _correct_by(c, bank, i, j, y, r, there):
     """One pair by one output of the variance r about cᵀ x, its P in Joseph's form, where it is."""
     x, P, half = bank.pair_x[i, j], bank.pair_P[i, j], bank.spare[0]
     toward, s, n = bank.toward[i, j], where(there, bank.spread[i, j], 1.0), c.size
+    # s is 1 where there is no measurement, as eight scenarios divide together.
     wrong, share = y, where(there, 1.0, 0.0) / s
     for b in range(n):
         wrong -= x[b] * c[b]
@@ -342,6 +352,7 @@ def _correct_by(c, bank, i, j, y, r, there):
         for b in range(n):
             half[a, b] += toward[b] * share * (r * gain - rest)
     for a in range(n):
+        # Before the row below overwrites P[a, a]; the mean of both halves keeps P symmetric.
         left = where(there, SPENT * P[a, a], 0.0)
         for b in range(a + 1):
             P[a, b] = P[b, a] = 0.5 * (half[a, b] + half[b, a])
@@ -404,6 +415,7 @@ def _merge(form, bank):
             _add_mean(weight[i, j], bank.pair_x[i, j], x)
     for i in range(modes):
         for j in range(modes):
+            # In loops of its own: the mean must be complete before anything is spread about it.
             _add_spread(weight[i, j], bank.pair_x[i, j], bank.pair_P[i, j], x, P)
     for j in range(modes):
         own = part / modes
@@ -443,6 +455,7 @@ def _add_spread(share, x, P, mean, result):
 @inner_kernel
 def add_estimates(gains, share, x, u):
     """u += Σ_c π_c F_c x̂, x̂ that of the mode of row c; gains (rows, m, n)."""
+    # Row mode·ages + age of a table, so that c // ages below is its mode.
     ages = share.size // x.shape[0]
     for i in range(u.size):
         for c in range(share.size):

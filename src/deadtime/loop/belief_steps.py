@@ -85,6 +85,8 @@ def begin_belief(form, state):
 def gather(lag, lags, m, sent, told, row):
     """The inputs that act in the period that ended, out of their ring."""
     for p in range(lags):
+        # A lag beyond the ring reaches before time 0: row + 1, the next to be written, still holds
+        # the value from there.
         place = row - min(lag[p], told.shape[0] - 1)
         if place < 0:
             place += told.shape[0]
@@ -149,6 +151,7 @@ def _weigh(form, state, before, x, i):
             density[i, j] = -0.5 * (square + math.log(volume) + doublings * _LOG_2)
             finite = finite & math.isfinite(density[i, j])
     if not form.within:
+        # A switch at a sample leaves no trace in the period that ended.
         for j in range(predicted.shape[0]):
             density[i, j] = density[i, i]
     return finite
@@ -260,6 +263,7 @@ def move(form, state, seen):
         factor, last = density[i, i], ages - 1
         kept = (1.0 - hazard[i, last]) * now[i, last] * factor
         total += kept
+        # From the oldest age down, so that each is read before the next younger one moves into it.
         for a in range(last, 0, -1):
             part = (1.0 - hazard[i, a - 1]) * now[i, a - 1] * factor
             now[i, a] = part

@@ -72,6 +72,8 @@ def select_mode(table, own, known, mode):
 def predict_observer(memory, state, told, row):
     """Take the estimate over the period that ends, u_{k−1} in row `row` of the ring `told`."""
     sizes = memory.sizes
+    # `own` is one row of numbers: Φ, then Γ lag by lag, C, L and the law's answer to q, each row by
+    # row. Offsets are counted by hand, as slices of it would cost more than the sums.
     n, m, lags = sizes.n, sizes.m, sizes.lags
     own, z, ahead, sent = state.own, state.z, state.spare, state.sent
     gather(memory.lag, lags, m, sent, told, row)
@@ -83,6 +85,7 @@ def predict_observer(memory, state, told, row):
             for j in range(m):
                 total += own[n * n + (p * n + i) * m + j] * sent[p, j]
         ahead[i] = total
+    # Only now: every row of Φ reads all of z.
     for i in range(n):
         z[i] = ahead[i]
 
@@ -104,6 +107,7 @@ def correct_observer(memory, state, y, applied, reference, k):
         for j in range(n):
             total -= own[at_C + i * n + j] * z[j]
         innovation[i] = total
+    # Aside until all of it is known to be finite: else the measurement is not used at all.
     for i in range(n):
         total = z[i]
         for j in range(p):
@@ -118,6 +122,7 @@ def correct_observer(memory, state, y, applied, reference, k):
             total = 0.0
             for j in range(n):
                 total += own[at_C + i * n + j] * z[j]
+            # The innovation is spent; its room takes y, or what the estimate gives in its place.
             innovation[i] = where(use, y[i], total)
         for i in range(r):
             total = 0.0
@@ -127,6 +132,7 @@ def correct_observer(memory, state, y, applied, reference, k):
             state.value[1, i] = total
         if k > 0:
             _integrate(memory, state, applied, at_gain + n * p)
+        # After the sums, which take the reference that was in force in the period that ended.
         for i in range(r):
             z[n + q + i] = reference[i]
 
@@ -137,7 +143,7 @@ def _integrate(memory, state, applied, at_push):
 
     `push` is the law's answer to q. Where the input applied was not the one asked for, a change
     of q that drives it further the same way is left out, so that nothing winds up. Round-off of
-    what was applied, as of one that was measured and told, refuses nothing.
+    what was applied, as of one that was measured and reported, refuses nothing.
     """
     sizes = memory.sizes
     n, q, m = sizes.n, sizes.q, sizes.m

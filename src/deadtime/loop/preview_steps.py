@@ -80,6 +80,7 @@ def enter_piece(state, move):
         maps[slot, i * (n + 1) + n] = entered
         for j in range(n):
             maps[slot, i * (n + 1) + j] = move[i * (n + q) + j]
+    # The last slot is `back`: it composes the pieces that belong to no suffix yet.
     _follow(state.sizes, maps, state.room, slots, slot)
 
 
@@ -89,10 +90,12 @@ def move_window(state, begin):
     n, maps, bounds, room = state.sizes.n, state.maps, state.bounds, state.room
     slots, back, slot = maps.shape[0] - 1, maps.shape[0] - 1, bounds[1]
     if begin >= bounds[2]:
+        # From the newest piece back, so that each finds the suffix after it composed.
         for q in range(bounds[0] - 1, begin - 1, -1):
             after, slot = slot, slots - 1 if slot == 0 else slot - 1
             if q < bounds[0] - 1:
                 _follow(state.sizes, maps, room, slot, after)
+        # Every piece in the window has its suffix: `back` begins again as the identity.
         for i in range(n):
             for j in range(n + 1):
                 maps[back, i * (n + 1) + j] = 1.0 if i == j else 0.0

@@ -21,7 +21,7 @@ class RunningBelief:
     Attributes
     ----------
     form, bank : Belief, BankForm or None
-        The filter as data; `bank` where it is told outputs.
+        The filter as data; `bank` where it receives outputs.
     state : BeliefState
         The belief at the last sample is `state.now`; a view that changes.
     begun : bool
@@ -169,6 +169,7 @@ def belief_of(
     if given.ndim == 2:
         return given / total
     own = now.sum(axis=1, keepdims=True)
+    # A mode that had no probability gets all of it at age 0.
     young = np.eye(1, ages)
     share = np.where(own > 0.0, now / np.where(own > 0.0, own, 1.0), young)
     return given[:, None] / total * share

@@ -60,6 +60,8 @@ class RunningObserver:
         for name in self.arrays:
             getattr(self, name)[...] = 0
         begin_observer.function(self.memory, self.state)
+        # Row 0 is written by the first update, with the last input of the history, and row 1 by the
+        # second: no lag reaches either before.
         self.ring[2:] = history[len(history) + 1 - len(self.ring) : -1]
         self.asked[:] = history[-1]
 
@@ -78,6 +80,7 @@ class RunningObserver:
         samples, place, before = self.counters.tolist()
         self.ring[place], self.counters[1] = latest, (place + 1) % len(self.ring)
         if samples:
+            # The period that ended was spent in the mode at its begin, not in the one at its end.
             self._select(before)
             predict_observer(self.memory, self.state, self.ring, place)
         mode = before if mode < 0 else mode

@@ -1,4 +1,4 @@
-"""What readers look at: figures, tables, verdicts, reports, studies, the audit."""
+"""Results for readers: figures, tables, verdicts, reports, studies, the audit."""
 
 import lazy_loader
 

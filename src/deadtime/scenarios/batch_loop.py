@@ -1,4 +1,4 @@
-"""What a batch engine runs: the loop, and the scenarios' signals laid on it."""
+"""The loop that a batch engine runs, with the scenarios' signals sampled on its grid."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Loop:
 
     @cached_property
     def acting(self) -> Acting:
-        """What acts on the plant over a period."""
+        """The inputs, and forces if any, that act on the plant over a period."""
         return acting_of(self.sampled, self.forced)
 
     @cached_property
@@ -140,7 +140,7 @@ class Loop:
         )
 
     def lay(self, signals: SignalBatch) -> Laid:
-        """Signals laid on the periods up to the horizon."""
+        """Signals sampled on the periods up to the horizon."""
         records, tables = self.place(signals), self.tables
         assert tables is not None
         modes = self.plant.modes

@@ -111,7 +111,7 @@ def run_blocks(
 
 
 def _rest(running: dict[Future[int], int]) -> int:
-    """What blocks return that were in hand at the end."""
+    """Collect the blocks in hand at the end, cancel the others, and sum the results."""
     for future in running:
         future.cancel()
     finished, _ = wait(running)
@@ -171,7 +171,7 @@ def monte_carlo(
     any delay, a law whose model is not the plant.
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
-    where their rows are factorised; so do those of what they remember (`OutputFeedback`) and those
+    where their rows are factorised; so do those of their observers (`OutputFeedback`) and those
     that weigh rows by a belief (`BeliefPredictor`). One by one, by `simulate`, run: laws that are
     no table, laws that draw their first estimate or reference (`OutputFeedback`), in scenario i
     by the seed ``scenario_seed(seed, i)`` alone, all laws where the plant is disturbed and its
@@ -349,7 +349,7 @@ def _grows_above(
 
 
 def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
-    """Scenarios in a block, in whole vectors of eight; fewer where all that is heard is kept."""
+    """Scenarios in a block, in whole vectors of eight; fewer where all received data are kept."""
     steps = _BLOCK_STEPS
     if any(isinstance(one, Relaying | TimingImperfection | Disturbance) for one in imperfections):
         steps /= 4
@@ -390,7 +390,7 @@ def _unseen(model: object, plant: SwitchedSystem) -> str:
 def _message(
     results: Results, names: Sequence[str], continued: int, interrupted: bool, unseen: str
 ) -> str:
-    """What is worth knowing about the run as a whole."""
+    """The notes on the run as a whole: interruptions, continued signals, divergence."""
     done, scenarios = int(results.done.sum()), results.done.size
     notes = [unseen] if unseen else []
     if interrupted:

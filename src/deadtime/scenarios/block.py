@@ -217,6 +217,7 @@ class Block:
             found = figures(output, where, r)
             for name, values in found.items():
                 self.results.tracking[name][row, these, output] = values
+            # The metric is over the whole run, not over the window of the last step.
             if r.size < time.size:
                 along = followed.reference.along(time)[:, output]
                 found = figures(output, slice(0, time.size), along)
@@ -225,7 +226,7 @@ class Block:
 
     @cached_property
     def _followed(self) -> list[Followed | None]:
-        """What each law is to follow."""
+        """The tracked outputs and reference of each law, None where it tracks nothing."""
         return [Followed.of(law) for law in self.laws.values()]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
@@ -256,6 +257,6 @@ class Block:
 
 
 def _by_mode(table: EngineTable) -> bool:
-    """Whether a law goes by the mode."""
+    """Whether a law depends on the mode."""
     by_rows = table.feedback is not None and table.feedback.context != "none"
     return by_rows or table.memory is not None

@@ -74,7 +74,7 @@ DIVERGED = "|x| left 1e100 and the run ended there; its metrics are those up to 
 
 
 def attributes_of(metric: str, cost: str | None = None) -> dict[str, str]:
-    """What a dataset says of a metric; of the cost also what it is, where a weight says so.
+    """The attributes of a metric in a dataset; of the cost its formula, where a weight has one.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def formula_of(metric: xr.DataArray) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What the blocks of a comparison fill, law by law and scenario by scenario.
+    """The results that blocks of a comparison fill, law by law and scenario by scenario.
 
     Attributes
     ----------

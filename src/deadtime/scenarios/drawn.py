@@ -92,7 +92,7 @@ class InManyRuns:
         return self.one.count(sizes, samples) if isinstance(self.one, Drawing) else None
 
     def numbers(self, first: int, room: np.ndarray) -> np.ndarray:
-        """What it draws in the scenarios from `first` on, (scenario, count), (1, 0) for nothing."""
+        """Draw its numbers in scenarios from `first` on, (scenario, count), (1, 0) for nothing."""
         if room.size == 0:
             return room[:1]
         assert isinstance(self.one, Drawing)
@@ -100,7 +100,7 @@ class InManyRuns:
         return room
 
     def relay(self, first: int, room: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
-        """What is heard through a sensor in the scenarios from `first` on."""
+        """The measurements received through a sensor in the scenarios from `first` on."""
         one, runs = self.one, len(room)
         if isinstance(one, DrawnRelaying) and _as_we_wrote_it(one, DrawnRelaying, "relay"):
             return one.relay_from(self.numbers(first, room), heard, sizes)
@@ -112,9 +112,9 @@ class InManyRuns:
     def draws(
         self, first: int, runs: int, sizes: Sizes, lengths: tuple[float, ...], run: RunLength
     ) -> np.ndarray:
-        """What a disturbance draws in the scenarios from `first` on, (stretch, one, period, r).
+        """The draws of a disturbance in the scenarios from `first` on, (stretch, one, period, r).
 
-        The axis of scenarios has length 1 where one stands for all; stretches of no length have no
+        The axis of scenarios has length 1 where all draw the same; stretches of no length have no
         part in it.
         """
         one, there = self.one, [i for i, length in enumerate(lengths) if length > 0.0]

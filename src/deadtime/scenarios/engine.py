@@ -6,7 +6,7 @@ basis of its eigenvectors S is diagonal, or has 2 × 2 blocks for pairs of compl
 most of the work. Whether a basis is good enough is not guessed from its condition but measured: the
 taps that it gives are compared with the table's own.
 
-Of a law that knows the signal the model is laid along signals, as far ahead as it looks.
+Of a law that knows the signal the model is sampled along signals, up to the end of its preview.
 """
 
 from __future__ import annotations
@@ -97,6 +97,7 @@ def window_form(feedback: Feedback) -> WindowForm | None:
 def _candidates(factor: Factor) -> list[tuple[Factor, int]]:
     """The factorisation in other bases, and the size of the blocks that S has there."""
     found = []
+    # The modal basis first: its blocks are the smallest, where round-off lets it pass.
     modal = _modal(factor)
     if modal is not None:
         found.append(modal)
@@ -117,6 +118,7 @@ def _modal(factor: Factor) -> tuple[Factor, int] | None:
     single, pairs = np.flatnonzero(np.imag(values) == 0.0), np.flatnonzero(np.imag(values) > 0.0)
     if pairs.size == 0:
         size, basis = 1, real
+    # With blocks of two for complex pairs, real eigenvalues must pair up as well.
     elif single.size % 2 == 0:
         size = 2
         columns = [real[:, single], *(np.stack((real[:, p], imaginary[:, p]), 1) for p in pairs)]
@@ -128,6 +130,7 @@ def _modal(factor: Factor) -> tuple[Factor, int] | None:
     except np.linalg.LinAlgError:
         return None
     S = inverse @ factor.S @ basis
+    # Off the blocks is round-off, which the kernel never reads: the check must not either.
     S = S * _blocks_of_ones(S.shape[0], size)
     return Factor(factor.H @ basis, S, inverse @ factor.input, factor.last), size
 
@@ -182,7 +185,7 @@ class ModelAhead:
 
     @cached_property
     def _own(self) -> KnownSignalModel:
-        """The model along the signal that the law believes in, the same in all scenarios."""
+        """The model along the signal that the law assumes, the same in all scenarios."""
         assert self._law.foreseen is not None
         return self._lay(SignalBatch.of([self._law.foreseen]))
 
@@ -260,7 +263,7 @@ class EngineTable(NamedTuple):
     """A law as `scenarios.lane_loop` takes it: one of three, its memory or belief, its window.
 
     `taps` is how many inputs it reads, and `feedback` what its rows are, where it has some and goes
-    by the modes that it is told; `outputs` the plant's C where these are measured, and `gains`
+    by the reported modes; `outputs` the plant's C where these are measured, and `gains`
     (rows, m, n) what its rows make of the state where a belief weighs them.
     """
 
@@ -283,7 +286,7 @@ class EngineTable(NamedTuple):
 
 
 class Engine:
-    """Runs tables along signals that are laid on a loop; holds nothing that changes."""
+    """Runs tables along signals on the grid of a loop; holds nothing that changes."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
@@ -314,7 +317,7 @@ class Engine:
     def remember(
         self, feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode p n"]
     ) -> EngineTable:
-        """The rows of a law on what it remembers of y = C_σ x, `outputs` being the plant's C."""
+        """The rows of a law on its observer of y = C_σ x, `outputs` being the plant's C."""
         table, (_, p, _) = self.table(feedback), outputs.shape
         z = memory.start.size
         shape = replace(
@@ -340,15 +343,15 @@ class Engine:
         return table._replace(shape=shape, bank=bank, outputs=outputs)
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> EngineTable:
-        """What a law that knows these signals does, of each of them."""
+        """The table of a law that knows these signals, for each of them."""
         return self._foreseeing(ahead, ahead.lay(signals))
 
     def along(self, law: EngineTable | ModelAhead, signals: SignalBatch) -> EngineTable:
-        """What a law does, along signals."""
+        """The table of a law along signals."""
         return law if isinstance(law, EngineTable) else self.foresee(law, signals)
 
     def compile(self, law: EngineTable | ModelAhead) -> None:
-        """Compile the loop under a law that hears everything: run it along no signals."""
+        """Compile the loop under a law that receives every sample: run it along no signals."""
         table = law if isinstance(law, EngineTable) else self._foreseeing(law, law.lay_nothing())
         self.run(table, self._loop.lay_nothing())
 
@@ -367,7 +370,7 @@ class Engine:
         hearing: Hearing = PERFECT,
         force: np.ndarray | None = None,
     ) -> ScenarioSums:
-        """Run a table along the scenarios first, …, first + count − 1 which hear and feel this."""
+        """Run a table along scenarios first, …, first + count − 1 with these data and forces."""
         count = laid.scenarios - first if count is None else count
         return self._run_kernel(table, laid, first, count, hearing, force, _NOTHING, 0)
 
@@ -382,7 +385,7 @@ class Engine:
         keep: int = 0,
         room: np.ndarray = _NOTHING,
     ) -> tuple[ScenarioSums, Path]:
-        """The same with states and inputs from sample `keep` on, laid in `room` where that does.
+        """Run as `run` does, with states and inputs from sample `keep` on, in `room` if it fits.
 
         New memory costs about as much as a run of a few scenarios.
         """
@@ -418,6 +421,7 @@ class Engine:
         outputs = None if table.outputs is None else OutputLanes.of(table.outputs)
         room = work, ahead, kept, mind, outputs
         run_scenarios(*table[:8], *loop, first, count, path, keep, *room)
+        # The last two are exponents, which the kernel has added to the logarithms.
         figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)
         return ScenarioSums(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
 

@@ -1,4 +1,4 @@
-"""What disturbances do in a block of scenarios: a force for every stretch of every period.
+"""Disturbances in a block of scenarios: a force for every stretch of every period.
 
 It is constant over the stretch and does to the state there what the disturbance does; what draws it
 and what it is are as in a single run (`simulation.forcing`).
@@ -161,7 +161,7 @@ def forces_of(
     first: int,
     rooms: Rooms,
 ) -> np.ndarray:
-    """The forces in scenarios first, first + 1, … with these signals, laid on periods.
+    """The forces in scenarios first, first + 1, … with these signals, period by period.
 
     (group, sample, stretch, n, lane), flat, in `rooms`; what is drawn is the same whatever the
     signals are.

@@ -2,7 +2,7 @@
 
 Numba compiles one function at a time in a process. The helper has the same plant and laws and the
 same folder for compiled code: it compiles what it is asked for (`Engine.compile`) and ends, and the
-first process, which lays signals and compiles for the other laws meanwhile, finds the files. They
+first process, which samples signals and compiles for the other laws, finds the files. They
 are all that the two share: a helper that fails leaves the work to the first process.
 """
 
@@ -115,7 +115,7 @@ def share_of(tables: Mapping[str, Runnable]) -> frozenset[str]:
 
 
 def _kind(table: Runnable) -> tuple[Hashable, ...]:
-    """What laws that share a loop have in common."""
+    """The key of a compiled loop, the same for laws that share one."""
     if isinstance(table, ModelAhead):
         return ModelAhead, table.loop.acting.lags.size
     return table.shape, table.dense is None, table.memory is None

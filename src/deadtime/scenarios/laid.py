@@ -33,6 +33,8 @@ def _place(time, step, arrival, arriving, rate):
     if ratio == k:
         return np.int64(k), 0.0
     for a in range(arrival.size):
+        # A switch at an arriving input is put exactly there, or a piece as short as round-off would
+        # be left between them.
         late = _snap((time - arriving[a] * step - arrival[a]) * rate)
         if late == np.floor(late):
             return np.int64(late) + arriving[a], arrival[a]
@@ -86,6 +88,7 @@ def fill_records(room, offset, times, modes, samples, step, arrival, arriving, p
                 ahead = final + 1
             room.step[r], room.mode[r], room.map[r] = k, modes[i], modes[i]
             if k == final or ahead == k:
+                # The maps of cut periods are numbered behind those of every mode's whole period.
                 room.map[r], room.sojourn[c], room.last[c] = plants + c, i, k == final
                 while i + 1 < stop and ahead == k:
                     i += 1
@@ -101,6 +104,7 @@ def fill_records(room, offset, times, modes, samples, step, arrival, arriving, p
                 k += 1
             else:
                 r += 1
+                # One record serves all whole periods up to the next cut one.
                 k = min(ahead, final)
     room.first[scenarios] = r
     return r, c
@@ -159,6 +163,7 @@ def _compose(piece, column, move, energy, own):
     """Follow the map (move, energy) by a piece whose inputs are z[column]."""
     (n, wide), m = move.shape, column.size
     for a in range(wide):
+        # A copy of the state at the piece's start, which the energy and every row of Φ read.
         for i in range(n):
             own[i, a] = move[i, a]
         for j in range(m):
@@ -170,6 +175,7 @@ def _compose(piece, column, move, energy, own):
             at += 1
             for a in range(wide):
                 left = q * own[i, a]
+                # Most entries are 0: the row of an input has one entry, in its column.
                 if left != 0.0:
                     for b in range(wide):
                         energy[a, b] += left * own[j, b]
@@ -212,6 +218,7 @@ def _compose_period(first, last, modes, at, end, acting, pieces, cell, result, r
             k += 1
     for a in range(wide):
         for b in range(a, wide):
+            # `_compose` adds to either half; the form needs their sum as the term of z_a z_b.
             result[k] = energy[a, a] if a == b else energy[a, b] + energy[b, a]
             k += 1
 
@@ -276,7 +283,7 @@ def find_instants(missing, early, step, period, offset):
 def lay_periods(lag, reach, heard, period, begin, few):
     """Fill `lag` of scenarios from `begin` on; the longest, `reach` at least.
 
-    heard : (few or 1, sample), whose measurement is heard, −1 for none;  period : as above, when
+    heard : (few or 1, sample), whose measurement is received, −1 for none;  period : as above, when
         that is taken
     """
     samples = heard.shape[1]

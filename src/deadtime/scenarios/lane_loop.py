@@ -3,7 +3,7 @@
 All sizes are types (`deadtime.numerics.lanes`), so that one period is straight-line code with
 states, window sums and metrics in registers. Each scenario's transition over a period lies in
 memory and is rewritten where its records say so: when its mode changes, and for a period that a
-switch cuts. A law is factorised rows, dense ones, or a model that moves ahead; what there is none
+switch cuts. A law is factorised rows, dense ones, or a model for a preview; what there is none
 of is None, and Numba leaves out what hangs on that alone.
 """
 
@@ -181,9 +181,9 @@ def run_scenarios(
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
-    it remembers, `belief` what its rows are weighed by (`feedback.belief.Belief`), and `bank` what
-    it makes of outputs meanwhile. These may be None, and so may `limits` of the inputs, `relayed`
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory`
+    its observer, `belief` the chain that weighs its rows (`feedback.belief.Belief`), and `bank`
+    its filters of outputs. These may be None, and so may `limits` of the inputs, `relayed`
     and `sight`, how measurements and modes reach the law (`lane_types.Hearing`), and `force`, what
     acts on the plant besides (`forces`). `path`, unless it is empty, gets x and u of every sample
     from `keep` on. The last scenario fills the last group of eight.
@@ -226,6 +226,7 @@ def run_scenarios(
             late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
             by_told = relayed.row.size > 0
         for k in range(run.samples):
+            # 8·period + lane in one number: one comparison finds whether any scenario switches.
             if soon // LANES == k:
                 soon = _switch(plant, work, k, soon)
             norm = squares(x, none)
@@ -235,6 +236,7 @@ def run_scenarios(
                 least = smaller(norm, least)
                 P, EP = times(P, mantissa(norm), none), times(one, exponent(norm), EP)
                 Q, EQ = times(Q, P, none), times(one, EP, EQ)
+                # 32 mantissas below 2 leave P below 2^33 and Q below 2^600: neither overflows.
                 if (k - run.late) % _GROUP == _GROUP - 1:
                     EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                     P, Q = mantissa(P), mantissa(Q)
@@ -328,6 +330,7 @@ def run_scenarios(
                 at = (first * (run.samples - keep) + (k - keep) * LANES) * (n + m)
                 store(path, at, x)
                 store(path, at + n * LANES, u)
+            # After u_k is in the ring: with a delay below one period it acts in this period.
             acting = load_each(ring, work.acting, shape.u, shape.acting)
             if force is not None:
                 at = (first * run.samples + k * LANES) * len(shape.force)
@@ -337,6 +340,7 @@ def run_scenarios(
             moved = first_of(x, acting, felt, shape.z)
             ise = own_form(own, n * wide * LANES, moved, ise)
             x = own_product(own, 0, moved, same(0.0, shape.x))
+            # The horizon may lie within the last period, whose input counts for a part of it.
             weight = run.rest if k == run.samples - 1 else 1.0
             weighed = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
             energy = times(same(weight, _ONE), squares(weighed, none), energy)
@@ -348,6 +352,7 @@ def run_scenarios(
         for f, figure in enumerate(figures):
             store(work.figures, at + f * LANES, figure)
         for lane in range(at, at + LANES):
+            # P and Q, their exponents three figures on: log Π = log mantissa + exponent · log 2.
             for f in (5, 6):
                 product_so_far, exponents = (
                     work.figures[lane + f * LANES],

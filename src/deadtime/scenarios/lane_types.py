@@ -1,4 +1,4 @@
-"""What the compiled loop of `scenarios.lane_loop` is given: sizes as types, law, plant and run."""
+"""Arguments of the compiled loop of `scenarios.lane_loop`: sizes as types, law, plant and run."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Dense(NamedTuple):
 
 
 class PlantLanes(NamedTuple):
-    """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals laid on periods.
+    """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals by periods.
 
     See `periods.Laid`.
     """
@@ -110,15 +110,15 @@ class RunLanes(NamedTuple):
 
 
 class Relayed(NamedTuple):
-    """What sensors tell a law in every scenario, by groups of eight that lie side by side, flat.
+    """Sensor data that reach a law in every scenario, in flat groups of eight side by side.
 
     lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
-        was began, −1 for nothing: the last command is held; empty where every sample is heard at
+        was begun, −1 for nothing: the last command is held; empty where every sample arrives at
         once
     reach : the longest of them
     noise : (group, sample, n, lane), what was added to it; empty for nothing
     row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
-    told : (group, sample, lane), the mode that a memory goes by; empty where that is the plant's
+    told : (group, sample, lane), the mode reported to an observer; empty where that is the plant's
     """
 
     lag: np.ndarray
@@ -145,7 +145,7 @@ class SightLanes(NamedTuple):
 
 
 class Hearing(NamedTuple):
-    """What a law hears, None for all of it; `sight` is None where all is measured at samples."""
+    """The received data of a law, None for all; `sight` is None with measurements at samples."""
 
     relayed: Relayed | None = None
     sight: SightLanes | None = None

@@ -2,7 +2,7 @@
 
 The stacks of a preview are those of `loop.preview_steps`; a piece is the affine map x → Φ_p x +
 Γ_p z_p of the model over a period p, its inputs z_p being in flight. At t_k the prediction takes
-x_k over the W = ⌊D/h⌋ periods that lie ahead and over the rest φ' of the delay, 0 ≤ φ' < h
+x_k over the W = ⌊D/h⌋ coming periods and over the rest φ' of the delay, 0 ≤ φ' < h
 (`deadtime.feedback.preview`).
 """
 
@@ -48,6 +48,7 @@ _FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 @kernel(eager=True, nogil=True)
 def dot(a, i, b, j, length):
     """Σ a[i + k] b[j + k] over a length that is a multiple of 8."""
+    # Four sums of eight lanes: in one, each addition would wait for the one before.
     sums = same(0.0, _FOUR)
     k = 0
     while k + 4 * LANES <= length:
@@ -62,7 +63,7 @@ def dot(a, i, b, j, length):
 
 @inner_kernel
 def refill(shape, factored, ring, period, now, carry):
-    """What the previous block of inputs adds to each sum of the coming one.
+    """Fill `carry` with the share of the previous block of inputs in each sum of the coming one.
 
     With s_r = Σ_{i ≥ r} S^{W−1−i} Γ u_{k−W+i}, the sum r periods on gets H S^r s_r. Nothing is
     subtracted, so nothing cancels.
@@ -71,6 +72,7 @@ def refill(shape, factored, ring, period, now, carry):
     q = len(shape.b)
     s = same(0.0, shape.b)
     place = now
+    # From the latest input back: s_r is s_{r+1} and one older input.
     for r in range(factored.length - 1, -1, -1):
         place = period - 1 if place == 0 else place - 1
         u = load(ring, place * m * LANES, shape.u)
@@ -119,6 +121,7 @@ def sum_dense(shape, dense, window, place):
     for lane in range(LANES):
         row = window.row[lane]
         window.head[lane] = row * head
+        # Row `place` holds the latest input, which is added with the head.
         start = lane * width + (place + 1) * m
         for i in range(m):
             begin = (row * m + i) * dense.width
@@ -236,7 +239,7 @@ def enter(ahead, ring):
 
 @inner_kernel
 def foresee(shape, length, ahead, k, x, latest):
-    """The input: x predicted over the W periods ahead, then by the tail."""
+    """The input: x predicted over the W coming periods, then by the tail."""
     eight = lanes_of(ahead)
     if length > 0:
         move_window(eight.stacks, k)

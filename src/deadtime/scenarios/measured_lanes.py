@@ -35,8 +35,8 @@ class Recent(NamedTuple):
 
     Where measurements lie within periods, the inputs that act in its period are beside each.
 
-    slot : of x_k, one number;  places : where what is heard lies
-    lost : 1 where nothing is heard;  number : the row of the law's table, as `choose` reads it
+    slot : of x_k, one number;  places : where the received measurement lies
+    lost : 1 where nothing is received;  number : the row of the law's table, as `choose` reads it
     row : of `SightLanes`, each scenario's;  own : what that holds, (degree, n, z)
     """
 
@@ -62,7 +62,7 @@ def recent_of(shape, relayed, sight):
 
 @inner_kernel
 def hear(shape, relayed, recent, x, at):
-    """What was measured as long before x_k as is said at `at`."""
+    """The measurement of as many samples before x_k as the lags at `at` say."""
     n, slots, slot = len(shape.seen), relayed.reach + 1, recent.slot[0]
     spread(recent.states, slot * n, slots * n, x)
     _look_back(relayed, recent, at, slots, n)
@@ -72,7 +72,7 @@ def hear(shape, relayed, recent, x, at):
 
 @inner_kernel
 def see(shape, relayed, sight, recent, x, at):
-    """The same within a period; its inputs follow by `go_on`."""
+    """The measurement at an instant within a period, whose inputs follow by `go_on`."""
     size, slots = len(shape.z), relayed.reach + 1
     spread(recent.states, recent.slot[0] * size, slots * size, x)
     _look_back(relayed, recent, at, slots, size)
@@ -81,6 +81,7 @@ def see(shape, relayed, sight, recent, x, at):
     z, delta = gather(recent.states, recent.places, shape.z), load(sight.place, at, _ONE)
     block = len(shape.x) * size * LANES
     x = same(0.0, shape.x)
+    # Horner's rule over the degrees of the series in time, the highest first.
     for part in range(recent.own.size - block, -1, -block):
         x = matrix_product(x, delta, own_product(recent.own, part, z, same(0.0, shape.x)))
     return x
@@ -88,13 +89,14 @@ def see(shape, relayed, sight, recent, x, at):
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _lay_out(sight, recent, at):
-    """Lay out what is new of scenarios whose row is another one."""
+    """Copy the series of scenarios whose row is another one into their lanes."""
     several, cut_size = len(sight.series), sight.cuts.shape[1]
     for lane in range(LANES):
         row = np.int64(sight.row[at + lane])
         if row != recent.row[lane]:
             recent.row[lane] = row
             for i in range(sight.series.shape[1]):
+                # A cut period has a map for one instant, a series of degree 0: clear the rest.
                 value = 0.0
                 if row < several:
                     value = sight.series[row, i]
@@ -113,11 +115,12 @@ def go_on(shape, relayed, recent, acting):
 
 @inner_kernel
 def _look_back(relayed, recent, at, slots, size):
-    """Note where what is heard lies, and where nothing is."""
+    """Note where the received measurements lie, and in which scenarios there is none."""
     slot = recent.slot[0]
     for lane in range(LANES):
         lag = np.int64(relayed.lag[at + lane])
         recent.lost[lane] = 1.0 if lag < 0 else 0.0
+        # Of a lost sample any place will do: `lost` masks what is read there.
         place = slot - max(lag, 0)
         place += slots if place < 0 else 0
         recent.places[lane] = (lane * slots + place) * size
@@ -125,7 +128,7 @@ def _look_back(relayed, recent, at, slots, size):
 
 @inner_kernel
 def add_noise(shape, relayed, x, at):
-    """What the law takes x to be."""
+    """The measurement x with its noise added."""
     return times(same(1.0, shape.seen), x, load(relayed.noise, at * len(shape.seen), shape.seen))
 
 
@@ -138,20 +141,20 @@ def hear_rows(relayed, recent, at):
 
 @inner_kernel
 def hear_modes(relayed, mode, at):
-    """Note the mode that is told in every scenario."""
+    """Note the mode that is reported in every scenario."""
     for lane in range(LANES):
         mode[lane] = relayed.told[at + lane]
 
 
 @inner_kernel
 def told_rows(recent, row):
-    """Put the rows of the modes told in place of those of the plant's."""
+    """Put the rows of the reported modes in place of those of the plant's."""
     for lane in range(LANES):
         row[lane] = np.int64(recent.number[lane])
 
 
 @inner_kernel
 def command(shape, recent, u, before):
-    """What is asked for: u, or what was asked for before where nothing was heard."""
+    """The command: u, or the one before where no measurement was received."""
     both = first_of(u, before, before, shape.pair)
     return choose(both, load(recent.lost, 0, _ONE), shape.u)

@@ -143,7 +143,7 @@ def share_below(ratio: Float[np.ndarray, " scenario"]) -> Float[np.ndarray, " th
 
 
 def share_of(outcomes: Bool[np.ndarray, " outcome"]) -> Float[np.ndarray, " three"]:
-    """Share of true entries and its interval; one half when there is none to go by."""
+    """Share of true entries and its interval; one half when there are no entries."""
     found = Proportion.of(outcomes)
     return np.array([found.fraction if found.trials else 0.5, *found.interval])
 

@@ -47,7 +47,7 @@ class Acting(NamedTuple):
 
 
 def acting_of(sampled: SampledPlant, forced: bool = False) -> Acting:
-    """What acts on a sampled plant; if `forced`, a force over each stretch, too.
+    """The inputs that act on a sampled plant; if `forced`, a force over each stretch, too.
 
     Stretches of the same place in their modes' periods have the same force.
 
@@ -115,7 +115,7 @@ class Records(NamedTuple):
 
 
 class Laid(NamedTuple):
-    """Signals laid on the periods 0, …, K, the last of which goes on to the horizon only.
+    """Signals by the periods 0, …, K, the last of which goes on to the horizon only.
 
     Row `records.map[r]` of `maps` takes the plant over a period: `move` and the upper triangle of
     `energy` with its off-diagonal doubled, flat (`Maps`). `age` is that of the first
@@ -190,7 +190,7 @@ class ModePart(NamedTuple):
 def parts_of(
     plant: SwitchedSystem, acting: Acting, i: int, low: float, high: float
 ) -> list[ModePart]:
-    """What mode i does between two instants of a period."""
+    """The parts of a period between two instants in mode i, with constant inputs each."""
     stretches, parts = acting.stretches, []
     for s in range(stretches.first[i], stretches.first[i + 1]):
         start, stop = max(low, stretches.start[s]), min(high, stretches.stop[s])

@@ -1,4 +1,4 @@
-"""What the batch engine is given: the loop, and the laws that it can run."""
+"""Prepare a batch run: the loop, the engine, and the tables of the laws that it can run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Runnable = EngineTable | ModelAhead  # the latter is a table along signals
 
 
 class BatchRequest(NamedTuple):
-    """What is to be run, apart from signals; each as in `run.compare`."""
+    """A run without its signals; each field as in `run.compare`."""
 
     plant: SwitchedSystem
     laws: Mapping[str, Law]
@@ -43,7 +43,7 @@ def prepare(request: BatchRequest) -> tuple[Loop, Engine, dict[str, Runnable]]:
 
 
 def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Limiting]:
-    """What engines know of imperfections: limits of the inputs."""
+    """The imperfections that engines model themselves: limits of the inputs."""
     return [one for one in imperfections if isinstance(one, Limiting)]
 
 
@@ -99,7 +99,7 @@ def _on_outputs(
     C: Float[np.ndarray, "mode p n"],
     timed: bool,
 ) -> EngineTable | None:
-    """The same of a law on outputs; with measurements within periods, of one C for all modes."""
+    """The table of a law on outputs; measurements within periods need one C for all modes."""
     memory = tables.memory
     if timed and (C[0] != C).any():
         return None

@@ -44,7 +44,7 @@ from deadtime.switching import SignalBatch
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Where the measurements of a block of scenarios lie, laid a few scenarios at a time.
+    """Where the measurements of a block of scenarios lie, filled in a few scenarios at a time.
 
     row, place, news : as `SightLanes` has them, or None where all is measured at samples
     cuts : the M of measurements in cut periods, a few scenarios' each
@@ -96,9 +96,9 @@ class Sights:
         lag: np.ndarray,
         reach: int,
     ) -> int:
-        """Lay the measurements of scenarios begin, …, begin + few − 1 of the block.
+        """Place the measurements of scenarios begin, …, begin + few − 1 of the block on periods.
 
-        `heard` (scenario or 1, sample) is whose measurement is heard; `lag`, which is filled for
+        `heard` (scenario or 1, sample) is whose measurement arrives; `lag`, which is filled for
         these scenarios, and `reach`, which is returned, are as `Relayed` has them.
         """
         from deadtime.scenarios.laid import find_instants, lay_periods, lay_places
@@ -129,7 +129,7 @@ class Sights:
         return reach
 
     def sight(self) -> SightLanes | None:
-        """All that was laid."""
+        """All places and cuts that were filled in."""
         if self.row is None or self.place is None or self.news is None:
             return None
         series = sight_series(self.loop.sampled, self.loop.cells, self.loop.forced)
@@ -175,10 +175,10 @@ _FEW = 32  # scenarios that are gone through at a time, so that they stay in the
 
 
 class _Stack(NamedTuple):
-    """What is heard in all scenarios: as `Relayed` has it, and the modes.
+    """The received data of all scenarios, as in `Relayed`, and the modes.
 
     sight : as `Hearing` has it
-    modes : (scenario, sample), the modes told, or None where they are the plant's
+    modes : (scenario, sample), the reported modes, or None where they are the plant's
     """
 
     lag: np.ndarray
@@ -190,18 +190,18 @@ class _Stack(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HeardBlock:
-    """What is heard in scenarios first, first + 1, …, the same under every law.
+    """The received data of scenarios first, first + 1, …, the same under every law.
 
     Attributes
     ----------
     signals, laid : SignalBatch, Laid
-        Their signals, and these laid on periods.
+        Their signals, and these sampled on the grid.
     by_mode : bool
-        Whether a law goes by the modes that it is told.
+        Whether a law depends on the reported modes.
     measured : int
         How many numbers laws measure.
     rooms : Rooms
-        Where all that is heard lies.
+        Memory of the received data.
     """
 
     loop: Loop
@@ -217,9 +217,9 @@ class HeardBlock:
     def hearing(
         self, feedback: Feedback | None, begin: int, count: int, remembers: bool = False
     ) -> Hearing:
-        """What a law with this table hears in `count` scenarios of the block from `begin` on.
+        """The received data of a law with this table, in `count` scenarios from `begin` on.
 
-        `begin` is a multiple of eight; a law that `remembers` goes by the mode besides.
+        `begin` is a multiple of eight; the observer of a law that `remembers` needs the mode, too.
         """
         heard, row, told_mode = self._heard, np.zeros(0, np.int32), np.zeros(0, np.int32)
         if heard.modes is not None:
@@ -236,7 +236,7 @@ class HeardBlock:
         return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
 
     def _rows(self, told: np.ndarray, begin: int, count: int, apart: int, ages: int) -> np.ndarray:
-        """The rows of a table in scenarios that are told these modes, laid on samples."""
+        """The rows of a table in scenarios to which these modes are reported, by samples."""
         part = slice(begin, begin + count)
         size = groups(count) * told.shape[1] * LANES
         row = self._room(("rows", apart, ages), size, np.int32)
@@ -245,7 +245,7 @@ class HeardBlock:
 
     @cached_property
     def _heard(self) -> _Stack:
-        """What reaches the law of every scenario."""
+        """The data that reach the law of every scenario."""
         plant, samples = self.loop.plant, self.loop.whole + 1
         count = self.laid.scenarios
         sizes = Sizes(plant.modes, self.measured, plant.inputs, self.loop.step)
@@ -260,6 +260,7 @@ class HeardBlock:
             these = slice(begin, begin + few)
             for each, room in zip(kinds, rooms, strict=True):
                 heard = each.relay(begin, room[:few], heard, sizes)
+            # By identity below: a sensor that changes nothing of a part hands the same array on.
             sample = heard.sample
             if sights is not None or sample is not nothing.sample:
                 lag = lag if lag.size else self._room("lag", size, np.int32)
@@ -271,6 +272,7 @@ class HeardBlock:
             if heard.noise is not nothing.noise:
                 if noise.size == 0:
                     noise = self._room("noise", size * self.measured)
+                    # The room is used again, and scenarios may have gone by without noise.
                     noise.fill(0.0)
                 lay_numbers(heard.noise, begin // LANES, noise)
             true = heard.mode_of is nothing.mode_of and heard.named is nothing.named

@@ -166,7 +166,7 @@ class Instants:
     def of(
         cls, loop: Loop, times: Float[np.ndarray, " time"], signals: SignalBatch, records: Records
     ) -> Instants:
-        """Those of the signals of a block, laid."""
+        """Those of the signals of a block, given their records."""
         plant, acting, ratio = loop.plant, loop.acting, snap_all(times / loop.step)
         period = np.floor(ratio).astype(np.int64)
         until = np.where(ratio == period, 0.0, times - period * loop.step)

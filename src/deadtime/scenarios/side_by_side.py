@@ -1,4 +1,4 @@
-"""Numbers of every scenario and sample, laid eight scenarios side by side for the compiled loop.
+"""Numbers of every scenario and sample, eight scenarios side by side, for the compiled loop.
 
 (scenario, sample, …) goes to (group, sample, …, lane), flat: group g has the scenarios 8g, …,
 8g + 7, the last of all filling the rest.
@@ -24,7 +24,7 @@ def groups(scenarios: int) -> int:
 
 
 def from_scenario(laid: np.ndarray, begin: int, scenarios: int) -> np.ndarray:
-    """What is laid of so many scenarios, from one on whose number is a multiple of eight."""
+    """The part of lane-ordered data from a scenario on whose number is a multiple of eight."""
     return laid[begin // LANES * (laid.size // groups(scenarios)) :]
 
 
@@ -32,7 +32,7 @@ def from_scenario(laid: np.ndarray, begin: int, scenarios: int) -> np.ndarray:
 def lay_lags(sample, scenarios, begin, lag, reach):
     """Fill `lag`, from group `begin` on; how long the longest is, `reach` at least.
 
-    `sample` (scenario or 1, sample) is whose measurement is heard, −1 for none.
+    `sample` (scenario or 1, sample) is whose measurement is received, −1 for none.
     """
     samples, at = sample.shape[1], begin * sample.shape[1] * LANES
     for first in range(0, scenarios, LANES):
@@ -71,6 +71,7 @@ def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, state
     n, r = len(states), len(numbers)
     drawn, flat = draws.reshape(-1), maps.reshape(-1)
     for f in range(few + -few % LANES):
+        # Lanes beyond the last scenario repeat it, so that they hold numbers of a run, too.
         run = min(f, few - 1, runs - 1)
         at = (begin + f) // LANES * samples * stretches * n * LANES + f % LANES
         record, last = first[begin + min(f, few - 1)], first[begin + min(f, few - 1) + 1] - 1
@@ -91,7 +92,7 @@ def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, state
 
 @kernel(eager=True, nogil=True)
 def lay_rows(told, sampled, begun, apart, ages, row):
-    """Fill `row` with a table's rows by the modes told, −1 for none, as `feedback.table.follow`.
+    """Fill `row` with a table's rows by reported modes, −1 for none, as `feedback.table.follow`.
 
     told, sampled : (scenario, sample), the mode that is reported to a law, and the plant's
     begun : (scenario,), how old the first mode is at time 0, samples

@@ -61,7 +61,7 @@ class OutputLanes(NamedTuple):
 
 
 class ObserverLanes(NamedTuple):
-    """The observers of eight scenarios: their state, the mode of each, and the modes told."""
+    """The observers of eight scenarios: their state, the mode of each, and the reported modes."""
 
     state: ObserverState
     mode: np.ndarray
@@ -90,7 +90,7 @@ def begin_observers(memory, kept):
 
 @inner_kernel
 def observe_again(shape, memory, kept, outputs, line, row, mode, heard, lost, k):
-    """z at sample k of every scenario, from what is heard; `line` are the inputs to row `row`."""
+    """z at sample k of all scenarios, from received outputs; `line` are the inputs to row `row`."""
     state, y = lanes_of(kept.state), lanes_of(outputs.y)
     store(outputs.y, 0, heard)
     for i in range(y.size):
@@ -153,6 +153,7 @@ def believe_again(belief, bank, mind, line, row, seen, lost, k):
     eight = lanes_of(mind)
     store(mind.x, 0, seen)
     for a in range(eight.x.size):
+        # A filter takes NaN as missing, so that lanes with and without a measurement share it.
         eight.x[a] = where(lost[0] > 0.0, math.nan, eight.x[a])
     if bank is not None:
         if k > 0:
@@ -178,7 +179,7 @@ def mean_row(shape, bank, mind, answers):
 
 @inner_kernel
 def mean_dense_row(shape, bank, mind, dense, window, place, known, before):
-    """The same of dense rows."""
+    """The mean of the answers of dense rows."""
     both = len(shape.both)
     spread(mind.both, 0, both, first_of(known, before, before, shape.both))
     _answer_dense(mind, dense, window.line, place, len(shape.u), both)
@@ -187,13 +188,14 @@ def mean_dense_row(shape, bank, mind, dense, window, place, known, before):
 
 @kernel(eager=True, nogil=True)
 def _answer_dense(mind, dense, line, place, m, both):
-    """What the dense rows of any weight ask for in every scenario."""
+    """Fill in the answers of the dense rows that have any weight, in every scenario."""
     width, answer, share, z = line.size // LANES, mind.answer, mind.chain.weight, mind.both
     for lane in range(LANES):
         start = lane * width + (place + 1) * m
         for c in range(answer.shape[0]):
             for i in range(m):
                 total, row = 0.0, c * m + i
+                # Most rows have no weight: their sums over all past inputs are spared.
                 if share[c, lane] > 0.0:
                     total = dot(dense.rest, row * dense.width, line, start, dense.width)
                     for j in range(both):

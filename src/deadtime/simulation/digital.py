@@ -30,7 +30,7 @@ Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and th
 
 
 class Told(NamedTuple):
-    """What a law was told at the samples of a run, and what it made of it.
+    """The data that a law received at the samples of a run, and its answers.
 
     measured : (samples, n) or (samples, p), x or y, NaN where nothing arrived
     commanded : (samples, m), what it asked for
@@ -44,7 +44,7 @@ class Told(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RunOutcome:
-    """What a run leaves behind.
+    """The record, the signal and the end of a run.
 
     Attributes
     ----------
@@ -57,9 +57,9 @@ class RunOutcome:
     note : str
         What else is worth knowing.
     told : Told or None
-        What the law was told, where that is not the state.
+        The measurements that the law received, where those are not the state.
     belief : (samples, modes) or None
-        How likely a law that is not told the mode took each to be.
+        The probability of each mode in a law that does not receive the mode.
     """
 
     record: DigitalRecord | IdealRecord

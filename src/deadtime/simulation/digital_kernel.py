@@ -1,7 +1,7 @@
 """The inner loops of a digital run: compiled, and over Python's own numbers.
 
 `closed_loop` reads arrays element by element, which costs Python several times what lists do. Most
-runs are told the state itself at every sample and have neither limits nor disturbances; of these
+runs receive the state itself at every sample and have neither limits nor disturbances; of these
 little is left of the loop, and uncompiled it is done by `bare_loop`, over lists: the same products,
 added in the same order, so the bits are those of the kernel.
 """
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def is_bare(
     table: PieceTable, line: DelayLine, sight: Sight, limits: InputLimits, shift: np.ndarray
 ) -> bool:
-    """Whether every sample is told the state there, and the plant given what the law asks for."""
+    """Whether the law receives the state at every sample, and the plant what the law asks for."""
     seen = not (sight.noise.size or sight.C.shape[1]) and (sight.way < 0).all()
     given = line.told is line.inputs is line.asked and not (limits.relative.size or shift.size)
     return bool(given and seen and np.array_equal(sight.piece, table.first[: sight.piece.size]))
@@ -57,6 +57,7 @@ def bare_loop(
             ]
         for q in range(first[k], first[k + 1]):
             lags = lag[entry[q]]
+            # Past the last sample the plant runs on only while it reads inputs that were sent.
             if k - min(lags) >= samples:
                 return _filled(line, samples, flat, path)
             acting = [flat[(past + k - late) * m + i] for i, late in enumerate(lags)]
@@ -68,7 +69,7 @@ def bare_loop(
 def _filled(
     line: DelayLine, samples: int, flat: list[float], path: list[list[float]]
 ) -> tuple[int, np.ndarray]:
-    """What `closed_loop` returns, its inputs in their line."""
+    """The return value of `closed_loop`, after writing the inputs into their line."""
     line.inputs[line.past : line.past + samples] = np.reshape(
         flat[line.past * line.inputs.shape[1] :], (samples, -1)
     )
@@ -199,7 +200,7 @@ def _go_on(table, sight, k, x, inputs, past, result):
 
 @kernel(forceinline=True)
 def _see(sight, k, x, measured, seen):
-    """What is measured of x, or nothing."""
+    """Write the measurement of x at sample k into `seen`, NaN where there is none."""
     for i in range(seen.size):
         if sight.piece[k] < 0:
             seen[i] = np.nan
@@ -281,6 +282,7 @@ def closed_loop(
             samples = k
         if k < samples:
             at, q = past + k, piece[k]
+            # q is −1 where nothing is received; any row will do, as `_see` writes NaN then.
             for i in range(n):
                 spare[i] = path[max(q, 0), i]
             if way[k] >= 0:
@@ -302,8 +304,10 @@ def closed_loop(
                     own = _row_dot(F, row[k], i, known)
                     answer[i] = _dot(G[row[k], i], recent) + own
             if memory is not None:
+                # Before the limits: the sums of errors must see what those refuse.
                 for i in range(m):
                     observer.asked[i] = answer[i]
+            # An observer or a filter has an answer to a lost sample: then nothing is held.
             held = not (_finite(seen) or _finite(answer))
             _apply(answer, held, at, asked, inputs, low, high, relative)
         for q in range(first[k], first[k + 1]):
@@ -326,6 +330,7 @@ def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
     result = np.empty((step.size, A.shape[1]))
     for i in range(step.size):
         q = table.first[step[i]]
+        # A run may have ended within the period: its path has fewer pieces than the table.
         last = min(table.first[step[i] + 1], path.shape[0]) - 1
         while q < last and table.start[table.entry[q + 1]] <= offset[i]:
             q += 1

@@ -99,7 +99,7 @@ def join(slides: Iterable[Slide], tolerance: float) -> list[Slide]:
 
 
 def slides_in_words(slides: list[Slide]) -> str:
-    """What to say about a run's sliding motions, a sentence per pair of modes.
+    """The sliding motions of a run in words, a sentence per pair of modes.
 
     Examples
     --------

@@ -24,10 +24,10 @@ _SINGULAR = 1e-8  # of a piece
 
 
 class Forcing:
-    """What the disturbances of a run draw, and how to read it along the plant's modes.
+    """The draws of a run's disturbances, read along the plant's modes.
 
     `through` (modes, n, f) is how what acts does so on dx/dt: d by itself, and behind it, for each
-    disturbance whose force goes by the mode, that force, times whether it acts.
+    disturbance whose force depends on the mode, that force, times whether it acts.
 
     They are drawn for the stretches of a period, which are the same time in all modes (the plant is
     `SampledPlant.cut_alike`). A switch to a mode that reads its inputs with other delays cuts a
@@ -83,6 +83,7 @@ class Forcing:
         shared = np.unique(head[goes_on])
         parts = np.flatnonzero(np.isin(head, shared))
         if parts.size:
+            # The head's force is held over all pieces of its stretch, each by its own Γ.
             given = _stacked([own[entry[q] - first] for q in parts])
             Gamma = pushed_over(self._plant.A, *given)
             shift[parts] = np.einsum("qij,qj->qi", Gamma, force[parts])
@@ -94,7 +95,7 @@ class Forcing:
         return shift, force
 
     def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " f"]:
-        """What acts over a stretch that starts in a mode; a switch within it leaves d as it is."""
+        """The force over a stretch that starts in a mode; a switch within it leaves d as it is."""
         (spreads, inverse), entry = self._of_held, self._first[mode] + piece
         pairs = zip(spreads, self._draws, strict=True)
         shift = np.zeros(self._plant.states)

@@ -47,7 +47,7 @@ class MeasurementLags(NamedTuple):
     missing : (samples,), of which what was before time 0 is missing
     early : (samples,), of which time 0 is taken instead
 
-    Of many runs there is an axis of these in front; axes of length 1 stand for all.
+    Of many runs there is an axis of these in front; an axis of length 1 is the same for all.
     """
 
     missing: Float[np.ndarray, "*runs sample"]
@@ -91,7 +91,7 @@ def lags_of(
 
 
 class Arrays(NamedTuple):
-    """What imperfections do to a run, all that is random drawn; it needs neither plant nor signal.
+    """The imperfections of a run as arrays, all draws made; independent of plant and signal.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Arrays(NamedTuple):
 
 
 def heard_of(pairs: Pairs, sizes: Sizes, samples: int) -> Heard:
-    """What is heard through all sensors among them, one after the other."""
+    """The measurements received through all sensors among them, one after the other."""
     heard = Heard.perfect(samples, sizes)
     for each, rng in pairs:
         if isinstance(each, Relaying):
@@ -149,7 +149,7 @@ LIMIT = 1e100  # of |x|, beyond which a run has diverged
 
 class Rows(NamedTuple):
     """The rows of a law's table for the compiled loop: F (contexts, m, n), G (contexts, m, taps·m)
-    with the oldest input first, the row of every sample, and the mode that a memory goes by.
+    with the oldest input first, the row of every sample, and the mode that an observer uses.
     """
 
     F: np.ndarray
@@ -159,7 +159,7 @@ class Rows(NamedTuple):
 
 
 class DelayLine(NamedTuple):
-    """What goes into the delay line, (past + samples, m), u_k in row past + k, and comes before.
+    """The inputs of the delay line, (past + samples, m), u_k in row past + k, and their sources.
 
     The law asks for `asked`, the plant is given `inputs`, and the law is `told` past inputs: all
     three are one array where what is asked for is applied. What is `measured` (samples, n or p) is
@@ -230,9 +230,9 @@ class Grid:
 
 
 class Sight(NamedTuple):
-    """What the law's measurement is at every sample.
+    """The measurement instant of the law at every sample, and the map to it.
 
-    piece : (samples,), the piece in which x is measured; −1 where nothing is heard
+    piece : (samples,), the piece in which x is measured; −1 where nothing is received
     step : (samples,), the period of that piece
     way : (samples,), how x follows from the start of the piece; −1 where it is measured there
     Phi : (ways, n, n), Gamma : (ways, n, q), from x and what acts to x; q = m, or m + f with
@@ -265,7 +265,7 @@ class Sight(NamedTuple):
         outputs: np.ndarray | None,
         modes: Int[np.ndarray, " sample"],
     ) -> Sight:
-        """The sight of a run in which the plant has these modes at the samples."""
+        """The measurements of a run in which the plant has these modes at the samples."""
         n, m = sampled.plant.B.shape[1:]
         C = np.empty((1, 0, n)) if outputs is None else outputs
         force = np.zeros((table.entry.size, 0)) if forces is None else forces
@@ -354,7 +354,7 @@ class PreviewLaw(NamedTuple):
 
     @classmethod
     def of(cls, foresight: Foresight, samples: int, along: Along) -> PreviewLaw:
-        """A law's foresight over a run, with empty stacks that have room for the longest window."""
+        """A law's preview over a run, with empty stacks that have room for the longest window."""
         sampled, signal = foresight.sampled, foresight.signal
         if sampled is along.sampled and signal is along.signal:
             table = along.table

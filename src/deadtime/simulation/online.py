@@ -41,7 +41,7 @@ class ImperfectLaw:
 
     Where nothing usable arrives and the law has no answer, its last input is asked for again.
     Before any mode is known the first is assumed. The law's past inputs are those applied, or with
-    predict = "commanded" those asked for. A law that measures outputs is told y = C_σ x, `outputs`
+    predict = "commanded" those asked for. A law that measures outputs receives y = C_σ x, `outputs`
     being the C of every mode.
 
     Attributes
@@ -51,7 +51,7 @@ class ImperfectLaw:
     lags : Lags or None
         How long before each sample its state is to be measured.
     measured : (samples, n) or (samples, p)
-        What the law was told of x or y, NaN where nothing arrived.
+        The measurements of x or y that the law received, NaN where nothing arrived.
     commanded : (samples, m)
         What it asked for.
     """
@@ -88,6 +88,7 @@ class ImperfectLaw:
         if self._line is None:
             self._line = past.copy()
         asked = self._ask_law(seen.x, self._line if self._tells_commands else past)
+        # Before the actuators: with predict = "commanded" the law reads what it asked for.
         self._line[:-1] = self._line[1:]
         self._line[-1] = asked
         self.measured.append(seen.x)
@@ -98,11 +99,12 @@ class ImperfectLaw:
 
     def _follow(self, mode: int, age: int) -> None:
         """The sampled mode as the law sees it, and its age."""
+        # The age before the mode: it is counted from the mode of the sample before.
         self._age = age if self._mode < 0 else age_after(self._mode, self._age, mode)
         self._mode = self._mode if mode < 0 else mode
 
     def record(self, kept: int) -> Told:
-        """What the law was told at the first samples, and made of it."""
+        """The measurements and answers of a law at the first samples."""
         estimates = self.update.estimates if isinstance(self.update, Remembering) else None
         return Told(
             np.array(self.measured[:kept]),
@@ -186,7 +188,7 @@ def run_online(
 
 
 def _belief(update: Update, kept: int) -> np.ndarray | None:
-    """What a law that keeps a belief took each mode's probability to be, (samples, modes)."""
+    """The probability of each mode in a law with a mode belief, (samples, modes)."""
     return np.array(update.beliefs[:kept]) if isinstance(update, Believing) else None
 
 
@@ -246,7 +248,7 @@ def _measured(
 
 
 def _join(note: str, truth: Truth, end: float | None) -> str:
-    """What to say about a plant that chatters, after what there is to say already."""
+    """Join the note on a plant that chatters to a note that there is already."""
     time, _, reason = truth.chatter or (0.0, (), "")
     chattering = f"chattering at t = {time:.12g} s: {reason}"
     if time == end:

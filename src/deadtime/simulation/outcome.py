@@ -75,7 +75,7 @@ class Outcome:
 
     @property
     def sentence(self) -> str:
-        """What x does, to follow the law's name and a colon.
+        """The behaviour of x in words, to follow the law's name and a colon.
 
         Examples
         --------

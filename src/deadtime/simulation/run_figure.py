@@ -24,7 +24,7 @@ REFERENCE: dict[str, Any] = {
 
 
 class PlottedRun(Protocol):
-    """What the figure reads of a `Trajectory`."""
+    """The attributes of a `Trajectory` that the figure reads."""
 
     @property
     def time(self) -> np.ndarray: ...

@@ -1,4 +1,4 @@
-"""`simulate`: check the arguments, choose the loop, lay the result out."""
+"""`simulate`: check the arguments, choose the loop, build the `Trajectory`."""
 
 from __future__ import annotations
 
@@ -85,13 +85,13 @@ def simulate(
         Disturbances of the plant, and what sensors and actuators do, in this order
         (`deadtime.imperfections`); digital loop only. With sensors or actuators among them,
         `run.inputs` are the inputs applied, `run.commanded` those asked for and `run.measured`
-        what the law was told of x. A law that measures outputs is told of these, with or without
+        the measurements of x that the law received. A law on outputs gets those, with or without
         imperfections, and `run.estimates` is what it makes of them. Of a `BeliefPredictor`
         `run.belief` is how likely it took each mode to be.
     seed : int
         At least 0, of all that is random in them.
     predict : "applied" or "commanded"
-        Which past inputs the law is told of, where the actuator changes them.
+        Which past inputs the law receives, where the actuator changes them.
 
     Returns
     -------

@@ -76,7 +76,7 @@ def step_info_of(
     settling: float = SETTLED,
     rise: tuple[float, float] = RISE,
 ) -> dict[str, Float[np.ndarray, " run"]]:
-    """The same of y = row · x from sample `first` on, in runs that lie side by side.
+    """The figures of `step_info` for y = row · x from sample `first` on, in runs side by side.
 
     Of the n numbers of a sample x is the first.
     """
@@ -150,9 +150,11 @@ def fill_step_info(states, first, row, time, r, settling, low, high, found):
                 y = row[0] * x[first + k, 0, lane]
                 for i in range(1, row.size):
                     y += row[i] * x[first + k, i, lane]
+                # r steps at samples: up to this one the error is against the value before.
                 behind = r[k - 1] - y
                 a, b = abs(error), abs(behind)
                 area = a + b
+                # It crosses 0 in between: two triangles in place of a trapezium.
                 if error * behind < 0.0:
                     area = (a * a + b * b) / area
                 total += 0.5 * (time[k] - time[k - 1]) * area
@@ -188,7 +190,7 @@ TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs toge
 
 @dataclass(frozen=True, eq=False)
 class Followed(Frozen):
-    """What is to follow, H C_σ x, and the reference (immutable).
+    """The tracked outputs H C_σ x, and the reference (immutable).
 
     Attributes
     ----------

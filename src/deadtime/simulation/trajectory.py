@@ -103,14 +103,14 @@ class Trajectory(Frozen):
         What is worth knowing: when and why the run diverged or was chattering, how long it slid
         along a boundary, that its signal was continued. Often empty.
     measured : (n, samples) or (p, samples) or None
-        What the law was told of x, or of its outputs, NaN where nothing arrived; of runs with
+        The x or outputs that the law received, NaN where nothing arrived; of runs with
         imperfections and of laws that measure outputs.
     commanded : (m, samples) or None
         What the law asked for, `inputs` being what was applied; of the same runs.
     estimates : (states of the law's model, samples) or None
         What a law that measures outputs took the state of its model to be.
     belief : (modes, T) or None
-        How likely a law that is not told the mode took each to be, as of the last sample.
+        The probability of each mode in a law that does not receive the mode, as of the last sample.
     tracked, reference : (tracked, T) or None
         What follows a reference, H C_σ x, and r; of a law with a servo.
     """
@@ -141,7 +141,7 @@ class Trajectory(Frozen):
 
     @property
     def reference(self) -> Float[np.ndarray, "tracked T"] | None:
-        """What that is to be."""
+        """The reference of the tracked outputs."""
         if self.followed is None:
             return None
         return read_only(self.followed.reference.along(self.time).T)
@@ -194,7 +194,7 @@ class Trajectory(Frozen):
         }
 
     def _outputs(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "tracked T"]]:
-        """What is tracked at the samples, and these, without a horizon within a period."""
+        """The sample times and the tracked outputs there, without a horizon within a period."""
         assert self.followed is not None
         time = self.record.grid(self.end)
         if time.size > 2 and np.diff(time[-2:]) < (1.0 - TOLERANCE) * time[1]:
@@ -374,7 +374,7 @@ class Trajectory(Frozen):
 def belief_at(
     run: Trajectory, belief: Float[np.ndarray, "samples modes"]
 ) -> Float[np.ndarray, "modes T"]:
-    """What was believed at the samples, at the times of a run: held from sample to sample."""
+    """The belief of the samples at the times of a run: held from sample to sample."""
     assert isinstance(run.record, DigitalRecord)
     step, _ = run.record.locate(run.time)
     return read_only(belief[np.minimum(step, len(belief) - 1)].T)
@@ -391,7 +391,7 @@ def trajectory_of(
     diverged: bool,
     message: str,
 ) -> Trajectory:
-    """Lay a record out on its own grid, or on the times asked for.
+    """Sample a record on its own grid, or at the times asked for.
 
     `mode_at` is σ with switches snapped to samples; `gains` are the K of the mismatch.
     """

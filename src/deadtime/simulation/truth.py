@@ -76,7 +76,7 @@ class Truth(ABC):
 
     @abstractmethod
     def cuts(self) -> Cuts:
-        """Its switches, laid on the steps."""
+        """Its switches, on the grid of the steps."""
 
 
 class KnownTruth(Truth):

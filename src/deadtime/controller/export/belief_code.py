@@ -20,7 +20,7 @@ _BYTES, _COUNTERS = 8, 8
 
 
 def arrays(belief: ModeBelief) -> dict[str, tuple[np.ndarray, str]]:
-    """What goes into ROM, with a comment each."""
+    """The constant arrays in ROM, with a comment each."""
     form = belief.form
     noise = form.noise if by_end(belief) else form.noise[:, 0]
     found = {
@@ -52,7 +52,7 @@ def by_end(belief: ModeBelief) -> bool:
 
 
 def values(belief: ModeBelief) -> dict[str, Any]:
-    """What the templates are filled with."""
+    """The values that fill the templates."""
     form = belief.form
     lags = form.lag.tolist()
     return {

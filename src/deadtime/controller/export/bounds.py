@@ -1,4 +1,4 @@
-"""What an export refuses: no C for it, no such name, no bounds.
+"""Bounds of the exported state, and the exports that are refused: no C, no such name, no bounds.
 
 The bounds of a state are declared in the C, and each of its steps re-establishes them.
 """

@@ -59,7 +59,7 @@ _FILES = {
 
 @dataclass(frozen=True)
 class Exported:
-    """What `export_c` wrote (immutable).
+    """The files that `export_c` wrote, their sizes and the self-check (immutable).
 
     Attributes
     ----------
@@ -203,7 +203,7 @@ def description(form: Form) -> str:
 def _values(
     controller: RunningLaw, form: Form, precision: Precision, name: str, prediction: bool
 ) -> dict[str, Any]:
-    """What the templates are filled with."""
+    """The values that fill the templates."""
     import numpy as np
 
     table, plant, belief = controller.table, controller.law.plant, controller.believing
@@ -288,7 +288,7 @@ def _sizes(controller: RunningLaw, form: Form, prefix: str) -> dict[str, Any]:
 
 
 def given_of(observer: ObserverForm | None, outputs: int) -> dict[str, Any]:
-    """What `update` is given: x, or y where an observer or filters of outputs run; the tracked."""
+    """The argument of `update`: x, or y with an observer or filters of outputs; tracked outputs."""
     if observer is not None:
         return {"given": "y", "size": "OUTPUTS", "tracked": observer.sizes[-1]}
     if outputs:
@@ -312,7 +312,7 @@ def _room(
 
 
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
-    """What the law's table is not alone with."""
+    """The names and bytes of everything that is exported beside the law's table."""
     found = _beside_a_law(controller, precision, prediction)
     numbers = sum(array.size for array, _ in rest_code.arrays(controller, prediction).values())
     if not numbers:
@@ -344,7 +344,7 @@ def _magic(told: str) -> str:
 
 
 def _measured(controller: RunningLaw) -> tuple[int, int]:
-    """How many outputs the law is told, and how many references it follows."""
+    """How many outputs the law receives, and how many references it follows."""
     if controller.observing is not None:
         _, outputs, _, tracked = ObserverForm.of(controller.observing).sizes
         return outputs, tracked
@@ -352,7 +352,7 @@ def _measured(controller: RunningLaw) -> tuple[int, int]:
 
 
 def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
-    """What the header's comment says."""
+    """The entries of the header's comment."""
     import numpy as np
 
     law, limits = names.title or controller.law.label, "none"

@@ -43,7 +43,7 @@ _PATIENCE = 300.0  # seconds
 
 
 class SelfCheck(NamedTuple):
-    """What came of a self-check: `passed` is None where there was none."""
+    """The result of a self-check: `passed` is None where there was none."""
 
     passed: bool | None
     message: str

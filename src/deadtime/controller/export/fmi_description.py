@@ -40,12 +40,12 @@ def controller_variables(
     observer: ObserverForm | None = None,
     measures_outputs: bool = False,
 ) -> list[Variable]:
-    """What a controller of a plant reads and writes; `past` (m,) is the input before the start.
+    """The variables that a controller reads and writes; `past` (m,) is the input before the start.
 
     What it reads is at `rest` until something is connected.
 
-    With a `belief` it is not told the mode: it tells how likely each mode is. With an `observer` it
-    is told outputs and what is tracked, and tells the estimate.
+    With a `belief` it writes how likely each mode is in place of reading it. With an `observer` it
+    reads outputs and references, and writes the estimate.
     """
     n, m = plant.states, plant.inputs
     p = rest.given.size
@@ -149,7 +149,7 @@ Version = Literal["2.0", "3.0"]
 
 
 class FmuDescription(NamedTuple):
-    """What a description says of an FMU as a whole."""
+    """The general attributes of an FMU: names, token, step and sources."""
 
     identifier: str
     title: str

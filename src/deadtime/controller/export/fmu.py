@@ -204,7 +204,7 @@ _OLD_SYSTEM = {"linux": "linux", "darwin": "darwin", "win32": "win"}
 
 @dataclass(frozen=True)
 class ExportedFmu:
-    """What was exported (immutable): the file, its version of FMI, and its binary, or None."""
+    """An exported FMU (immutable): the file, its version of FMI, and its binary, or None."""
 
     path: Path
     version: str

@@ -31,7 +31,7 @@ _COUNTERS = 80  # bytes of integers and clock in a controller's state
 
 
 class TableExtra(NamedTuple):
-    """What is exported with a law's table, in any form of that: its name and bytes.
+    """The name and the bytes of the parts that are exported with a law's table, in any form of it.
 
     `single` is ROM in single precision, None where there is none.
     """
@@ -44,7 +44,7 @@ class TableExtra(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What goes into ROM for the inputs: named arrays with a comment each (immutable)."""
+    """The constants in ROM for the inputs: named arrays with a comment each (immutable)."""
 
     kind: Literal["dense", "low rank", "factorised"]
     arrays: dict[str, tuple[np.ndarray, str]]
@@ -77,7 +77,7 @@ def windows_of(table: Feedback) -> tuple[int, ...]:
 def past_of(
     table: Feedback, windows: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "context m past"], str]:
-    """The taps side by side as a controller remembers inputs, and how that is."""
+    """The taps side by side as a controller stores inputs, and how that is."""
     if not windows:
         return table.oldest_first, "the oldest input first"
     own = [table.input_gain[:, :count, :, j][:, ::-1] for j, count in enumerate(windows)]
@@ -106,6 +106,7 @@ def low_ranks(table: Feedback) -> Iterator[Form]:
     for rank in range(1, len(values) + 1):
         if rank * (rows + columns) >= G.size:
             return
+        # Half of each singular value on either side: single precision serves both alike.
         root = np.sqrt(values[:rank])
         missing = missing - np.outer(left[:, rank - 1] * values[rank - 1], right[rank - 1])
         L, R = scale[:, None] * left[:, :rank] * root, root[:, None] * right[:rank]

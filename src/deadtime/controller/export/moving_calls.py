@@ -3,8 +3,8 @@
 Modes last for a while, under the inputs that the controller or `applied` gives. With an observer x
 follows the observer's own model; where it has gone too far it is put elsewhere: the estimate
 follows. With a mode filter x follows the model with noise, as of states drawn at random no mode
-could be told; before it is put elsewhere it is missing for a call, so that nobody takes the jump
-for a motion.
+could be identified; before it is put elsewhere it is missing for a call, so that nobody takes
+the jump for a motion.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class _FilterMotion:
         return x
 
     def seen(self, mode: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " seen"]:
-        """What is measured of x: with noise where that is an output."""
+        """The measurement of x: x itself, or noisy outputs where the law runs on those."""
         bank = self.belief.bank
         if bank is None:
             return x.copy()

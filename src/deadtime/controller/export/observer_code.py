@@ -82,7 +82,7 @@ def require_within(form: ObserverForm, most: float) -> None:
 
 
 def arrays(form: ObserverForm) -> dict[str, tuple[np.ndarray, str]]:
-    """What goes into ROM, with a comment each."""
+    """The constant arrays in ROM, with a comment each."""
     memory, (n, _, q, r) = form.memory, form.sizes
     start = memory.start.copy()
     start[n + q :] = form.values[0]
@@ -102,7 +102,7 @@ def arrays(form: ObserverForm) -> dict[str, tuple[np.ndarray, str]]:
 
 
 def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
-    """What the templates are filled with."""
+    """The values that fill the templates."""
     n, p, q, r = form.sizes
     return {
         "estimates": n,

@@ -38,7 +38,7 @@ class PredictionForm(NamedTuple):
 
 
 def arrays(form: PredictionForm) -> dict[str, tuple[np.ndarray, str]]:
-    """What goes into ROM, with a comment each."""
+    """The constant arrays in ROM, with a comment each."""
     rows, horizons, n = form.state.shape[:3]
     taps = form.input.reshape(rows, horizons * n, *form.input.shape[3:])
     return {
@@ -48,7 +48,7 @@ def arrays(form: PredictionForm) -> dict[str, tuple[np.ndarray, str]]:
 
 
 def values(form: PredictionForm) -> dict[str, Any]:
-    """What the templates are filled with."""
+    """The values that fill the templates."""
     return {"horizons": form.state.shape[1], "of_input": form.of_input.tolist()}
 
 
@@ -59,7 +59,7 @@ def rom_bytes(form: PredictionForm, precision: Precision) -> int:
 
 
 def added(beside: TableExtra, form: PredictionForm, precision: Precision) -> TableExtra:
-    """What else the law's table is with, and the prediction."""
+    """Add the name and the bytes of the prediction to the parts exported beside the table."""
     name = "the prediction" if beside.rom == 0 else f"{beside.name} and the prediction"
     single = None if beside.single is None else beside.single + rom_bytes(form, "float")
     return TableExtra(name, beside.rom + rom_bytes(form, precision), beside.ram, single)

@@ -34,7 +34,7 @@ ROUGH = 1e-6
 
 @kernel(eager=True)
 def _pieces(E, L, stage, weight, cross, quad, forced, uu):
-    """What the state's motion adds to the shifted E, and the rows of W that belong to u_k.
+    """Add the state's motion to the shifted E, and fill the rows of W that belong to u_k.
 
     cross (N m, y) is [E_ux L], quad LᵀE_xx L + stage; forced W_uξ, and uu W_uu.
     """

@@ -69,7 +69,7 @@ def _add(result, factor, row, ages):
 
 @kernel(eager=True)
 def _entered(R, w, jump, K, p, first, last, fresh_R, fresh_w):
-    """What only the mode that is entered at the end of period p reads, so for the first time."""
+    """Add the inputs that the mode entered at the end of period p is the first to read."""
     modes, m, n = K.shape
     for i in range(modes):
         for after in range(modes):

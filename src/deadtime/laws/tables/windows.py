@@ -86,7 +86,7 @@ def _one_row(times: np.ndarray) -> np.ndarray:
 
 
 class Stage(NamedTuple):
-    """What a prediction takes of some inputs between two delays: a window on what was sent.
+    """The part of a prediction between two delays: a window on inputs that were sent.
 
     Q : (m, q), from the stage's end to u;  S : (q, q), its matrix;  fed : (m,), the inputs
     near, far : α, β, seconds;  end : d_r, when the stage ends, seconds ahead
@@ -141,7 +141,7 @@ _CLOSED_FORM = 1e-11  # of its gains: the most digits that the closed form may l
 
 
 class _WindowStage(NamedTuple):
-    """What is left between two delays.
+    """The modes that remain between two delays, and how their probabilities move there.
 
     end, length : d_r and d_r − d_{r−1}, seconds
     left : (modes,), U;  flow : (modes, modes), Λ_UUᵀ

@@ -25,7 +25,7 @@ from deadtime.switching.signal_class import Instants
 def promise_of(
     file: schema.ProblemFile, model: SwitchingModel | None, modes: int, step: float | None = None
 ) -> SignalClass:
-    """What the file says of every signal: [signal] where it states something, else [switching].
+    """The class of signals that a file states: in [signal] where it does, else in [switching].
 
     Modes change as [signal] says, or at samples of a step where it is drawn from a chain of them.
     """

@@ -80,7 +80,7 @@ class Kind:
         return self.known.named.knows
 
     def make(self, setting: LawSetting, dwell_time: float | None = None) -> Law:
-        """The law for one cell; τ_d for those that are told it."""
+        """The law for one cell; τ_d for those that are given it."""
         if self.known.is_told and dwell_time is None:
             raise ArgumentError("a dwell-aware law is told τ_d: give grid.dwell_time.")
         return self.known.build(setting, self.mode, dwell_time)
@@ -125,7 +125,7 @@ def within(laws: Sequence[str], knows: str) -> list[str]:
 
 
 def knowledge_of(law: str) -> str:
-    """What a named law knows of the switching, one of `LEVELS`."""
+    """The knowledge of the switching that a named law has, one of `LEVELS`."""
     return KINDS[law].knows if law in KINDS else "nothing"
 
 
@@ -234,13 +234,13 @@ def _delay_of(number: str) -> Write:
 
 
 def _delay_error(draft: Draft, error: float) -> None:
-    """The true delays are (1 + e) times those which laws believe."""
+    """The true delays are (1 + e) times those which laws assume."""
     delays = (1.0 + error) * np.asarray(draft["plant"]["delay"])
     draft.setdefault("truth", {})["delay"] = delays.tolist()
 
 
 def _gain_error(draft: Draft, error: float) -> None:
-    """The true B is (1 + e) times that which laws believe."""
+    """The true B is (1 + e) times that which laws assume."""
     B = np.array(draft["plant"]["B"], dtype=float)
     draft.setdefault("truth", {})["B"] = ((1.0 + error) * B).tolist()
 
@@ -274,7 +274,7 @@ def _imperfect(swept: Swept) -> Write:
 
 
 def _dwell_time(draft: Draft, dwell_time: float) -> None:
-    """τ_d of the signals, and of laws that are told one in the file."""
+    """τ_d of the signals, and of laws that are given one in the file."""
     for law in draft.get("law", []):
         if law.get("dwell_time") is not None:
             law["dwell_time"] = dwell_time

@@ -167,7 +167,7 @@ def example_loop(study: Study, tries: int = 20) -> Loop | None:
 
 
 def facts_of(study: Study) -> dict[str, Any]:
-    """What the store's attributes say about loops: the oracle's name, |x(0)|, and the cost."""
+    """The store's attributes about loops: the oracle's name, |x(0)|, and the cost."""
     loop = example_loop(study)
     if loop is None:
         return {"oracle": "", "start": float("nan")}
@@ -177,7 +177,7 @@ def facts_of(study: Study) -> dict[str, Any]:
 
 
 def _cost_of(study: Study, first: Loop) -> dict[str, str]:
-    """What the cost is, where it is not the usual one: cells may weigh differently."""
+    """The formula of the cost where it is not the usual one: cells may weigh differently."""
     try:
         last = study.loop(study.cell(tuple(size - 1 for size in study.shape)))
     except DeadtimeError:
@@ -194,7 +194,7 @@ Strings = Annotated[list[str], Field(min_length=1)]
 
 
 class _Definition(BaseModel):
-    """What all results depend on; more stands there than reading needs."""
+    """The part of a study's definition that reading needs; further entries are allowed."""
 
     model_config = ConfigDict(extra="allow", strict=True)
 

@@ -25,7 +25,7 @@ _FEW = 20_000  # signals that are drawn all at once, to run equal ones only once
 
 @dataclass(frozen=True, eq=False)
 class CellOutcome:
-    """What was measured in one cell.
+    """The results of one cell.
 
     Attributes
     ----------

@@ -113,7 +113,7 @@ def _reachable(client: Client, scheduler: str) -> Iterator[None]:
 
 @contextmanager
 def _unlogged() -> Iterator[None]:
-    """Without Dask's own report of a scheduler that is lost, which an error tells."""
+    """Without Dask's own report of a scheduler that is lost, which an error reports already."""
     log = logging.getLogger("distributed.client")
     level = log.level
     log.setLevel(logging.CRITICAL)

@@ -6,7 +6,7 @@ as they are, arrays by their entries, other objects by what `pickle` would keep 
 what they only compute once (`functools.cached_property`). A function is its source, its defaults
 and what its code reads by name: the values around it, the globals of its module, and what it reads
 of other modules by their names. Functions, classes and modules of the standard library and of
-installed packages are told by their names.
+installed packages are told apart by their names.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ def _with_inner(code: types.CodeType) -> Iterator[types.CodeType]:
 def _reads_of(
     code: types.CodeType, name: str, module: types.ModuleType
 ) -> Iterator[tuple[str, Any]]:
-    """What code and the functions within it read of a module that they know by a name.
+    """The attributes of a module that code, and functions within it, read under the module's name.
 
     Of a module within the module that is what it reads of that.
     """
@@ -263,7 +263,7 @@ def _require_no_imports(function: types.FunctionType, path: str) -> None:
 
 
 def _digest_of(code: types.CodeType) -> str:
-    """What code does, whatever its file and line."""
+    """A digest of code that does not depend on its file and line."""
 
     def parts(one: types.CodeType) -> list[Any]:
         inner = [parts(c) if isinstance(c, types.CodeType) else repr(c) for c in one.co_consts]
@@ -440,7 +440,7 @@ def _axis(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def _loop(made: Any) -> Loop:
-    """What the function returned, by name."""
+    """A `Loop` of the mapping that the function returned, checked."""
     allowed = (*_KEYS, "imperfections", "weight")
     if not isinstance(made, Mapping) or not set(_KEYS) <= set(made) <= set(allowed):
         got = sorted(made) if isinstance(made, Mapping) else type(made).__name__

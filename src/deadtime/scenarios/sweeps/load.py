@@ -114,7 +114,7 @@ def _base(file: StudyFile, source: Path) -> _Base:
 
 
 def _own_fault(error: SectionError, file: StudyFile, before: int) -> SectionError:
-    """A fault of the problem, told of the key of the study that it comes from."""
+    """A fault of the problem, reported under the key of the study that it comes from."""
     message, table = str(error), error.path[:1]
     if file.poles is not None and table == ("gains",):
         return SectionError(message if message.startswith("poles") else f"poles: {message}", ())
@@ -131,7 +131,7 @@ def _check(draft: Draft) -> schema.ProblemFile:
 
 
 def _problem_file(name: str, source: Path) -> tuple[Draft, Path]:
-    """What the file of a named problem, or one relative to the study's, says; and its path."""
+    """The draft and the path of a named problem, or of a file relative to the study's."""
     if name in NAMED or not Path(name).suffix:
         require_known("problem", name, tuple(NAMED))
         return tomllib.loads(template(name)), Path(f"{name}.toml")
@@ -313,6 +313,6 @@ def _leaves(draft: Any, path: str = "") -> list[str]:
 
 
 def _digests(base: _Base) -> dict[str, str]:
-    """What the logs of the problem hold."""
+    """The digests of the problem's logs."""
     logs = base.draft.get("switching", {}).get("logs", [])
     return {log: hashlib.sha256((base.path.parent / log).read_bytes()).hexdigest() for log in logs}

@@ -129,7 +129,7 @@ class Plan:
 
 
 def plan_of(study: Study, store: str | PathLike[str], *, trial: bool = False) -> Plan:
-    """What `sweep` would do: its cells, and which of them the store holds already.
+    """The plan of `sweep`: its cells, and which of them the store holds already.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a study file may say: the pydantic models behind it."""
+"""The schema of a study file: the pydantic models behind it."""
 
 from __future__ import annotations
 

@@ -245,7 +245,7 @@ def _group(url: str) -> zarr.Group:
 
 @lru_cache(maxsize=8)
 def cached_store(url: str, key: str) -> Store:
-    """The same for the many blocks that one process reads or writes, of a store with this key."""
+    """The store at a place if it has this key, kept open for the many blocks of one process."""
     store = open_store(url)
     if store.key != key:
         raise StoreError(f"store {url!r} was replaced by another one meanwhile: open it again.")

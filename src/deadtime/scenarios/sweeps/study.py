@@ -37,7 +37,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """What `monte_carlo` runs in a cell.
+    """The arguments of `monte_carlo` in a cell.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class Study(ABC):
 
 
 def differences(old: Any, new: Any, name: str = "") -> list[str]:
-    """What one definition says otherwise than another, a phrase for each entry.
+    """The differences between two definitions, a phrase for each entry.
 
     Examples
     --------

@@ -47,7 +47,7 @@ _MOST_PIECES = 10_000
 
 
 class FirstRead(NamedTuple):
-    """What will be sent from `begin` to `end`, by where it is first read.
+    """The input to be sent from `begin` to `end`, by where it is first read.
 
     gain : (n,), K of the system that reads it
     later : seconds after it is sent; None where it is overdue at a switch and `held` is its value
@@ -91,7 +91,7 @@ class Predicted:
 def feedback_through_rereading(
     line, g: int, t: float, branch, x: np.ndarray, nodes: Nodes, longest: float
 ) -> Float[np.ndarray, "m columns"]:
-    """What a branch sends at t on segment g, a row per input: 1, then u of the nodes, (p, m).
+    """The feedback of a branch at t on segment g, a row per input: 1, then u of the nodes, (p, m).
 
     `line` and `branch` are those of `deadtime.simulation.ideal.branch_march`; no piece is longer
     than `longest` seconds.
@@ -156,7 +156,7 @@ def _bends(
 
 
 def _sent_before(line, g: int, times: np.ndarray, j: int, nodes: Nodes) -> np.ndarray:
-    """What was sent to input j at times within one segment, (T, 1 + p m)."""
+    """The values sent to input j at times within one segment, (T, 1 + p m)."""
     edges, p, m = line.edges, nodes.points.size, line.inputs.shape[2]
     value = np.zeros((times.size, 1 + p * m))
     q = min(int(np.searchsorted(edges, times.mean())) - 1, g)
@@ -171,7 +171,7 @@ def _sent_before(line, g: int, times: np.ndarray, j: int, nodes: Nodes) -> np.nd
 def _read_again(
     own: list[FirstRead], middle: float, times: np.ndarray, path: Predicted, nodes: Nodes
 ) -> np.ndarray:
-    """What will have been sent to an input at times within one part, (T, 1 + p m)."""
+    """The values that will have been sent to an input at times within one part, (T, 1 + p m)."""
     part = next(each for each in own if middle < each.end)
     if part.later is None:
         return np.broadcast_to(part.held, (times.size, part.held.size))
@@ -183,11 +183,11 @@ _FEW, _SHORT = 4, 0.125  # nodes that do on a panel so much shorter than the lon
 
 
 class ReadsAgain(Exception):
-    """A prediction reads again what it has predicted, on segments laid for none that does."""
+    """A prediction reads again what it has predicted, on segments cut for none that does."""
 
 
 class Branch(NamedTuple):
-    """What one branch believes on a segment: the `Forecast`'s systems, and when each begins."""
+    """One branch of a forecast on a segment: the `Forecast`'s systems, and when each begins."""
 
     A: np.ndarray
     B: np.ndarray
@@ -199,7 +199,7 @@ class Branch(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What whole segments bring about, by branch, system and inputs under their own feedback.
+    """The maps over whole segments, by branch, system and inputs under their own feedback.
 
     done : (places, segments), whether it is known;  passed : (places, segments, n, n)
     moved : (places, segments, m, n)
@@ -264,6 +264,7 @@ def _divide(t, branch, into):
             return count
         for j in range(m):
             first, last = s - branch.delays[i, j], stop - branch.delays[i, j]
+            # By the middle: an end may lie within round-off of t, on either side.
             into.flying[count, j] = 1 if 0.5 * (first + last) < t else 0
             if into.flying[count, j] == 0 and first < newest[j] - near:
                 return _AGAIN
@@ -279,6 +280,7 @@ def _divide(t, branch, into):
 def _share(c, points, scale, share):
     """The polynomials through the Gauss nodes, 1 at one and 0 at the others, at c ∈ [0, 1]."""
     p = points.size
+    # Products from the left and from the right: nothing is divided by, even at a node.
     before = after = 1.0
     for z in range(p):
         share[z] = scale[z] * before
@@ -318,7 +320,7 @@ def _hear(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, m
 
 @kernel(eager=True)
 def _keep(line, q, length, S, B, flow, nodes, panel, u, kept, place):
-    """What segment q, all of it, brings about in a system: e^{S length}, and ∫ e^{S …} b_j u_j."""
+    """Store the maps of a system over all of segment q: e^{S length}, and ∫ e^{S …} b_j u_j."""
     count, (n, m) = panel.points.size, B.shape
     flows(S, length, panel.points, flow, np.empty((0, n, n)))
     for a in range(n):
@@ -374,6 +376,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
     R, carried, moved = np.zeros((m, n)), np.zeros((m, n)), np.empty(n)
     S, flow, u = np.empty((n, n)), np.empty((p + 1, n, n)), np.empty((1, m))
     none = np.empty((0, n, n))
+    # From the end of the prediction back: m rows are carried instead of n columns.
     for r in range(count - 1, -1, -1):
         i, known, place, bit = into.system[r], -1.0, 0, 1
         for j in range(m):
@@ -381,6 +384,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                 for a in range(n):
                     R[j, a] = branch.weight * branch.K[into.reader[j], j, a]
         for j in range(m):
+            # The map depends on which inputs are in flight, so one bit of its place is each one's.
             place += 0 if into.flying[r, j] else bit
             bit *= 2
         place += first + i * bit
@@ -402,6 +406,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                     if whole:
                         if not kept.done[place, q]:
                             _keep(line, q, length, S, B, flow, nodes, panel, u, kept, place)
+                            # `_keep` wrote its own flows over those of the length that was known.
                             known = -1.0
                         for k in range(m):
                             for a in range(n):

@@ -60,6 +60,7 @@ def interpolate(values, segment, support, barycentric, c, result, k):
         result[k, i] = 0.0
     for j in range(support.size):
         difference = c - support[j]
+        # At a node its barycentric weight is infinite: the value there is the result.
         if difference == 0.0:
             for i in range(columns):
                 result[k, i] = values[segment, j, i]
@@ -86,11 +87,12 @@ def sample(edges, values, support, barycentric, times, hint):
 
 @kernel(eager=True)
 def arrivals(line, delays, times, nodes, hint):
-    """What acts at increasing times in a mode, u_j(t − D_j), (T, m)."""
+    """The inputs that act in a mode at increasing times, u_j(t − D_j), (T, m)."""
     edges, inputs = line.edges, line.inputs
     known = inputs, nodes.support, nodes.barycentric
     result = sample(edges, *known, times - delays[0], hint)
     for j in range(1, delays.size):
+        # `sample` gives all columns: inputs as late as the first one have theirs already.
         if delays[j] != delays[0]:
             other = sample(edges, *known, times - delays[j], hint)
             for k in range(times.size):
@@ -120,6 +122,7 @@ def flows(A, length, points, forward, backward):
         for j in range(n):
             row += abs(A[i, j] * length)
         size = max(size, row)
+    # Here e^{−A c} by a series would lose digits to cancellation.
     if size > 3.0:
         none = np.zeros((n, 1))
         for k in range(p + 1):
@@ -210,7 +213,7 @@ def solve_state(forward, backward, B, x, delayed, length, nodes, states):
 
 @kernel(eager=True)
 def solve_alone(A, B, x, u, length, nodes):
-    """The same of a segment whose flows nobody else needs: (p + 2, n), u at the nodes (p, m)."""
+    """`solve_state` with flows that no other segment needs: (p + 2, n), u at the nodes (p, m)."""
     p, n = u.shape[0], x.size
     forward, backward = np.empty((p + 1, n, n)), np.empty((p, n, n))
     flows(A, length, nodes.points, forward, backward)
@@ -378,6 +381,7 @@ def _solve_input(law, F, C, states, starts, shifts, forward, backward, length, n
         inputs[0, i] = inputs[p + 1, i] = 0.0
         for k in range(p):
             inputs[k + 1, i] = u[k, i]
+    # No node lies at the ends: there the law itself is evaluated, not the polynomial.
     add_product(F, states[0], inputs[0])
     add_product(F, states[p + 1], inputs[p + 1])
     last = np.empty(n)
@@ -409,6 +413,7 @@ def march_windows(plant, line, law, x0, nodes):
         if g < line.stop:
             for w in range(windows):
                 renew(flow, w, law.S[w], length, points, end)
+                # Of the history, too: the first windows reach back into it.
                 whole[g, w] = forward[w, p]
         if g >= line.begin:
             times, i = edges[g] + length * points, line.mode[g]

@@ -1,6 +1,6 @@
 """The ideal loop under a rule: exact prediction where the state switches the plant.
 
-With the plant as its model the law knows x ahead, so that what it sends to input j is K_i,j x of
+With the plant as its model the law predicts x exactly, so that it sends to input j the K_i,j x of
 where it is first read, by the mode i of that instant: with one delay x' = (A_σ + B_σ K_σ) x from D
 on, σ = r(x). Where delays differ between modes it is a delay equation. A mode with a longer delay
 than the one before reads once more what was read already, and one with a shorter delay finds
@@ -50,7 +50,7 @@ _FINEST = 64  # parts of the longest piece: no shorter for modes that are not in
 
 
 class _Known(NamedTuple):
-    """What some modes read of input j, `delay` seconds late: how many of the w it takes."""
+    """A known part of input j as modes read it, `delay` seconds late; `size` of the w it takes."""
 
     j: int
     delay: float
@@ -58,7 +58,7 @@ class _Known(NamedTuple):
 
 
 class _Readings(NamedTuple):
-    """What is read on a piece.
+    """The readings of a piece.
 
     anew : (modes, m), whether a mode reads what no mode has read before
     reader : (m,), the mode in force that does, −1 where none does
@@ -141,7 +141,7 @@ def _rate(A: np.ndarray) -> float:
 
 
 def _line(plant: SwitchedSystem, u0: InitialInput, rate: float) -> Float[np.ndarray, "piece m"]:
-    """What is in the delay line at time 0, over equal pieces, oldest first."""
+    """The content of the delay line at time 0, over equal pieces, oldest first."""
     if callable(u0):
         raise ArgumentError(
             "u0 must be None, a number, (m,) or held samples (m, N), oldest first, where the ideal "
@@ -223,6 +223,7 @@ class _RuleMarch:
                 if delay in here:
                     cuts.append((cut, None if i >= 0 else 1))
                 else:
+                    # A mode that is not in force decides at boundaries only: no finer piece for it.
                     cuts.append((max(cut, self.t + self.longest / _FINEST), None))
             for delay in here:
                 cuts += [(time + delay, order + 1) for time, order in sent.bends]
@@ -243,6 +244,7 @@ class _RuleMarch:
         end, order = self._until(readings)
         known = self._known(readings, end)
         length = self.longest
+        # Halvings of one length, so that motions, which are dear to build, are met again.
         while length * 0.5 >= end - self.t and length > self.longest * 0.5**_SHORTEST:
             length *= 0.5
         motion = self._motion(readings, known, length)
@@ -256,7 +258,7 @@ class _RuleMarch:
         return np.unique(own[~readings.anew[modes, j]]).tolist()
 
     def _known(self, readings: _Readings, end: float) -> list[_Known]:
-        """What modes read up to `end` of what is known.
+        """The known inputs that modes read up to `end`.
 
         What others than those in force would read says on which side of a boundary they lead, no
         more: when they are in force the piece begins anew. Where their delays hardly differ it is
@@ -266,6 +268,7 @@ class _RuleMarch:
         for j, sent in enumerate(self.sent):
             here = self._delays_of_known(readings, j, self._modes)
             for delay in self._delays_of_known(readings, j, list(range(self.plant.modes))):
+                # A little less than half, as other pieces begin at the ends.
                 middle, half = 0.5 * (self.t + end) - delay, 0.49 * (end - self.t)
                 held = sent.is_held(middle - half, middle + half)
                 known.append(_Known(j, delay, 1 if held else NODES if delay in here else _ROUGH))
@@ -279,6 +282,7 @@ class _RuleMarch:
         order = np.arange(known.size)
         terms = np.linalg.solve(points[:, None] ** order, values)
         factorials = np.array([math.factorial(k) for k in order.tolist()], dtype=float)
+        # From powers of a share of the piece to the units in which `_motion` chains the w.
         return terms * factorials * (length / size / _STRETCH) ** order
 
     def _motion(self, readings: _Readings, known: list[_Known], length: float) -> Motion:

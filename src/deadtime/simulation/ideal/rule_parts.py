@@ -28,7 +28,7 @@ DEPTH = 5  # a jump of a higher derivative weighs less than 1e-12 on pieces as s
 
 @dataclass(eq=False)
 class Sent:
-    """What one input has been sent so far.
+    """The values that one input has been sent so far.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Sent:
 
     @classmethod
     def before(cls, line: Float[np.ndarray, " piece"], longest: float) -> Sent:
-        """What was sent before time 0, over equal pieces, oldest first."""
+        """The values sent before time 0, over equal pieces, oldest first."""
         edges = np.linspace(-longest, 0.0, line.size + 1)
         values = [np.full(NODES + 2, value) for value in line]
         jumps = edges[1:-1][np.diff(line) != 0.0].tolist()
@@ -97,7 +97,7 @@ class Sent:
 
 
 def with_edge(function: Piecewise, time: float) -> Piecewise:
-    """The same function with an edge at a time within its own."""
+    """The function with one more edge, at a time within its own."""
     edges, values, support = function.edges, function.values, gauss(NODES).support
     if np.abs(edges - time).min() <= function.slack:
         return function
@@ -140,7 +140,7 @@ def no_loop(stop: str, arrived: float) -> ArgumentError:
 
 
 def outcome_of(record: IdealRecord, parts: list[RulePart], end: float, stop: str) -> RunOutcome:
-    """What a run of these parts leaves behind; `stop` says why it ended early at `end`, if so."""
+    """The outcome of a run of these parts; `stop` says why it ended early at `end`, if so."""
     reached = parts[-1].end
     signal = _signal(parts, reached)
     slides = join(
