@@ -52,7 +52,7 @@ class Clock:
         """Begin anew at the next call."""
         self.state[:] = math.nan, -1.0
 
-    def periods(self, time: float | None) -> int:
+    def periods(self, time: Any) -> int:
         """How many periods have begun since the last call; 0: none, the call is out of order."""
         if time is None:
             self.state[1] += 1.0
