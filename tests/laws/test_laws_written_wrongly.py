@@ -127,3 +127,18 @@ def test_a_table_without_a_tap_is_refused_and_one_of_zeros_reads_no_input(rows):
     table = Feedback(gains[:1], np.zeros((1, 1, 1, 1)), "none", 0.05)
     run = simulate(law_with(digital=answering(table)))
     np.testing.assert_allclose(run.inputs[0], -run.states.sum(axis=0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["observer", "servo", "reference", "filter"])
+def test_a_law_may_not_declare_what_laws_on_estimates_have(name):
+    with pytest.raises(dt.ArgumentError, match=rf"Mine\.{name} must have another name"):
+        law_with(__annotations__={name: float})
+
+
+def test_a_law_of_ones_own_may_keep_another_and_tables_of_its_own():
+    inner = dt.AveragedPredictor(PLANT, K)
+    law = law_with(digital=lambda self, *args: self.inner.digital(*args))
+    vars(law).update(inner=inner, tables={})
+    for use in USES.values():
+        use(law)
+    assert np.array_equal(simulate(law).states, simulate(inner).states)

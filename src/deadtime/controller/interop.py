@@ -70,13 +70,13 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     control = python_control("systems of python-control")
 
     instance("law", law, Law)
-    inner = law if law.observer is None else law.inner
+    inner = law if law.observer is None else law.row_law
     if inner.why_not_run:
         raise ArgumentError(
             f"law must be a table that can run, or an OutputFeedback of one; {inner.why_not_run}."
         )
     step = positive("step", step)
-    tables = law.tables(step, SwitchingSignal.constant(0), 1)
+    tables = law.tables_along(step, SwitchingSignal.constant(0), 1)
     assert tables is not None
     assert tables.feedback is not None
     table = tables.feedback
@@ -246,7 +246,7 @@ def loop_to_control(
         [one, other], inputs=inputs, outputs=signals, inplist=inputs, outlist=signals
     )
     initial = np.zeros(one.nstates + other.nstates)
-    tables = law.tables(step, SwitchingSignal.constant(0), 1)
+    tables = law.tables_along(step, SwitchingSignal.constant(0), 1)
     if tables is not None and tables.memory is not None:
         z = one.nstates + other.state_labels.index("z[0]")
         initial[z : z + tables.memory.start.size] = tables.memory.start

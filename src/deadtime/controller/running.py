@@ -50,12 +50,12 @@ class RunningLaw(Stateful):
         operating_point: OperatingPoint | None = None,
     ) -> None:
         instance("law", law, Law)
-        if law.inner.why_not_run:
+        if law.row_law.why_not_run:
             raise ArgumentError(
-                f"law must be a table that a controller can run; {law.inner.why_not_run}."
+                f"law must be a table that a controller can run; {law.row_law.why_not_run}."
             )
-        self.law, self.inner, self.step = law, law.inner, positive("step", step)
-        tables = law.tables(self.step, SwitchingSignal.constant(0), 1)
+        self.law, self.inner, self.step = law, law.row_law, positive("step", step)
+        tables = law.tables_along(self.step, SwitchingSignal.constant(0), 1)
         assert tables is not None
         assert tables.feedback is not None
         form, memory = tables.belief or tables.bank, tables.memory

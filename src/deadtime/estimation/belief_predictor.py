@@ -91,7 +91,7 @@ class BeliefPredictor(Law):
         vars(self).update(plant=law.plant, gains=law.gains, outputs=outputs, law=law, filter=filter)
 
     @property
-    def inner(self) -> Law:
+    def row_law(self) -> Law:
         return self.law
 
     @property
@@ -137,7 +137,7 @@ class BeliefPredictor(Law):
         """The belief of a law with this table, ready to be told what is seen."""
         return running_belief(self._form(feedback), len(feedback.state_gain))
 
-    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
+    def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         self.require_step(step)
         feedback = self.law.digital(step)
         form = self._form(feedback)

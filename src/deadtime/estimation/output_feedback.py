@@ -165,7 +165,7 @@ class OutputFeedback(Law):
         )
 
     @property
-    def inner(self) -> Law:
+    def row_law(self) -> Law:
         return self.law
 
     @property
@@ -244,7 +244,7 @@ class OutputFeedback(Law):
             step,
         )
 
-    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
+    def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         if not self.is_linear:
             return None
         return Tables(

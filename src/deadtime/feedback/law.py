@@ -91,6 +91,10 @@ def _require_fit(law: Law, table: Feedback) -> None:
         )
 
 
+# Attributes of laws that run on estimates, of which a law of a user's own has none.
+_OF_ESTIMATES = ("observer", "servo", "reference", "filter")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Law(Frozen, ABC):
     """A predictor-feedback law.
@@ -111,6 +115,12 @@ class Law(Frozen, ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        taken = [name for name in _OF_ESTIMATES if name in vars(cls).get("__annotations__", {})]
+        if taken and not cls.__module__.startswith("deadtime."):
+            raise ArgumentError(
+                f"{cls.__name__}.{taken[0]} must have another name: a law has {taken[0]} where it "
+                "runs on estimates, else None."
+            )
         for name, kinds in _ANSWERS.items():
             if isinstance(own := vars(cls).get(name), FunctionType):
                 setattr(cls, name, _answering(name, own, kinds))
@@ -129,7 +139,7 @@ class Law(Frozen, ABC):
         """A few words for legends and tables."""
 
     @property
-    def inner(self) -> Law:
+    def row_law(self) -> Law:
         """The law whose rows it runs: of one on estimates or on a belief another, else itself."""
         return self
 
@@ -189,7 +199,7 @@ class Law(Frozen, ABC):
             many samples to make rows for.
         """
 
-    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
+    def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         """Its tables for a run along a signal, as `digital` makes them; None of a law without any.
 
         Such a law is called at every sample.
@@ -281,7 +291,7 @@ class TableLaw(Law):
     def is_linear(self) -> bool:
         return True
 
-    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
+    def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         foresight = self.foresight(step, signal, steps)
         feedback = None if foresight else self.digital(step, signal, steps)
         return Tables(feedback, foresight=foresight)

@@ -50,7 +50,7 @@ def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) 
         return None
     if law.outputs is None:
         return law.digital(step, signal, 1)
-    tables = law.tables(step, signal, 1)
+    tables = law.tables_along(step, signal, 1)
     if tables is None or tables.feedback is None or tables.memory is None:
         return None
     return _joined(tables.feedback, tables.memory, law.outputs, lost=False)
@@ -72,7 +72,7 @@ def with_lost_rows(law: Law, table: Feedback) -> Feedback:
     """
     F, G = np.zeros_like(table.state_gain), np.zeros_like(table.input_gain)
     if law.outputs is not None:
-        tables = law.tables(table.step, SwitchingSignal.constant(0), 1)
+        tables = law.tables_along(table.step, SwitchingSignal.constant(0), 1)
         assert tables is not None
         assert tables.feedback is not None
         assert tables.memory is not None

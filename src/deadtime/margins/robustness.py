@@ -213,7 +213,7 @@ def _is_told_the_mode(law: Law, step: float, signal: SwitchingSignal | Rule) -> 
     if not law.is_linear or (law.observer is not None and law.observer.reads_mode):
         return True
     future: Any = (signal, 1) if isinstance(signal, SwitchingSignal) else ()
-    return law.inner.digital(step, *future).context in ("mode", "mode_age")
+    return law.row_law.digital(step, *future).context in ("mode", "mode_age")
 
 
 def _drops(setting: RobustnessRuns) -> Tolerance:

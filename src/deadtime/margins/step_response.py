@@ -165,6 +165,6 @@ def step_response(
         if law.servo is not None:
             reference = np.eye(len(law.servo.tracked))[channel]
             follows = {"servo": law.servo, "reference": reference}
-        loop = OutputFeedback(law.inner, law.observer, **follows)
+        loop = OutputFeedback(law.row_law, law.observer, **follows)
     run = simulate(plant, loop, signal, x0, horizon, step, imperfections=pushes)
     return StepResponse(mode, run.time, rows[output] @ run.states, tracks, growth)

@@ -208,6 +208,7 @@ class LawRuns:
     _keep: Callable[[Any], np.ndarray]
 
     def __init__(self, data: xr.Dataset | Comparison) -> None:
+        diverged: Any
         if isinstance(data, Comparison):
             self.names, self._told, self._keep = list(data.names), data.attributes, data.keep
             self._metrics, diverged = data.results.metrics, data.results.diverged

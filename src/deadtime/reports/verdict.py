@@ -137,7 +137,7 @@ def _slow_observer(result: Comparison) -> list[str]:
     law, step = result.problem.laws[result.lead], result.problem.step
     if law.observer is None:
         return []
-    inner = law.inner
+    inner = law.row_law
     if why_left_out("growth rate", inner.plant, inner, step):
         return []
     try:

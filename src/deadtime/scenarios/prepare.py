@@ -74,7 +74,7 @@ def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | None
     if C is not None and law.foresees:
         return None
     steps = 1 if C is None else loop.whole + 1
-    tables = law.tables(loop.step, SwitchingSignal.constant(0), steps)
+    tables = law.tables_along(loop.step, SwitchingSignal.constant(0), steps)
     if tables is None:
         return None
     if tables.foresight is not None:

@@ -231,7 +231,7 @@ def _digital(
         grid = replace(grid, sampled=grid.sampled.cut_alike())
     tables = None
     if known is not None and takes(others):
-        tables = law.tables(step, known, grid.samples)
+        tables = law.tables_along(step, known, grid.samples)
     if known is not None and tables is not None and tables.bank is None:
         arrays = Arrays.of(others, sizes, grid.samples, predict) if others else None
         return run_table(law, tables, known, x0, grid, arrays, disturbances)

@@ -201,4 +201,4 @@ def digital_response(plant: SwitchedSystem, law: Law, mode: int, step: float) ->
     if law.observer is None:
         return DigitalResponse.of(plant, law.digital(step, signal, 1), mode)
     law.require_step(step)
-    return ObservedResponse.beside(plant, law, law.inner.digital(step, signal, 1), mode)
+    return ObservedResponse.beside(plant, law, law.row_law.digital(step, signal, 1), mode)

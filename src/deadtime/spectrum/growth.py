@@ -14,7 +14,7 @@ p(t) p(−t) = q(t²), squares all eigenvalues. After k steps, e_i those of λ^(
 the first because no product is larger than ρ^i, the second is Fujiwara's bound. So the two close
 like 2^−k, whatever the eigenvectors: multiple eigenvalues lose nothing. Everything is computed in
 ball arithmetic (Arb) from the numbers as stored, binary64, exponentials included; the delay is
-(N − 1) h + φ with the stored h and φ of `deadtime.plant.sampling.Window`.
+(N − 1) h + φ with the stored h and φ of `deadtime.plant.discretisation.Window`.
 
 References: M. Fujiwara, Tohoku Math. J. 10 (1916) 167–171; V. Pan, SIAM Review 39 (1997) 187–220
 (Graeffe's iteration).
@@ -141,7 +141,7 @@ def growth_rate(
     if step is None:
         return _ideal(plant, law, mode)
     step = positive("step", step)
-    rows = law if law.observer is None else law.inner
+    rows = law if law.observer is None else law.row_law
     feedback = rows.digital(step, SwitchingSignal.constant(mode), 1)
     row = aged_row(feedback, mode)
     if law.observer is not None:

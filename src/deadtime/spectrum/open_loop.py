@@ -63,7 +63,7 @@ class OpenLoop:
     @classmethod
     def of(cls, plant: SwitchedSystem, law: Law, mode: int, step: float) -> OpenLoop:
         """The loop of any linear law with one mode held."""
-        rows = law if law.observer is None else law.inner
+        rows = law if law.observer is None else law.row_law
         feedback = rows.digital(step, SwitchingSignal.constant(mode), 1)
         row = aged_row(feedback, mode)
         F, G = feedback.state_gain[row], feedback.input_gain[row]

@@ -84,7 +84,7 @@ def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
     for name, law in loop.laws.items():
         try:
             if law.observer is None:
-                law.tables(loop.step, SwitchingSignal.constant(0), 1)
+                law.tables_along(loop.step, SwitchingSignal.constant(0), 1)
         except DeadtimeError as error:
             reasons[name] = str(error)
         else:
