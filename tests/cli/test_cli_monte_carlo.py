@@ -115,6 +115,36 @@ def test_sojourns_are_those_asked_for(capsys, monkeypatch):
     np.testing.assert_allclose(asked[0].transition, (1.0 - np.eye(3)) / 2.0)
 
 
+def test_a_plant_with_a_delay_per_input_and_mode_and_a_chain_at_samples(capsys, folder):
+    (folder / "own.toml").write_text("""
+[plant]
+A = [[[-0.1]], [[-0.2]], [[-0.3]]]
+B = [[[1.0, -4.0]], [[0.8, -4.0]], [[0.7, -3.0]]]
+delay = [[0.3, 0.1], [0.25, 0.1], [0.27, 0.12]]
+[gains]
+lqr = { Q = [[1.0]], R = [[1.0, 0.0], [0.0, 1.0]] }
+[[law]]
+kind = "averaged"
+[switching]
+kind = "markov-chain"
+P = [[0.9, 0.1, 0.0], [0.0, 0.9, 0.1], [0.1, 0.0, 0.9]]
+step = 0.05
+[signal]
+kind = "model"
+seed = 1
+[run]
+x0 = [1.0]
+horizon = 2.0
+step = 0.05
+""")
+    arguments = ("--scenarios", "4", "--out", "run.png", "--data", "own.nc")
+    code, out, err = run(capsys, "own.toml", *arguments)
+    assert (code, err) == (0, "")
+    assert "Every signal switches at samples only, but only so: from mode 0 to mode 1, " in out
+    with xr.open_dataset("own.nc", engine="scipy") as read:
+        assert read.attrs["delay"] == "[0.3, 0.1]; [0.25, 0.1]; [0.27, 0.12]"
+
+
 @pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["text", "json"])
 def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, ending):

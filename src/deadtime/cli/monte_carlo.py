@@ -141,7 +141,8 @@ def monte_carlo(
 def save_data(data: xr.Dataset, path: Path) -> None:
     """Metrics on disk: netCDF, or CSV with a row for each law and scenario.
 
-    Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text.
+    Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text,
+    nor of lists, as of delays by mode.
     """
     from deadtime.base.files import replacing
 
@@ -151,7 +152,7 @@ def save_data(data: xr.Dataset, path: Path) -> None:
             frame.reset_index().to_csv(place, index=False)
             return
         texts = {
-            name: "; ".join(value) if isinstance(value, list) else value
+            name: "; ".join(map(str, value)) if isinstance(value, list) else value
             for name, value in data.attrs.items()
         }
         data.assign_attrs(texts).to_netcdf(place, engine="scipy")
@@ -287,7 +288,8 @@ def _print(
         what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
         about = [f"Dwell time {dwell:g} s: {shortest}. Mean sojourn {mean:g} s: {whole}."]
     if limited:
-        switches = with_names(problem.limits.in_words()[1], problem.modes)
+        when = "at any time" if problem.signals.at == "anywhere" else "at samples only"
+        switches = with_names(problem.limits.in_words(when)[1], problem.modes)
         about = [f"Every signal {switches}."]
     print(
         f"{outcome.scenarios:,} random signal{'s' * (outcome.scenarios != 1)}, {what}, "
