@@ -142,7 +142,7 @@ step = 0.05
     assert (code, err) == (0, "")
     assert "Every signal switches at samples only, but only so: from mode 0 to mode 1, " in out
     with xr.open_dataset("own.nc", engine="scipy") as read:
-        assert read.attrs["delay"] == "[0.3, 0.1]; [0.25, 0.1]; [0.27, 0.12]"
+        assert read.attrs["delay"] == "0.3; 0.1; 0.25; 0.1; 0.27; 0.12"
 
 
 @pytest.mark.few(1)

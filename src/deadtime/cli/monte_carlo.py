@@ -141,8 +141,7 @@ def monte_carlo(
 def save_data(data: xr.Dataset, path: Path) -> None:
     """Metrics on disk: netCDF, or CSV with a row for each law and scenario.
 
-    Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text,
-    nor of lists, as of delays by mode.
+    Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text.
     """
     from deadtime.base.files import replacing
 
