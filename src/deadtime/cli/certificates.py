@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import with_names
+from deadtime.base.wording import file_name, with_names
 from deadtime.cli import options
 from deadtime.cli.application import JUDGE, app, lines
 from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
@@ -286,8 +286,6 @@ def _print_verification(result: Verification) -> None:
 
 def _save(judged: list[Judged], out: Path) -> list[Path]:
     """Save every certificate that says stable; one file for one law."""
-    from deadtime.base.wording import file_name
-
     certificates = {one.law: one.certificate for one in judged if one.stable}
     saved = []
     for name, certificate in certificates.items():
@@ -305,7 +303,6 @@ def _print_judged(
     in_full: bool,
     left_open: tuple[bool, object],
 ) -> None:
-    from deadtime.base.wording import with_names
     from deadtime.cli.console import Terminal
     from deadtime.reports.certificate_tables import (
         HEADINGS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import wraps
 from types import FunctionType, NoneType
 from typing import Any
@@ -91,10 +91,6 @@ def _require_fit(law: Law, table: Feedback) -> None:
         )
 
 
-# Attributes of laws that run on estimates, of which a law of a user's own has none.
-_OF_ESTIMATES = ("observer", "servo", "reference", "filter")
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Law(Frozen, ABC):
     """A predictor-feedback law.
@@ -115,7 +111,8 @@ class Law(Frozen, ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        taken = [name for name in _OF_ESTIMATES if name in vars(cls).get("__annotations__", {})]
+        declared = vars(cls).get("__annotations__", {})
+        taken = [one.name for one in fields(Law) if not one.init and one.name in declared]
         if taken and not cls.__module__.startswith("deadtime."):
             raise ArgumentError(
                 f"{cls.__name__}.{taken[0]} must have another name: a law has {taken[0]} where it "

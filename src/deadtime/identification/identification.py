@@ -12,7 +12,7 @@ from deadtime.base.checks import positive
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
-from deadtime.identification.sentences import doubts_of, odd_readings, sentences_of
+from deadtime.identification.sentences import doubts_of, odd_readings, sentences_of, verdict_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -126,8 +126,6 @@ class Identification(Findings):
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
         Delay 0.2594 s (0.2589 … 0.26); the law bears 0 … 1.054 s: enough.
         """
-        from deadtime.identification.sentences import verdict_of
-
         period = self.step if step is None else positive("step", step)
         return verdict_of(self, margin, law, period)
 

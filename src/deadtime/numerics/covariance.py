@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.numerics.exponential import balanced, product, products
+from deadtime.numerics.exponential import balanced, discretise_each, product, products
 from deadtime.numerics.kernels import kernel
 
 _MANY = 4096  # stretches that are worth a compiler
@@ -271,8 +271,6 @@ def transitions(
     A: Float[np.ndarray, "count n n"], tau: Float[np.ndarray, " count"]
 ) -> Float[np.ndarray, "count n n"]:
     """e^{Aτ} of many."""
-    from deadtime.numerics.exponential import discretise_each
-
     none = np.zeros((*A.shape[:2], 1))
     return discretise_each(read_only(A), read_only(none), read_only(tau))[0]
 

@@ -39,7 +39,17 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import positive, read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant.discretisation import Cuts, Window, require_step, windows_of
-from deadtime.plant.pieces import Ahead, Period, Piece, PieceTable, Stretch, Stretches
+from deadtime.plant.pieces import (
+    Ahead,
+    Period,
+    Piece,
+    PieceTable,
+    Stretch,
+    Stretches,
+    gramians,
+    pieces_along,
+    whole_stretches,
+)
 from deadtime.plant.switched_system import SwitchedSystem
 
 _KEPT = 100_000  # periods; of more, tables are too large to lie about
@@ -171,8 +181,6 @@ class SampledPlant(Frozen):
     @cached_property
     def _whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Φ and Γ of the stretches."""
-        from deadtime.plant.pieces import whole_stretches
-
         return whole_stretches(self.plant.A, self.plant.B, self.every_stretch)
 
     def pieces(self, mode: int) -> tuple[Piece, ...]:
@@ -217,8 +225,6 @@ class SampledPlant(Frozen):
 
 
 def _along(sampled: SampledPlant, cuts: Cuts, periods: int) -> PieceTable:
-    from deadtime.plant.pieces import pieces_along
-
     A, B = sampled.plant.A, sampled.plant.B
     place = cuts.step, cuts.offset, cuts.mode
     table = pieces_along(A, B, sampled.every_stretch, *place, periods, sampled._whole)
@@ -226,8 +232,6 @@ def _along(sampled: SampledPlant, cuts: Cuts, periods: int) -> PieceTable:
 
 
 def _gramians(sampled: SampledPlant, cuts: Cuts, periods: int, Q: bytes) -> np.ndarray:
-    from deadtime.plant.pieces import gramians
-
     (A, B), table = (sampled.plant.A, sampled.plant.B), sampled.along(cuts, periods)
     weight = read_only(np.frombuffer(Q).reshape(A.shape[1:]))
     return read_only(gramians(A, B, table, cuts.offset, cuts.mode, weight))

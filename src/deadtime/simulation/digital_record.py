@@ -19,7 +19,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.plant.discretisation import TOLERANCE, Cuts, snap_all
-from deadtime.plant.pieces import PieceTable
+from deadtime.plant.pieces import PieceTable, gramian_up_to, gramians
 from deadtime.switching.rules.motion import Leg, Motion
 
 _NODES = 10
@@ -280,7 +280,6 @@ class DigitalRecord(Frozen):
 
     def _whole_steps(self, steps: int, Q: np.ndarray) -> float:
         """∫xᵀQx over the steps 0, …, steps − 1."""
-        from deadtime.plant.pieces import gramians
         from deadtime.simulation.digital_kernel import form_integral
 
         table, (B, acting) = self.table, self.driving_inputs
@@ -308,8 +307,6 @@ class DigitalRecord(Frozen):
 
     def _within_step(self, k: int, end: float, Q: np.ndarray) -> float:
         """∫xᵀQx over [t_k, t_k + end], end < h."""
-        from deadtime.plant.pieces import gramian_up_to
-
         if self.slides is not None and k in self.slides.steps:
             return self._within_slide(k, end, Q)
         table, cuts, (B, acting) = self.table, self.cuts, self.driving_inputs

@@ -30,7 +30,7 @@ from deadtime.imperfections import (
 from deadtime.plant.discretisation import snap
 from deadtime.simulation.digital import Drawn, RunOutcome, Told, initial_age
 from deadtime.simulation.digital_record import DigitalRecord, slides_in_words
-from deadtime.simulation.loop_arrays import Grid, MeasurementLags, tells_commands
+from deadtime.simulation.loop_arrays import LIMIT, Grid, MeasurementLags, tells_commands
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.grid import modes_at
@@ -202,8 +202,6 @@ def _run(
     grid: Grid,
 ) -> tuple[int, list[np.ndarray], _Stop | None]:
     """Run over the samples and on until an input is missing, as `kernel.closed_loop` does."""
-    from deadtime.simulation.loop_arrays import LIMIT
-
     h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
     path, first = [x0], [0]
     measured = None if lags is None else [part.tolist() for part in lags.instants(h, kept)]

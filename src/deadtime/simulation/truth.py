@@ -12,7 +12,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SampledPlant
 from deadtime.plant.discretisation import TOLERANCE, Cuts, snap
-from deadtime.plant.pieces import PieceTable
+from deadtime.plant.pieces import PieceTable, up_to
 from deadtime.plant.sampled_plant import EveryReading
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.digital_record import SlidePart, Slides
@@ -107,8 +107,6 @@ class KnownTruth(Truth):
         return self._table.Phi[entry] @ x + self._table.Gamma[entry] @ u + self._shift[q]
 
     def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
-        from deadtime.plant.pieces import up_to
-
         A, B, table, cuts = self._plant.A, self._plant.B, self._table, self._cuts
         entries = table.entry[table.first[k] : table.first[k + 1]]
         piece = int(np.searchsorted(table.start[entries], offset, "right")) - 1

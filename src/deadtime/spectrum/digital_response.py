@@ -14,9 +14,16 @@ from deadtime.numerics.exponential import ROUND_OFF, balanced, discretise, discr
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 from deadtime.plant.pieces import Period
-from deadtime.spectrum.lifted import Joined, aged_row, in_units, periods_of, transform, units_of
+from deadtime.spectrum.lifted import (
+    Joined,
+    aged_row,
+    held_table,
+    in_units,
+    periods_of,
+    transform,
+    units_of,
+)
 from deadtime.spectrum.response import LoopResponse, Samples, offsets_of
-from deadtime.switching import SwitchingSignal
 
 _CUTS = 5  # delays within a period at which the delay line is tried
 _SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
@@ -197,8 +204,7 @@ class ObservedResponse(DigitalResponse):
 
 def digital_response(plant: SwitchedSystem, law: Law, mode: int, step: float) -> DigitalResponse:
     """The loop of any linear law with one mode held."""
-    signal = SwitchingSignal.constant(mode)
     if law.observer is None:
-        return DigitalResponse.of(plant, law.digital(step, signal, 1), mode)
+        return DigitalResponse.of(plant, held_table(law, mode, step), mode)
     law.require_step(step)
-    return ObservedResponse.beside(plant, law, law.row_law.digital(step, signal, 1), mode)
+    return ObservedResponse.beside(plant, law, held_table(law, mode, step), mode)

@@ -35,7 +35,7 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.numerics.precision import precision
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.spectrum.held_mode_checks import check_mode
-from deadtime.spectrum.lifted import LiftedLoop, aged_row, with_memory
+from deadtime.spectrum.lifted import LiftedLoop, aged_row, held_table, observed_loop, with_memory
 from deadtime.switching import SwitchingSignal
 
 _LEAST = 1e-7
@@ -141,12 +141,9 @@ def growth_rate(
     if step is None:
         return _ideal(plant, law, mode)
     step = positive("step", step)
-    rows = law if law.observer is None else law.row_law
-    feedback = rows.digital(step, SwitchingSignal.constant(mode), 1)
+    feedback = held_table(law, mode, step)
     row = aged_row(feedback, mode)
     if law.observer is not None:
-        from deadtime.spectrum.lifted import observed_loop
-
         law.require_step(step)
         return observed_loop(plant, law, feedback, mode, row).growth_rate(step)
     return constant_growth(plant, feedback, mode, row)

@@ -38,6 +38,7 @@ from deadtime.feedback import Feedback, Law
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
 from deadtime.spectrum.sampled_runs import LoopPeriods, forward
+from deadtime.switching import SwitchingSignal
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
@@ -215,6 +216,12 @@ def with_memory(plant: SwitchedSystem, feedback: Feedback) -> SwitchedSystem:
     idle, soon = np.zeros((*plant.B.shape[:2], q)), np.full((plant.modes, q), feedback.step)
     B, delays = np.concatenate((idle, plant.B), 2), np.concatenate((soon, plant.delays), 1)
     return plant.like(plant.A, B, delays)
+
+
+def held_table(law: Law, mode: int, step: float) -> Feedback:
+    """The table of a linear law with one mode held; of one on estimates that of the law it runs."""
+    rows = law if law.observer is None else law.row_law
+    return rows.digital(step, SwitchingSignal.constant(mode), 1)
 
 
 def aged_row(feedback: Feedback, mode: int) -> int:

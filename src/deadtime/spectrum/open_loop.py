@@ -23,8 +23,15 @@ from deadtime.numerics.exponential import balance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.pieces import Period
 from deadtime.spectrum.ideal import IdealLoop
-from deadtime.spectrum.lifted import LawSide, aged_row, input_row, periods_of, transform, with_line
-from deadtime.switching import SwitchingSignal
+from deadtime.spectrum.lifted import (
+    LawSide,
+    aged_row,
+    held_table,
+    input_row,
+    periods_of,
+    transform,
+    with_line,
+)
 
 
 class StateSpace(NamedTuple):
@@ -63,8 +70,7 @@ class OpenLoop:
     @classmethod
     def of(cls, plant: SwitchedSystem, law: Law, mode: int, step: float) -> OpenLoop:
         """The loop of any linear law with one mode held."""
-        rows = law if law.observer is None else law.row_law
-        feedback = rows.digital(step, SwitchingSignal.constant(mode), 1)
+        feedback = held_table(law, mode, step)
         row = aged_row(feedback, mode)
         F, G = feedback.state_gain[row], feedback.input_gain[row]
         if law.observer is not None:

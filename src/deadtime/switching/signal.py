@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, brief, count, number, positive, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching.constraint import PerMode, SwitchingConstraint, least_slope
 from deadtime.switching.models.jump_process import JumpProcess, Quantiles, Switches, require_few
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential, truncate
 
@@ -149,8 +149,6 @@ class SwitchingSignal(Frozen):
         >>> SwitchingSignal([0, 1.0, 1.1, 3.0], [0, 1, 0, 1]).average_dwell_time(chatter=2)
         2.0
         """
-        from deadtime.switching.constraint import least_slope
-
         if (allowed := number("chatter", chatter)) < 0.0:
             raise ArgumentError(f"chatter must be ≥ 0, a number of switches, got {allowed:g}.")
         return float(least_slope(self.times[1:], allowed))

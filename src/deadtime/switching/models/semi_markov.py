@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, number, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
-from deadtime.switching.models.fit import Signals
+from deadtime.switching.models.fit import Signals, fit_model
 from deadtime.switching.models.jump_process import JumpProcess, Quantiles, Switches
 from deadtime.switching.models.model import (
     SampledChain,
@@ -365,8 +365,6 @@ class SemiMarkov(SwitchingModel):
         >>> SemiMarkov.fit(log, family="gamma").mean.round(2)
         array([0.79, 0.78])
         """
-        from deadtime.switching.models.fit import fit_model
-
         sojourn, transition, goodness = fit_model(
             signals, family, modes, first, transitions, dwell_time, maximum_dwell
         )
