@@ -146,12 +146,12 @@ def test_runs_and_controllers_that_lose_samples_follow_the_same_equations(name):
     xi, n, m = states[0], plant.states, plant.inputs
     u0 = xi[len(xi) - past * m :].reshape(past, m)[::-1].T
     switching = dt.SwitchingSignal(times, path, 40 * STEP + 1.0)
-    started = law.beginning_at(xi[n : len(xi) - past * m]) if hasattr(law, "observer") else law
+    started = law.beginning_at(xi[n : len(xi) - past * m]) if law.observer is not None else law
     at = LostAt(tuple(np.flatnonzero(lost).tolist()), len(lost))
     run = dt.simulate(plant, started, switching, xi[:n], 3.9, STEP, u0, imperfections=[at])
     expected = np.array([one[:n] for one in states])[:40]
     assert np.abs(run.states[:, :40].T - expected).max() < 1e-9 * np.abs(expected).max()
-    if not hasattr(law, "observer"):
+    if law.observer is None:
         return
     controller = dt.Controller(started, STEP, u0=u0)
     for k, (mode, *_, told, _) in enumerate(followed(*signal)[:39]):

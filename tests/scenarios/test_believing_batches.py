@@ -8,7 +8,7 @@ from scipy import stats
 
 import deadtime as dt
 import plants
-from batches import H, require_single_runs
+from batches import HORIZON, H, require_single_runs
 from deadtime.imperfections import (
     Dropout,
     Jitter,
@@ -63,7 +63,9 @@ CASES = {
 @pytest.mark.parametrize("case", mostly_long(list(CASES), "delays of every mode and input"))
 def test_scenarios_on_a_belief_are_those_of_single_runs(case):
     truth, law, given = CASES[case]()
-    require_single_runs(truth, {case: law}, given)
+    # Measured within periods, that loop is chaotic: after 4 s a rounding of x0 grows to 1e-12.
+    end = 4.03 if case == "measured within periods" else HORIZON
+    require_single_runs(truth, {case: law}, given, horizon=end)
 
 
 NEAR = plants.generic(0.3, seed=5)
