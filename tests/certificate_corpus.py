@@ -351,7 +351,7 @@ def save(name: str, path: Path) -> Path:
     assert found.proven, (case, found.message)
     found.save(path)
     if ages:
-        modes = range(found.evidence.setting.A.shape[1])
+        modes = range(found.evidence.setting.modes)
         P = np.array([[found.lyapunov(i, a) for a in ages] for i in modes])
         P = 0.5 * (P + P.swapaxes(-1, -2))
         V = {"kind": "stretches", "knots": list(ages), "P": packed(P)}

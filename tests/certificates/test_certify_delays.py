@@ -19,6 +19,7 @@ from deadtime.certificates.proof import check
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import Enclosures, cells_of
 from deadtime.numerics.precision import precision
+from deadtime.plant.polytope import Polytope
 from shares import mostly_long
 
 CASES = [name for name in corpus.CASES if name.startswith("delays-")]
@@ -115,7 +116,7 @@ def place(family, cell, u):
 @pytest.mark.parametrize("corners", [1, 2])
 def test_enclosures_hold_the_plant_cut_at_every_arrival(corners):
     A, B = generic(corners)
-    family = Family.of(A, B, DELAYS, 0.1)
+    family = Family.of(Polytope(A, B), DELAYS, 0.1)
     columns = [*range(3), *(3 + 2 * lag + j for lag, j in family.reads)]
     cells = [*cells_of(family, 0, 0), *cells_of(family, 0, 1), *cells_of(family, 1, 0)]
     assert len(cells) == 1 + 2 * 4  # φ = 0.04 and 0.07 of mode 0, 0.02 and 0.07 of mode 1
@@ -145,8 +146,8 @@ def test_enclosures_hold_the_plant_cut_at_every_arrival(corners):
 def test_one_delay_told_one_by_one_is_that_delay():
     A, B = generic()
     for delay in (0.234, 0.3, 0.04):
-        one = Family.of(A, B, (delay, delay), 0.1)
-        each = Family.of(A, B, np.full((2, 2), delay), 0.1)
+        one = Family.of(Polytope(A, B), (delay, delay), 0.1)
+        each = Family.of(Polytope(A, B), np.full((2, 2), delay), 0.1)
         assert (one.reads, one.marks, one.lags) == (each.reads, each.marks, each.lags)
         for i, j in ((0, 0), (0, 1)):
             assert one.orders(i, j) == each.orders(i, j)
@@ -157,8 +158,8 @@ def test_one_delay_told_one_by_one_is_that_delay():
 def test_arrivals_that_differ_by_rounding_alone_are_one():
     A, B = generic()
     assert 0.37 - 3 * 0.1 != 0.27 - 2 * 0.1
-    assert len(Family.of(A, B, np.array([[0.37, 0.27]] * 2), 0.1).marks) == 3
-    assert len(Family.of(A, B, np.array([[0.37, 0.271]] * 2), 0.1).marks) == 4
+    assert len(Family.of(Polytope(A, B), np.array([[0.37, 0.27]] * 2), 0.1).marks) == 3
+    assert len(Family.of(Polytope(A, B), np.array([[0.37, 0.271]] * 2), 0.1).marks) == 4
 
 
 # -- evidence, files and refusals --------------------------------------------------------------

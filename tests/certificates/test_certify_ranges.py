@@ -19,6 +19,7 @@ from deadtime.certificates.proof.box import FIRST, Box
 from deadtime.certificates.proof.covering import enclosures_of
 from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.numerics.precision import precision
+from deadtime.plant.polytope import Polytope
 from shares import mostly_long
 
 STEP, NEAR = 0.1, 1e-10
@@ -37,7 +38,7 @@ def certified(name):
 def generic():
     rng = np.random.default_rng(3)
     A, B = rng.normal(size=(2, 3, 3)), rng.normal(size=(2, 3, 3))
-    return A, B, Box.of(A[None], B[None], np.stack([LOW, HIGH]), STEP)
+    return A, B, Box.of(Polytope(A[None], B[None]), np.stack([LOW, HIGH]), STEP)
 
 
 def drawn(rng, low=LOW, high=HIGH):

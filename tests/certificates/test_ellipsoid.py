@@ -15,10 +15,11 @@ from certificate_reference import rewritten
 from deadtime.certificates.dwell.evidence_search import Sways
 from deadtime.certificates.proof.box import family_of
 from deadtime.certificates.proof.covering import enclosures_of
-from deadtime.certificates.proof.ellipsoid import Sway, kronecker
 from deadtime.certificates.proof.step_enclosure import cells_of
+from deadtime.certificates.proof.sway import Sway, kronecker
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.numerics.precision import precision
+from deadtime.plant.polytope import Polytope
 
 H, D, N = 0.1, 0.234, 3
 PLANTS = 4000
@@ -114,7 +115,7 @@ def test_a_mode_that_is_known_is_known_beside_one_that_is_not():
     covariance[sure], covariance[:, sure] = 0.0, 0.0
     found = dt.certify(dt.UncertainPlant(MILD, covariance), LAW, 0.2, H, search_signals=False)
     assert found.proven
-    assert not found.evidence.setting.axes[:, 0].any()
+    assert not found.evidence.setting.plants.directions[:, 0].any()
     assert found.decay_rate >= proved(LAW).decay_rate
 
 
@@ -148,7 +149,7 @@ BOX = np.array([[[0.23], [0.21]], [[0.24], [0.215]]])
 def test_what_an_ellipsoid_does_to_a_period_lies_within_its_bound(delays):
     known, rng = corpus.around(MILD, 0.05), np.random.default_rng(3)
     axes = known.axes()
-    family = family_of(MILD.A[None], MILD.B[None], delays, H, axes)
+    family = family_of(known.plant_set(), delays, H)
     enclosures = enclosures_of(family)
     tight = 0.0
     for i, j in ((0, 0), (0, 1)):
@@ -159,9 +160,8 @@ def test_what_an_ellipsoid_does_to_a_period_lies_within_its_bound(delays):
                 for _ in range(60):
                     z = rng.standard_normal(len(axes))
                     moved = np.tensordot(z / np.linalg.norm(z), axes, 1)
-                    other = family_of(
-                        (MILD.A + moved[..., :2])[None], (MILD.B + moved[..., 2:])[None], delays, H
-                    )
+                    one = MILD.like(MILD.A + moved[..., :2], MILD.B + moved[..., 2:])
+                    other = family_of(Polytope.of([one]), delays, H)
                     u = rng.uniform(*part.u)
                     f = tuple(rng.uniform(*place) for place in part.f)
                     f = f if isinstance(delays, np.ndarray) else f[0]
@@ -200,7 +200,7 @@ def test_a_plant_without_errors_is_one_plant():
     assert sure.delay_range() is None
     one, other = (dt.certify(plant, LAW, 0.2, H) for plant in (sure, MILD))
     assert one.decay_rate == other.decay_rate
-    assert one.evidence.setting.axes is None
+    assert one.evidence.setting.plants.known
 
 
 @pytest.mark.parametrize("part", [1e-8, 1e-12, 1e-20])

@@ -13,6 +13,7 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.cli.application import main
 from deadtime.feedback.recurrence import recurrence_of
+from deadtime.plant.polytope import Polytope
 from exponential_products import ellipses
 
 STEP = 0.1
@@ -63,7 +64,7 @@ def setting_of(plant, law, dwell_time=0.35):
     table = recurrence_of(law, STEP)
     delays = (plant.delay,) * 2 if plant.has_one_delay else plant.delays
     return Setting(
-        plant.A[None], plant.B[None], delays, table.state_gain, table.input_gain, table.context,
+        Polytope.of([plant]), delays, table.state_gain, table.input_gain, table.context,
         table.ages, STEP, dt.SignalClass(dwell_time), table.memory,
     )  # fmt: skip
 

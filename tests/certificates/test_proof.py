@@ -83,8 +83,8 @@ def test_evidence_is_rejected_for_another_plant():
     evidence, table = evidence_of("common"), made("common")[3].table
     for alpha in (0.64, 0.66):
         other = PAPER.apart(alpha)
-        mutant = with_part(evidence, "setting.A", other.A[None])
-        mutant = with_part(mutant, "setting.B", other.B[None])
+        mutant = with_part(evidence, "setting.plants.A", other.A[None])
+        mutant = with_part(mutant, "setting.plants.B", other.B[None])
         assert least(mutant, reference.Loop(other.A, other.B, 1.0, table)) < 0.0
         assert_rejected(mutant, "the inequality of the step")
 

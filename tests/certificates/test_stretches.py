@@ -19,6 +19,7 @@ from deadtime.certificates.proof import Check, StretchEvidence, balls, check, lo
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import StretchInequalities
 from deadtime.numerics.precision import precision
+from deadtime.plant.polytope import Polytope
 
 LEFT = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])  # mode 0 grows
 TURNING = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])
@@ -72,7 +73,7 @@ def setting_of(plant, law, dwell_time, longest, step):
     numbers = (table.state_gain, table.input_gain, table.context, table.ages, step)
     delays = (plant.delay, plant.delay)
     signals = dt.SignalClass(dwell_time, longest)
-    return Setting(plant.A[None], plant.B[None], delays, *numbers, signals)
+    return Setting(Polytope.of([plant]), delays, *numbers, signals)
 
 
 def assert_stretches_decrease(evidence, loop):
@@ -133,7 +134,7 @@ def test_the_function_of_a_mode_that_may_last_is_a_sum_over_what_comes(name):
     make, *times = LOOPS[name]
     search = StretchSearch(setting_of(*make(), *times))
     loops = search._loops(1.0, 1.0)
-    lasting = range(search.setting.A.shape[1]) if times[1] is None else ()
+    lasting = range(search.setting.modes) if times[1] is None else ()
     assert set(loops.shape.sums) == {(mode, len(search.knots) - 1) for mode in lasting}
 
 

@@ -16,6 +16,7 @@ from deadtime.certificates.proof import Evidence, StretchEvidence, load_evidence
 from deadtime.certificates.proof.evidence import Centre, Setting
 from deadtime.certificates.proof.work import allowance, operations
 from deadtime.numerics.precision import precision
+from deadtime.plant.polytope import Polytope
 from fuzzing import mutators
 from second_verifier import both, second_verifier
 
@@ -99,7 +100,8 @@ def setting(plant, rows=1, context="none", **options):
     F, G = np.full((rows, m, 1), 1e-3), np.zeros((rows, 1, m, m))
     ages = options.pop("ages", 1)
     signals = dt.SignalClass(0.3, **options)
-    return Setting(**plant, F=F, G=G, context=context, ages=ages, step=0.1, signals=signals)
+    about = {"plants": Polytope(plant["A"], plant["B"]), "delays": plant["delays"]}
+    return Setting(**about, F=F, G=G, context=context, ages=ages, step=0.1, signals=signals)
 
 
 def ranges(modes, m):

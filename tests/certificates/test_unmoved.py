@@ -6,6 +6,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.certificates.reach import why_unmoved
+from deadtime.plant.polytope import Polytope
 
 STEP = 0.1
 SCALAR = plants.scalar([0.0, 0.5])
@@ -87,4 +88,4 @@ def test_the_least_dwell_time_of_a_servo_s_plant_is_none_with_a_reason():
 @pytest.mark.parametrize("size", [1e-170, 1e160])
 def test_states_in_whatever_units_move(size):
     plant = dt.SwitchedSystem(CART.A * size, CART.B * size, 0.2 / size)
-    assert why_unmoved([plant]) == ""
+    assert why_unmoved(Polytope.of([plant])) == ""

@@ -104,7 +104,7 @@ class Certificate:
         evidence = self.evidence
         if evidence is None:
             raise ArgumentError(f"certificate has no Lyapunov function: {self.message}")
-        mode = index("mode", mode, evidence.setting.A.shape[1])
+        mode = index("mode", mode, evidence.setting.modes)
         last = evidence.setting.transitions.clocks[mode].last
         most = evidence.setting.signals.lost_samples
         if count("lost", lost, 0) > most:
@@ -141,9 +141,8 @@ def _also(evidence: Evidence | StretchEvidence) -> str:
     elif evidence.setting.family.ranges:
         low, high = evidence.setting.delays
         delays = f" and every constant delay from {low:.6g} s to {high:.6g} s"
-    many = len(evidence.setting.A) > 1, evidence.setting.axes is not None
-    kinds = " and every plant in the polytope", " and every plant in the ellipsoid"
-    return delays + "".join(kind for kind, there in zip(kinds, many, strict=True) if there)
+    plants = evidence.setting.plants
+    return delays + ("" if plants.known else f" and every plant in the {plants.kind}")
 
 
 def round_down(rate: float, digits: int = 4) -> str:
@@ -174,15 +173,8 @@ def delays_in_words(setting: Setting) -> str:
 def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
-    signals, words = setting.signals, setting.signals.sentence(setting.A.shape[1])
-    ends, plants = any(map(math.isfinite, setting.limits.maximum_dwell)), "the plant"
-    if setting.axes is not None:
-        plants = (
-            f"any plant in the ellipsoid about the given one, of {len(setting.axes)} half axes in "
-            "the entries of A and B (constant within each period)"
-        )
-    elif len(setting.A) > 1:
-        plants = "any plant in the polytope of the given ones (constant within each period)"
+    signals, words = setting.signals, setting.signals.sentence(setting.modes)
+    ends = any(map(math.isfinite, setting.limits.maximum_dwell))
     alike = ""
     if isinstance(setting.delays, np.ndarray) and not is_box(setting):
         alike = ", and parts of a period beyond one that differ by less count as the least of them"
@@ -231,8 +223,8 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     )
     return (
         f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
-        f"initial state{memory} and past input, the digital loop of {plants} with this "
-        f"table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
+        f"initial state{memory} and past input, the digital loop of {setting.plants.subject} with "
+        f"this table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
         f"(offsets){' and noise' if signals.lost_samples else ', noise and lost samples'}.",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "

@@ -9,7 +9,7 @@ signal has the last word.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Unpack
 
@@ -25,6 +25,7 @@ from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.reach import (
+    Plants,
     delays_of,
     extremes,
     neutral,
@@ -36,9 +37,8 @@ from deadtime.certificates.reach import (
     why_unmoved,
 )
 from deadtime.feedback import Feedback, Law
-from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
-from deadtime.plant import SwitchedSystem, UncertainPlant
+from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode
@@ -55,7 +55,7 @@ SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
 
 
 def certify(
-    plant: SwitchedSystem | UncertainPlant | Sequence[SwitchedSystem],
+    plant: Plants,
     law: Law,
     dwell_time: PerMode | SignalClass,
     step: float = 0.01,
@@ -128,17 +128,15 @@ def certify(
     (True, True)
     """
     progress = reporter("progress", progress)
-    plants, axes, delays = plants_of(plant, delays)
     instance("law", law, Law)
-    for corner in plants:
-        require_match(corner, law)
+    plants, plant, delays = plants_of(plant, law, delays)
     step = positive("step", step)
-    asked, modes = SignalClass.of(dwell_time, **signals), plants[0].modes
+    asked, modes = SignalClass.of(dwell_time, **signals), plant.modes
     asked.require_clock()
     asked.at_period(modes, step)
     if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
-    reason = out_of_reach(plants, law, asked, step)
+    reason = out_of_reach(modes, law, asked, step)
     reason = reason or why_unmoved(plants)
     table = None if reason else recurrence_of(law, step)
     if table is None:
@@ -152,9 +150,8 @@ def certify(
         asked = replace(asked, lost_samples=0)
     table = with_lost_rows(law, table) if asked.lost_samples else table
     setting = Setting(
-        np.stack([corner.A for corner in plants]),
-        np.stack([corner.B for corner in plants]),
-        delays_of(delays, plants[0], step),
+        plants,
+        delays_of(delays, plant, step),
         table.state_gain,
         table.input_gain,
         table.context,
@@ -162,16 +159,14 @@ def certify(
         step,
         asked,
         table.memory,
-        axes,
     )
     reason = too_many_told(setting) or too_large(setting.order)
     if reason:
         return Certificate(None, reason)
-    return _decide(plants, law, table, setting, decay_rate, search_signals, progress)
+    return _decide(law, table, setting, decay_rate, search_signals, progress)
 
 
 def _decide(
-    plants: list[SwitchedSystem],
     law: Law,
     table: Feedback,
     setting: Setting,
@@ -180,7 +175,7 @@ def _decide(
     progress: Callable[[str], None],
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
-    corners = extremes(plants, setting.axes, setting.delays, table)
+    corners = extremes(setting.plants, setting.delays, table)
     held = [
         (constant_growth(with_memory(one, table), table, mode, aged_row(table, mode)), mode, one)
         for one in corners
@@ -301,8 +296,8 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
     if worst.grows:
         also = f" ({why})" if why and worst.signal.switches else ""
-        middle = np.array_equal(plant.A, setting.A[0]) and np.array_equal(plant.B, setting.B[0])
-        where = "" if setting.axes is None or middle else " at every plant in the ellipsoid"
+        given = setting.plants.has_vertex(plant.A, plant.B)
+        where = "" if given else f" at every plant in the {setting.plants.kind}"
         return Certificate(
             False,
             f"Not stable for every admissible signal{where}{also}: {worst.message}",

@@ -1,8 +1,8 @@
 """Plants that a certificate is asked about, and questions that are beyond its reach.
 
-A plant is one, a polytope or an ellipsoid, with delays that are known or have ranges. A plant
-extended by a reference or a constant disturbance (`deadtime.Servo`) has states that obey dr/dt = 0.
-Whatever the law does they stay where they are, so that "stable" can only be asked of the rest.
+A plant extended by a reference or a constant disturbance (`deadtime.Servo`) has states that obey
+dr/dt = 0. Whatever the law does they stay where they are, so that "stable" can only be asked of the
+rest.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, positive
@@ -21,35 +20,38 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import least_periods
 from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.feedback import Feedback, Law
+from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import same_outputs
-from deadtime.plant import SwitchedSystem, UncertainPlant
+from deadtime.plant import SwitchedSystem
+from deadtime.plant.plant_set import PlantSet, PlantUncertainty
+from deadtime.plant.polytope import Polytope
 from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
 from deadtime.switching import SignalClass
 
-ROUNDS = 3  # of going to the worst point of the ellipsoid
-MOVE = 1e-3  # of the ellipsoid, for a derivative
+ROUNDS = 3  # of going to the worst plant of a set
+MOVE = 1e-3  # of z, for a derivative
 
 Range = tuple[ArrayLike, ArrayLike]
+Plants = SwitchedSystem | PlantUncertainty | Sequence[SwitchedSystem]  # as `certify` takes them
 _NOTHING = 1e-12  # relative to the largest singular value
 LARGEST = 3000  # order that memory allows
 
 
 def plants_of(
-    plant: SwitchedSystem | UncertainPlant | Sequence[SwitchedSystem | UncertainPlant],
-    delays: Range | None,
-) -> tuple[list[SwitchedSystem], Float[np.ndarray, "axis mode n nm"] | None, Range | None]:
-    """The vertices, the axes of an ellipsoid about the one there is, and the range of delays."""
-    if isinstance(plant, UncertainPlant):
-        axes = plant.axes()
-        delays = plant.delay_range() if delays is None else delays
-        return [plant.plant], axes if len(axes) else None, delays
+    plant: Plants, law: Law, delays: Range | None
+) -> tuple[PlantSet, SwitchedSystem, Range | None]:
+    """The set of plants, one of the delays that they all have, and the range of delays."""
+    if isinstance(plant, PlantUncertainty):
+        require_match(plant.plant, law)
+        return plant.plant_set(), plant.plant, plant.delay_range() if delays is None else delays
     plants: list[SwitchedSystem] = []
     for corner in [plant] if isinstance(plant, SwitchedSystem) else plant:
-        if isinstance(corner, UncertainPlant):
+        if isinstance(corner, PlantUncertainty):
             raise ArgumentError(
-                "plant must be one UncertainPlant by itself, got a sequence with one: certify them "
-                "one by one, or the corners of all, [*one.corners(), *another.corners()]."
+                f"plant must be one {type(corner).__name__} by itself, got a sequence with one: "
+                "certify them one by one, or the corners of all, [*one.corners(), "
+                "*another.corners()]."
             )
         instance("plant", corner, SwitchedSystem)
         plants.append(corner)
@@ -61,7 +63,8 @@ def plants_of(
                 "plant must have the same delays at all corners of the polytope: give a range of "
                 "one delay as delays=(low, high)."
             )
-    return plants, None, delays
+        require_match(corner, law)
+    return Polytope.of(plants), plants[0], delays
 
 
 def delays_of(
@@ -97,12 +100,9 @@ def _require_one_period(low: float, high: float, step: float, name: str) -> None
 
 
 def extremes(
-    plants: list[SwitchedSystem],
-    axes: np.ndarray | None,
-    delays: tuple[float, float] | np.ndarray,
-    table: Feedback,
+    plants: PlantSet, delays: tuple[float, float] | np.ndarray, table: Feedback
 ) -> list[SwitchedSystem]:
-    """Plants at which constant modes are looked at: the vertices, and bad ones of an ellipsoid.
+    """Plants at which constant modes are looked at: the vertices, and bad ones off them.
 
     All at the ends of the delays' ranges.
     """
@@ -111,46 +111,44 @@ def extremes(
         ends = sorted(set(delays))
     elif delays.ndim == 3:
         ends = list(delays)
-    found = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in ends]
-    if axes is not None:
-        found += [_worst(one, axes, table, i) for one in found for i in range(one.modes)]
-    return found
+    vertices = zip(plants.A, plants.B, strict=True)
+    found = [SwitchedSystem(A, B, delay) for A, B in vertices for delay in ends]
+    moved = [mode for mode in range(plants.modes) if plants.directions[:, mode].any()]
+    return found + [_worst(one, plants, table, mode) for one in found for mode in moved]
 
 
-def _worst(plant: SwitchedSystem, axes: np.ndarray, table: Feedback, mode: int) -> SwitchedSystem:
-    """A plant of the ellipsoid in which a constant mode grows about fastest: along the gradient."""
-    n, row = plant.states, aged_row(table, mode)
-
-    def at(z: np.ndarray) -> SwitchedSystem:
-        moved = np.tensordot(z, axes, 1)
-        return plant.like(plant.A + moved[..., :n], plant.B + moved[..., n:])
+def _worst(plant: SwitchedSystem, plants: PlantSet, table: Feedback, mode: int) -> SwitchedSystem:
+    """A plant of the set in which a constant mode grows about fastest: along the gradient."""
+    row = aged_row(table, mode)
 
     def growth(z: np.ndarray) -> float:
-        return constant_growth(with_memory(at(z), table), table, mode, row)
+        return constant_growth(with_memory(plants.moved(plant, z), table), table, mode, row)
 
-    unit = np.eye(len(axes))
-    touching = np.flatnonzero(np.any(axes[:, mode], axis=(1, 2)))
-    z = best = np.zeros(len(axes))
+    count = len(plants.directions)
+    unit = np.eye(count)
+    touching = np.flatnonzero(np.any(plants.directions[:, mode], axis=(1, 2)))
+    z = best = np.zeros(count)
     most = growth(z)
     for _ in range(ROUNDS):
-        here, gradient = growth(z), np.zeros(len(axes))
+        here, gradient = growth(z), np.zeros(count)
         for k in touching:
             gradient[k] = (growth(z + MOVE * unit[k]) - here) / MOVE
         size = float(np.linalg.norm(gradient))
         if not 0.0 < size < np.inf:
             break
-        z = gradient / size * (1.0 - 1e-9)
+        z = plants.farthest(gradient)
         if growth(z) > most:
             most, best = growth(z), z
-    return at(best)
+    return plants.moved(plant, best)
 
 
-def why_unmoved(plants: Sequence[SwitchedSystem]) -> str:
+def why_unmoved(plants: PlantSet) -> str:
     """Why nothing can be certified where a part of the state never changes; empty elsewhere.
 
     That part are the v with vᵀA_i = 0 and vᵀB_i = 0 in every mode: vᵀx is constant.
     """
-    motions = np.concatenate([part for p in plants for part in (*p.A, *p.B)], axis=1)
+    vertices = zip(plants.A, plants.B, strict=True)
+    motions = np.concatenate([part for A, B in vertices for part in (*A, *B)], axis=1)
     size = np.abs(motions).max(axis=1)  # no square, which floats might not hold
     still = np.flatnonzero(size == 0.0)
     # In units in which the rows are about 1, so that slow states do not count as still.
@@ -180,7 +178,7 @@ def neutral(plant: SwitchedSystem, mode: int, growth: float) -> str:
     )
 
 
-def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, step: float) -> str:
+def out_of_reach(modes: int, law: Law, signals: SignalClass, step: float) -> str:
     """Why there can be no certificate, if so."""
     if not law.is_linear:
         return _why_no_table(law)
@@ -189,9 +187,9 @@ def out_of_reach(plants: list[SwitchedSystem], law: Law, signals: SignalClass, s
             f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
             "is no one loop to certify."
         )
-    dwell_time = min(signals.limits(plants[0].modes).dwell_time)
+    dwell_time = min(signals.limits(modes).dwell_time)
     tolerance = signals.clock_tolerance
-    several = plants[0].modes > 1 and signals.at == "anywhere"
+    several = modes > 1 and signals.at == "anywhere"
     if several and least_periods(dwell_time, step, tolerance) < 1:
         return (
             f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "

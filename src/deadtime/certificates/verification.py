@@ -25,14 +25,15 @@ from deadtime.certificates.proof.stretches import decay_rate
 from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
-from deadtime.plant import SwitchedSystem, UncertainPlant
+from deadtime.plant import SwitchedSystem
+from deadtime.plant.plant_set import PlantUncertainty
+from deadtime.plant.polytope import Polytope
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
 from deadtime.switching.signal_class import CLOCK_TOLERANCE, SignalOptions
 
 SHOWN = 12  # digits of a digest
 FIRST = 4  # numbers of an array
-_ROUNDED = 1e-10  # of an ellipsoid's axes
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Verification:
 class ExpectedClaim:
     """Claims asked of a certificate (immutable); None, or no entry, where nothing is asked."""
 
-    plant: SwitchedSystem | UncertainPlant | None = None
+    plant: SwitchedSystem | PlantUncertainty | None = None
     law: Law | None = None
     step: float | None = None
     signals: dict[str, Any] = field(default_factory=dict[str, Any])
@@ -96,7 +97,7 @@ class ExpectedClaim:
                 f"the certificate is about a period of {setting.step!r} s, not {step!r} s: if the "
                 f"loop's is that of the certificate, ask with a step of {setting.step!r} (--step)."
             )
-        reads_mode = setting.context != "none" and setting.A.shape[1] > 1
+        reads_mode = setting.context != "none" and setting.modes > 1
         if reads_mode and asked.mode_lag != signals.mode_lag:
             return (
                 f"the certificate is about a law that is told the mode {signals.mode_lag} periods "
@@ -126,7 +127,7 @@ class ExpectedClaim:
 
     def _signals(self, setting: Setting, asked: SignalClass) -> str:
         """The class that was asked for has to lie in that of the certificate."""
-        modes, signals = setting.A.shape[1], setting.signals
+        modes, signals = setting.modes, setting.signals
         if modes == 1:
             return ""
         proved = f"the certificate is {signals.sentence(modes)}"
@@ -166,7 +167,7 @@ def _beyond(asked: SwitchingConstraint, proved: SwitchingConstraint) -> str:
 
 def verify(
     path: str | Path,
-    plant: SwitchedSystem | UncertainPlant | None = None,
+    plant: SwitchedSystem | PlantUncertainty | None = None,
     law: Law | None = None,
     *,
     step: float | None = None,
@@ -222,7 +223,7 @@ def verify(
     """
     began = time.perf_counter()
     step = None if step is None else positive("step", step)
-    middle = plant.plant if isinstance(plant, UncertainPlant) else plant
+    middle = plant.plant if isinstance(plant, PlantUncertainty) else plant
     for name, value, kind in (("plant", middle, SwitchedSystem), ("law", law, Law)):
         if value is not None:
             instance(name, value, kind)
@@ -280,58 +281,41 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
 
 def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     """The loop and the signals of a certificate, so that a reader can tell it from another one."""
-    corners, modes, n, m = setting.B.shape
-    polytope = f", a polytope of {corners} plants" if corners > 1 else ""
-    known = setting.A, setting.B, np.array(setting.delays)
-    if setting.axes is not None:
-        polytope, known = f", an ellipsoid of {len(setting.axes)} axes", (*known, setting.axes)
+    plants = setting.plants
+    known = plants.A, plants.B, np.array(setting.delays), *plants.arrays.values()
+    several = plants.short and f", {plants.short}"
     rows, taps = setting.G.shape[:2]
     signals = setting.signals
     late = f" of {number_of(signals.mode_lag, 'period')} ago" if signals.mode_lag else ""
     kept = f", {number_of(setting.memory, 'number')} remembered" if setting.memory else ""
     return (
         f"Plant {_digest(*known)}: "
-        f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
-        f"{_in_figures(setting.delays)}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
-        f"B[0] = {_first(setting.B[0, 0])}",
+        f"{number_of(plants.modes, 'mode')}, {number_of(plants.states, 'state')}, "
+        f"{number_of(plants.inputs, 'input')}, "
+        f"{_in_figures(setting.delays)}{several}; A[0] = {_first(plants.A[0, 0])}, "
+        f"B[0] = {_first(plants.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
         f"{setting.context}{late}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}"
         f"{kept}; state gain {_first(setting.F[0])}",
-        f"Signals: {signals.sentence(modes)}; clock tolerance {signals.clock_tolerance!r}",
+        f"Signals: {signals.sentence(plants.modes)}; clock tolerance {signals.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",
     )
 
 
-def _other_plant(setting: Setting, plant: SwitchedSystem | UncertainPlant | None) -> str:
+def _other_plant(setting: Setting, plant: SwitchedSystem | PlantUncertainty | None) -> str:
     """Which plants a certificate is about, if one that is asked about is not among them."""
     if plant is None:
         return ""
-    middle = plant.plant if isinstance(plant, UncertainPlant) else plant
-    known = zip(setting.A, setting.B, strict=True)
-    if not any(np.array_equal(A, middle.A) and np.array_equal(B, middle.B) for A, B in known):
-        return "a plant with other matrices"
-    asked = [middle]
-    if isinstance(plant, UncertainPlant):
-        if not _covers(setting.axes, plant.axes()):
-            return "no ellipsoid of plants" if setting.axes is None else "another ellipsoid"
-        ends = plant.delay_range()
-        asked += [SwitchedSystem(middle.A, middle.B, end) for end in ends or ()]
+    if isinstance(plant, PlantUncertainty):
+        middle, plants, ends = plant.plant, plant.plant_set(), plant.delay_range()
+    else:
+        middle, plants, ends = plant, Polytope.of([plant]), None
+    lacking = setting.plants.lacks(plants)
+    if lacking:
+        return lacking
+    asked = [middle, *(SwitchedSystem(middle.A, middle.B, end) for end in ends or ())]
     others = (_other_delay(setting.delays, one) for one in asked)
     return next((f"a plant with {other}" for other in others if other), "")
-
-
-def _covers(axes: np.ndarray | None, asked: np.ndarray) -> bool:
-    """Whether an ellipsoid holds another one about the same plant, up to what `axes` adds."""
-    if axes is None or not len(asked):
-        return not len(asked)
-    have, want = axes.reshape(len(axes), -1), asked.reshape(len(asked), -1)
-    unit = np.abs(have).max(axis=0)
-    if want[:, unit == 0.0].any():
-        return False
-    have, want = have[:, unit > 0.0] / unit[unit > 0.0], want[:, unit > 0.0] / unit[unit > 0.0]
-    part = want @ np.linalg.pinv(have, rcond=_ROUNDED)
-    near = bool(np.abs(want - part @ have).max() <= _ROUNDED)
-    return near and bool(np.linalg.norm(part, 2) <= 1.0 + 0.5e-9)
 
 
 def _other_delay(delays: Delays, plant: SwitchedSystem) -> str:

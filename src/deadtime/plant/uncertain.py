@@ -1,9 +1,9 @@
-"""A plant that is known up to a covariance, as one identified from a log: others that it may be."""
+"""A plant that is known up to a covariance, as one identified from a log, and its ellipsoid."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -11,16 +11,89 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count as whole_number, instance, number, read_only, real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.base.frozen import Frozen
+from deadtime.plant.plant_set import PlantSet, PlantUncertainty
+from deadtime.plant.polytope import Polytope
 from deadtime.plant.switched_system import SwitchedSystem
 
 _SHORTEST = 1e-3  # of the likeliest delay: no plant that is drawn has a shorter one
 _OUTWARD = 1.0 + 1e-9  # so that rounding leaves no plant out
 _SYMMETRIC = 1e-6  # of a correlation: what a file's digits may leave
+_ROUNDED = 1e-10  # of an ellipsoid's axes
+
+
+def norm_of_entries(parts: np.ndarray) -> Float[np.ndarray, "*entries"]:
+    """(Σ_i parts_i²)^½ of each entry, rounded up."""
+    largest = np.abs(parts).max(axis=0)
+    unit = np.where(largest > 0.0, largest, 1.0)
+    return unit * np.sqrt(((parts / unit) ** 2).sum(axis=0)) * (1.0 + 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid(PlantSet):
+    """The plants [A B] + Σ z_i axes_i with |z| ≤ 1 about the one vertex (immutable).
+
+    Attributes
+    ----------
+    axes : (d, modes, n, n + m)
+        The half axes, d ≥ 1.
+    """
+
+    kind: ClassVar[str] = "ellipsoid"
+    keys: ClassVar[tuple[str, ...]] = ("axes",)
+    products: ClassVar[int] = 30
+
+    axes: Float[np.ndarray, "d mode n nm"]
+
+    @property
+    def directions(self) -> Float[np.ndarray, "d mode n nm"]:
+        """The half axes."""
+        return self.axes
+
+    @property
+    def radius(self) -> Float[np.ndarray, "mode n nm"]:
+        """How far each entry of [A B] may be off, rounded up."""
+        return norm_of_entries(self.axes)
+
+    @property
+    def subject(self) -> str:
+        """The plants, for a sentence."""
+        return (
+            f"any plant in the ellipsoid about the given one, of {len(self.axes)} half axes in the "
+            "entries of A and B (constant within each period)"
+        )
+
+    @property
+    def short(self) -> str:
+        """How many axes it has."""
+        return f"an ellipsoid of {len(self.axes)} axes"
+
+    def with_inputs(self, count: int) -> Self:
+        """The same, of its first inputs alone."""
+        return replace(super().with_inputs(count), axes=self.axes[..., : self.states + count])
+
+    def covers(self, asked: PlantSet) -> bool:
+        """Whether it holds another ellipsoid about the same plant, up to rounding."""
+        have, want = (one.reshape(len(one), -1) for one in (self.axes, asked.directions))
+        unit = np.abs(have).max(axis=0)
+        if want[:, unit == 0.0].any():
+            return False
+        have, want = have[:, unit > 0.0] / unit[unit > 0.0], want[:, unit > 0.0] / unit[unit > 0.0]
+        part = want @ np.linalg.pinv(have, rcond=_ROUNDED)
+        near = bool(np.abs(want - part @ have).max() <= _ROUNDED)
+        return near and bool(np.linalg.norm(part, 2) <= 1.0 + 0.5e-9)
+
+    def misfit(self) -> str:
+        """Whether there is one vertex, and an axis."""
+        fits = self.vertices == 1 and self.axes.ndim == 4 and len(self.axes)
+        return "" if fits else "axes are those of several vertices, or none"
+
+    def expected_shapes(self) -> dict[str, tuple[int, ...]]:
+        """That of the axes."""
+        return {"axes": (len(self.axes), self.modes, self.states, self.states + self.inputs)}
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class UncertainPlant(Frozen):
+class UncertainPlant(PlantUncertainty):
     """A plant, and the covariance of its entries and delays (immutable).
 
     θ is normal about the plant's: all of A_0, row by row, A_1, …, then B_0, …, then the delays, one
@@ -46,6 +119,9 @@ class UncertainPlant(Frozen):
     >>> len(known.draw(50)), len(known.corners())
     (50, 4)
     """
+
+    in_words: ClassVar[str] = "in their ellipsoid of 95 %"
+    delays_in_words: ClassVar[str] = "intervals of 95 %"
 
     plant: SwitchedSystem
     covariance: Float[np.ndarray, "size size"]
@@ -108,6 +184,17 @@ class UncertainPlant(Frozen):
         of_A, of_B = np.split(arms * _OUTWARD, [plant.A.size], axis=1)
         parts = of_A.reshape(-1, plant.modes, n, n), of_B.reshape(-1, plant.modes, n, m)
         return np.concatenate(parts, axis=3)
+
+    def plant_set(self, level: float = 0.95) -> PlantSet:
+        """The ellipsoid of `axes`; the plant alone if A and B are certain.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+        """
+        axes, middle = self.axes(level), Polytope.of([self.plant])
+        return Ellipsoid(middle.A, middle.B, axes) if len(axes) else middle
 
     def delay_range(self, level: float = 0.95) -> tuple[Any, Any] | None:
         """The interval of each delay at a level, (low, high) as `certify` takes it; None if known.

@@ -56,7 +56,7 @@ class CentreFloats:
     def of(cls, setting: Setting, eigenvectors: int, rank: int) -> CentreFloats:
         """The model with so many left eigenvectors per mode and directions of the rows."""
         family: Any = setting.family
-        full = [family.sample(family.orders(i, i)[0], 0.0, 0.5) for i in range(setting.A.shape[1])]
+        full = [family.sample(family.orders(i, i)[0], 0.0, 0.5) for i in range(setting.modes)]
         E, rows = np.mean(full, axis=0), setting.rows
         row = rows.mean(axis=0) if setting.rows_differ else rows[0].copy()
         R, T, rest = _directions(setting, rows - row, rank)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,14 @@ from deadtime.certificates.dwell.solvers import solve_riccati
 from deadtime.certificates.proof import Check, check
 from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.covering import enclosures_of
-from deadtime.certificates.proof.ellipsoid import Sway
 from deadtime.certificates.proof.evidence import Evidence, Setting
 from deadtime.certificates.proof.family import Family
-from deadtime.certificates.proof.step_enclosure import ParameterCell
+from deadtime.certificates.proof.step_enclosure import (
+    BoxEnclosures,
+    Enclosures,
+    ParameterCell,
+)
+from deadtime.certificates.proof.sway import Sway
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.numerics.precision import precision
 
@@ -52,27 +57,31 @@ MOST_AGES = 40  # of a (mode, age) table that the search looks at
 
 
 class Sways:
-    """W and X of `proof.ellipsoid` at points of the steps, beside `Steps.corners`."""
+    """W and X of `proof.sway` at points of the steps, beside `Steps.corners`."""
 
     def __init__(self, family: Family | Box) -> None:
         self.family = family
-        self.enclosures = None if family.axes is None else enclosures_of(family)
+
+    @cached_property
+    def enclosures(self) -> Enclosures | BoxEnclosures:
+        """Made where a step sways."""
+        return enclosures_of(self.family)
 
     def at(self, order: Any, instants: np.ndarray) -> list[Sway | None]:
         """One for every sample that `family.corners(order, instants)` gives."""
         us = instants.tolist() if self.family.switches(order) else [0.0]
         ends = self.family.ends(order)
-        if self.enclosures is None:
-            return [None] * (len(us) * len(ends) * len(self.family.A))
+        plants = self.family.plants
+        if plants.in_polytope:
+            return [None] * (len(us) * len(ends) * plants.vertices)
         with precision():
             return [self._at(order, u, f) for u in us for f in ends]
 
     def _at(self, order: Any, u: float, f: float | tuple[float, ...]) -> Sway | None:
-        assert self.enclosures is not None
         places = f if isinstance(f, tuple) else (f,) * len(self.family.moving(order))
         cell = ParameterCell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
-        columns = self.enclosures.of(cell).sway
-        return None if columns is None else Sway.of(columns, self.family.A.shape[2])
+        columns = self.enclosures.sway(cell)
+        return None if columns is None else Sway.of(columns, self.family.plants.states)
 
 
 def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:

@@ -6,7 +6,7 @@
     −I ⪯ Π ⪯ I.
 
 Of an ellipsoid of plants the second is one in (v, q), w_x = Δ v + q, less λ (yᵀ X y − qᵀ W⁻¹ q),
-with a λ ≥ 0 for each sample (`proof.ellipsoid`).
+with a λ ≥ 0 for each sample (`proof.sway`).
 
 Where R leaves something of the rows, w_u = T_c r + δ with |δ| ≤ |rest ξ|: κ |rest Ξ|² is added
 on the right of the first, and κ |δ|² on the left of the second, which then holds for all (v, δ).
@@ -24,7 +24,7 @@ import numpy as np
 
 from deadtime.certificates.dwell.centre import CentreFloats, ResponseForms
 from deadtime.certificates.dwell.solvers import STOPPED, maximise, squares
-from deadtime.certificates.proof.ellipsoid import Sway
+from deadtime.certificates.proof.sway import Sway
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.numerics.lmi import pack, packing, unpack
 

@@ -87,7 +87,7 @@ class StretchSearch:
     def suits(setting: Setting) -> bool:
         """Whether there are stretches, and not too much of them."""
         graph = setting.transitions
-        if setting.axes is not None or (graph.modes == 1 and not graph.losses):
+        if not setting.plants.in_polytope or (graph.modes == 1 and not graph.losses):
             return False
         if graph.bucket is not None:
             steps = len(setting.F) * graph.modes * graph.places
@@ -229,4 +229,5 @@ class StretchSearch:
 
 def _unknown(setting: Setting) -> bool:
     """Whether the steps are not known: ranges of delays, a polytope of plants, lost samples."""
-    return setting.family.ranges or setting.family.vary or setting.signals.lost_samples > 0
+    known = setting.plants.known and not setting.family.ranges
+    return not known or setting.signals.lost_samples > 0

@@ -26,6 +26,7 @@ from deadtime.base.version import __version__
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.stretches import StretchEvidence, decay_rate
+from deadtime.plant.uncertainties import KEYS as KEYS_OF_PLANTS, read_set
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import one_or_each
 
@@ -36,7 +37,7 @@ DEEPEST = 20
 _BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
-    "plant": "A B delays axes",
+    "plant": " ".join(("A B delays", *KEYS_OF_PLANTS)),
     "law": "context ages step F G mode_lag memory lost_samples",
     "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions at",
 }
@@ -66,10 +67,10 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
         "version": __version__,
         "decay_rate": decay_rate(evidence),
         "plant": {
-            "A": setting.A.tolist(),
-            "B": setting.B.tolist(),
+            "A": setting.plants.A.tolist(),
+            "B": setting.plants.B.tolist(),
             "delays": np.array(setting.delays).tolist(),
-            **({} if setting.axes is None else {"axes": _pack(setting.axes)}),
+            **{name: _pack(array) for name, array in setting.plants.arrays.items()},
         },
         "law": {
             "context": setting.context,
@@ -184,8 +185,11 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     if signals.get("at", "samples") != "samples":
         raise ValueError("signals.at must be 'samples', or left out")
     setting = Setting(
-        _array_of(plant["A"]),
-        _array_of(plant["B"]),
+        read_set(
+            _array_of(plant["A"]),
+            _array_of(plant["B"]),
+            {name: _array(plant[name]) for name in KEYS_OF_PLANTS if name in plant},
+        ),
         _delays(plant["delays"]),
         _array(law["F"]),
         _array(law["G"]),
@@ -203,11 +207,10 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
             signals["chatter"],
         ),
         _count(law, "memory"),
-        _array(plant["axes"]) if "axes" in plant else None,
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":
-        if ("mu" in V) != (setting.signals.chatter > 1 and setting.A.shape[1] > 1):
+        if ("mu" in V) != (setting.signals.chatter > 1 and setting.modes > 1):
             raise ValueError("lyapunov.mu goes with an average dwell time, and only with it")
         return StretchEvidence(setting, _array(V["P"]), knots, rho, _float(V.get("mu", 1.0)))
     hints = {name: _array(content["hints"][name]) for name in HINTS}

@@ -32,6 +32,7 @@ from jaxtyping import Float
 
 from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family, Steps
 from deadtime.plant import Window
+from deadtime.plant.plant_set import PlantSet
 
 TOLERANCE = 1e-9  # of a period: marks nearer than that are one
 # Directions of a cell: the instant of the switch, the polytope, and from here on the delays.
@@ -120,20 +121,13 @@ class Box(Steps):
     intervals: tuple[tuple[DelayInterval, ...], ...]
 
     @classmethod
-    def of(
-        cls,
-        A: np.ndarray,
-        B: np.ndarray,
-        delays: np.ndarray,
-        step: float,
-        axes: np.ndarray | None = None,
-    ) -> Box:
+    def of(cls, plants: PlantSet, delays: np.ndarray, step: float) -> Box:
         """The box between the lower and the upper delays, (2, modes, m)."""
         pairs = delays.transpose(1, 2, 0).tolist()
         intervals = tuple(
             tuple(DelayInterval.of(low, high, step) for low, high in row) for row in pairs
         )
-        return cls(A, B, step, intervals, axes=axes)
+        return cls(plants, step, intervals)
 
     @property
     def ranges(self) -> bool:
@@ -248,11 +242,11 @@ class Box(Steps):
 
     def generator(self, mode: int, c: int, lag: int) -> Float[np.ndarray, "vertex k k"]:
         """[[A, b_c where input c is read], [0, 0]] of every corner, over x and its two reads."""
-        return self.laid_out(np.concatenate((self.A[:, mode], self.B[:, mode]), axis=2), c, lag)
+        return self.laid_out(self.plants.entries(mode), c, lag)
 
     def laid_out(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
         """`generator` of each [A B] (number, n, n + m)."""
-        n, own = self.A.shape[2], self.own_reads(c)
+        n, own = self.plants.states, self.own_reads(c)
         result = np.zeros((len(entries), n + len(own), n + len(own)))
         result[:, :n, :n] = entries[:, :, :n]
         result[:, :n, n + own.index(lag)] = entries[:, :, n + c]
@@ -264,7 +258,7 @@ class Box(Steps):
 
     def columns(self, c: int) -> list[int]:
         """Where the reads of input c are among the columns of E."""
-        return [self.A.shape[2] + at for at, (_, j) in enumerate(self.reads) if j == c]
+        return [self.plants.states + at for at, (_, j) in enumerate(self.reads) if j == c]
 
     def sample(
         self,
@@ -278,11 +272,11 @@ class Box(Steps):
 
         weights = self._weights(weights)
         floats = TimeNumbers(float, lambda d: (d.low, d.high), self.step, lambda a, sign: 0.0)
-        A, B = (np.tensordot(weights, M, 1) for M in (self.A, self.B))
+        A, B = (np.tensordot(weights, M, 1) for M in (self.plants.A, self.plants.B))
         places = list(f) if isinstance(f, tuple) else [f] * len(self.moving(order))
-        n = self.A.shape[2]
+        n = self.plants.states
         result = np.zeros((n, n + len(self.reads)))
-        for c in range(self.B.shape[3]):
+        for c in range(self.plants.inputs):
             now, E = 0.0, np.eye(n, n + len(self.reads))
             for piece in self.pieces(order, c, floats, u, places):
                 end = self.step if piece.end is None else piece.end
@@ -311,10 +305,8 @@ def _phase(
     return low + f[direction - FIRST] * (high - low), {direction: high - low}
 
 
-def family_of(
-    A: np.ndarray, B: np.ndarray, delays: Delays, step: float, axes: np.ndarray | None = None
-) -> Family | Box:
-    """The steps of a plant with known delays, with a range of its one, or with a range of each."""
+def family_of(plants: PlantSet, delays: Delays, step: float) -> Family | Box:
+    """The steps of plants with known delays, with a range of their one, or with a range of each."""
     if isinstance(delays, np.ndarray) and delays.ndim == 3:
-        return Box.of(A, B, delays, step, axes)
-    return Family.of(A, B, delays, step, axes)
+        return Box.of(plants, delays, step)
+    return Family.of(plants, delays, step)

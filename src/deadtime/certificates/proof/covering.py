@@ -10,7 +10,7 @@ As a function of E the form is concave where the block ww_xx of E is ⪯ 0, so i
 the t is at a corner; there R changes it by at most |2 (R L Wᵀ)ᵀ (wv + ww Δ)_x Wᵀ + …| in units
 W in which it is about I. Where ww_xx is not ⪯ 0 the D_k count as part of R.
 
-An ellipsoid of plants adds q = δE y: what `ellipsoid` proves of it, yᵀ X y − qᵀ W⁻¹ q ≥ 0, is
+A set of plants may add q = δE y: what `sway` proves of it, yᵀ X y − qᵀ W⁻¹ q ≥ 0, is
 subtracted λ times (the S-procedure), and the form in (v, q) has to be ≻ 0. The least value over z
 of a form that is concave in E is concave in E, so corners in the t still decide.
 """
@@ -26,7 +26,6 @@ import numpy as np
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.balls import congruent
 from deadtime.certificates.proof.box import POLYTOPE, Box
-from deadtime.certificates.proof.ellipsoid import Sway, weight_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import (
     BoxEnclosures,
@@ -35,8 +34,9 @@ from deadtime.certificates.proof.step_enclosure import (
     ParameterCell,
     cells_of,
 )
+from deadtime.certificates.proof.sway import Sway, weight_of
 from deadtime.certificates.proof.transitions import Transition
-from deadtime.certificates.proof.work import ELLIPSOID, Work, cost
+from deadtime.certificates.proof.work import Work, cost
 
 DEEPEST = 20  # bisections of a cell
 MOST_CELLS = 1500  # of one inequality
@@ -116,9 +116,9 @@ class Covering:
         """E over a cell; cells of one pair of modes come again in other forms: enclosed once."""
         key = (cell.order, cell.u, cell.f, cell.corners.tobytes())
         if key not in self.known:
-            n, k = self.family.A.shape[2], self.family.A.shape[2] + len(self.family.reads)
-            ellipsoid = 0 if self.family.axes is None else ELLIPSOID * cost(n * k)
-            self.work.do(cost(k) + ellipsoid)
+            plants = self.family.plants
+            k = plants.states + len(self.family.reads)
+            self.work.do(cost(k) + plants.products * cost(plants.states * k))
             self.known[key] = self.enclosures.of(cell)
         return self.known[key]
 
@@ -153,7 +153,7 @@ class Covering:
         return max(sizes, key=lambda k: sizes[k])
 
     def _sway(self, enclosure: Enclosure, n: int) -> Sway | None:
-        """W and X of the ellipsoid, if there is one and they are proved; once per enclosure."""
+        """W and X of what z does, if they are proved; once per enclosure."""
         if enclosure.sway is None:
             return None
         if id(enclosure) not in self.swayed:  # `known` keeps the enclosure

@@ -36,6 +36,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof.box import Box, family_of
 from deadtime.certificates.proof.family import Delays, Family
 from deadtime.certificates.proof.transitions import SwitchGraph, interpolation, least_periods
+from deadtime.plant.plant_set import PlantSet
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import SwitchingConstraint
 
@@ -49,8 +50,7 @@ class Setting(Frozen):
 
     Attributes
     ----------
-    A : (vertices, modes, n, n), B : (vertices, modes, n, m)
-        The corners of the polytope of plants; one for a plant.
+    plants : PlantSet
     delays : (low, high), (modes, m), or (2, modes, m)
         The plant's delay, seconds, equal for a known one; or those of every mode and input; or
         the lower and the upper end of each.
@@ -65,14 +65,11 @@ class Setting(Frozen):
     memory : int
         q, how many of the table's outputs, the first ones, the law remembers for one period; of
         these G has nothing beyond the first tap.
-    axes : (d, modes, n, n + m), optional
-        With one vertex: the plants are [A B] + Σ z_i axes_i of all modes, |z| ≤ 1.
 
     Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
     """
 
-    A: Float[np.ndarray, "vertex mode n n"]
-    B: Float[np.ndarray, "vertex mode n m"]
+    plants: PlantSet
     delays: Delays
     F: Float[np.ndarray, "row o n"]
     G: Float[np.ndarray, "row tap o o"]
@@ -81,24 +78,22 @@ class Setting(Frozen):
     step: float
     signals: SignalClass
     memory: int = 0
-    axes: Float[np.ndarray, "axis mode n nm"] | None = None
 
     @cached_property
     def family(self) -> Family | Box:
         """The steps of the plant."""
         delays = self.delays if self.inputs else (self.step, self.step)
-        axes = None if self.axes is None else self.axes[..., : self.states + self.inputs]
-        return family_of(self.A, self.B[..., : self.inputs], delays, self.step, axes)
+        return family_of(self.plants.with_inputs(self.inputs), delays, self.step)
 
     @cached_property
     def transitions(self) -> SwitchGraph:
         """The graph of the admissible signals."""
-        return SwitchGraph.of(self.A.shape[1], self.signals, self.step, self.context, self.ages)
+        return SwitchGraph.of(self.modes, self.signals, self.step, self.context, self.ages)
 
     @cached_property
     def limits(self) -> SwitchingConstraint:
         """The sojourns and the switches of the signals."""
-        return self.signals.limits(self.A.shape[1])
+        return self.signals.limits(self.modes)
 
     @cached_property
     def periods_per_switch(self) -> Fraction | None:
@@ -114,14 +109,19 @@ class Setting(Frozen):
         return float(np.max(self.delays))
 
     @property
+    def modes(self) -> int:
+        """How many."""
+        return self.plants.modes
+
+    @property
     def states(self) -> int:
         """n."""
-        return self.A.shape[2]
+        return self.plants.states
 
     @cached_property
     def inputs(self) -> int:
         """m; 0 where no row ever sends one."""
-        return self.B.shape[3] if np.any(self.F) or np.any(self.G) else 0
+        return self.plants.inputs if np.any(self.F) or np.any(self.G) else 0
 
     @property
     def outputs(self) -> int:
@@ -162,8 +162,8 @@ class Setting(Frozen):
 
     @property
     def numbers(self) -> int:
-        """How many numbers the table and the ellipsoid have."""
-        return self.F.size + self.G.size + (0 if self.axes is None else self.axes.size)
+        """How many numbers the table has, and the set of plants besides its vertices."""
+        return sum(X.size for X in (self.F, self.G, *self.plants.arrays.values()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -31,33 +31,24 @@ from jaxtyping import Float
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem, Window
 from deadtime.plant.discretisation import windows_of
+from deadtime.plant.plant_set import PlantSet
 
 ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
 
 
 @dataclass(frozen=True, eq=False)
 class Steps(Frozen, ABC):
-    """A plant, or a polytope of plants, at a period: the steps that it can take in one.
+    """A set of plants at a period: the steps that they can take in one.
 
     Attributes
     ----------
-    A : (vertices, modes, n, n), B : (vertices, modes, n, m)
-        The corners of the polytope; one for a plant.
+    plants : PlantSet
     step : float
         h.
-    axes : (d, modes, n, n + m), optional
-        Half axes of an ellipsoid of plants about the one given, [A B] + Σ z_i axes_i with |z| ≤ 1.
     """
 
-    A: Float[np.ndarray, "vertex mode n n"]
-    B: Float[np.ndarray, "vertex mode n m"]
+    plants: PlantSet
     step: float
-    axes: Float[np.ndarray, "axis mode n nm"] | None = field(default=None, kw_only=True)
-
-    @property
-    def vary(self) -> bool:
-        """Whether the plant is not known: a polytope, or an ellipsoid."""
-        return len(self.A) > 1 or self.axes is not None
 
     @cached_property
     def reads(self) -> tuple[tuple[int, int], ...]:
@@ -91,12 +82,13 @@ class Steps(Frozen, ABC):
         Returns (samples, n, k): what a search for a certificate looks at before the proof.
         """
         us = instants if self.switches(order) else np.zeros(1)
-        ends, points = self.ends(order), np.eye(len(self.A))
+        ends, points = self.ends(order), np.eye(self.plants.vertices)
         return np.stack([self.sample(order, u, f, w) for u in us for f in ends for w in points])
 
     def _weights(self, weights: np.ndarray | None) -> np.ndarray:
         """The point of the polytope: its middle by default."""
-        return np.full(len(self.A), 1.0 / len(self.A)) if weights is None else weights
+        count = self.plants.vertices
+        return np.full(count, 1.0 / count) if weights is None else weights
 
 
 Lags = tuple[int, ...]  # of every input, how many samples ago the one read was computed
@@ -139,18 +131,11 @@ class Family(Steps):
     lags: tuple[tuple[Lags, ...], ...]
 
     @classmethod
-    def of(
-        cls,
-        A: np.ndarray,
-        B: np.ndarray,
-        delays: Delays,
-        step: float,
-        axes: np.ndarray | None = None,
-    ) -> Family:
+    def of(cls, plants: PlantSet, delays: Delays, step: float) -> Family:
         """The family of delays, or of a range of one, whose ends must have one N."""
-        start, stop, (modes, m) = (0.0, 0.0), (step, step), (B.shape[1], B.shape[3])
+        start, stop, (modes, m) = (0.0, 0.0), (step, step), (plants.modes, plants.inputs)
         if isinstance(delays, np.ndarray):
-            windows = windows_of(SwitchedSystem(A[0], B[0], delays), step)
+            windows = windows_of(SwitchedSystem(plants.A[0], plants.B[0], delays), step)
             phases = sorted({window.phase for row in windows for window in row} - {step})
             begins = [0.0, *phases]
             lags = tuple(
@@ -159,7 +144,7 @@ class Family(Steps):
             )
             count = max(window.count for row in windows for window in row)
             marks = (start, *((p, p) for p in phases), stop)
-            return cls(A, B, step, count, marks, lags, axes=axes)
+            return cls(plants, step, count, marks, lags)
         low, high = (Window.of(delay, step) for delay in delays)
         phase, N = low.phase, high.count
         if low.count == N - 1 and low.phase == step:
@@ -167,10 +152,10 @@ class Family(Steps):
         elif low.count != N:
             raise ValueError("a range of delays must lie in one period")
         if phase == high.phase == step:
-            return cls(A, B, step, N, (start, stop), (((N,) * m,),) * modes, axes=axes)
+            return cls(plants, step, N, (start, stop), (((N,) * m,),) * modes)
         both = ((N,) * m, (N - 1,) * m)
         marks = (start, (phase, high.phase), stop)
-        return cls(A, B, step, N, marks, (both,) * modes, axes=axes)
+        return cls(plants, step, N, marks, (both,) * modes)
 
     def _heard(self) -> set[tuple[int, int]]:
         return {(lag, j) for mode in self.lags for part in mode for j, lag in enumerate(part)}
@@ -261,11 +246,11 @@ class Family(Steps):
 
     def generator(self, mode: int, lags: Lags) -> Float[np.ndarray, "vertex k k"]:
         """𝒜 of every corner, in a mode that reads these inputs."""
-        return self.laid_out(np.concatenate((self.A[:, mode], self.B[:, mode]), axis=2), lags)
+        return self.laid_out(self.plants.entries(mode), lags)
 
     def laid_out(self, entries: np.ndarray, lags: Lags) -> Float[np.ndarray, "number k k"]:
         """𝒜 of each [A B] (number, n, n + m) in a mode that reads these inputs."""
-        n, size = self.A.shape[2], self.A.shape[2] + len(self.reads)
+        n, size = self.plants.states, self.plants.states + len(self.reads)
         result = np.zeros((len(entries), size, size))
         result[:, :n, :n] = entries[:, :, :n]
         for j, lag in enumerate(lags):
@@ -285,7 +270,7 @@ class Family(Steps):
         marks = [low if low == high else (1.0 - f) * low + f * high for low, high in self.marks]
         weights = self._weights(weights)
         share = {"all": 1.0, "before": u, "after": 1.0 - u}
-        n = self.A.shape[2]
+        n = self.plants.states
         result: np.ndarray = np.eye(n + len(self.reads))
         for part in order:
             part_time = marks[part.stop] - marks[part.start]

@@ -35,14 +35,8 @@ from deadtime.certificates.proof.box import (
     TimeNumbers,
     U,
 )
-from deadtime.certificates.proof.ellipsoid import (
-    along_axes,
-    entries_of,
-    radius_of,
-    swelled,
-    unit_matrices,
-)
 from deadtime.certificates.proof.family import Family, Lags, Segment
+from deadtime.certificates.proof.sway import along_directions, entries_of, swelled, unit_matrices
 
 SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + b u
 
@@ -82,7 +76,7 @@ class Enclosure:
     """E (n, k) at the centre of a cell, and (direction, D) with E over the cell within
 
     E + Σ [−1, 1] D over all directions but `POLYTOPE`, plus the convex hull of the D of that, plus
-    Σ z_i L_i over |z| ≤ 1: the columns of `sway` (n k, axes), each row by row, if it is there.
+    Σ z_i L_i over |z| ≤ 1: the columns of `sway` (n k, directions), each row by row, if z moves E.
     """
 
     centre: Any
@@ -94,7 +88,7 @@ def cells_of(
     family: Family | Box, mode: int, after: int, instants: tuple[float, float] = (0.0, 1.0)
 ) -> list[ParameterCell]:
     """The cells that cover every step from `mode` to `after` with a switch at these instants."""
-    corners, cells = np.eye(len(family.A)), []
+    corners, cells = np.eye(family.plants.vertices), []
     orders: list[Any] = list(family.orders(mode, after))
     for order in orders:
         shares = family.shares(order, instants)
@@ -127,7 +121,7 @@ class Enclosures:
         from flint import arb
 
         family = self.family
-        n = family.A.shape[2]
+        n = family.plants.states
         ends = (cell.u, *cell.f)
         u, f = (balls.interval(*pair) for pair in ends)
         middle_u, middle_f = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
@@ -156,25 +150,25 @@ class Enclosures:
                 durations = [self._duration(part, u, f) for part in cell.order]
                 inner = towards(generators, durations, weights, hull, corner)
                 slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
-        sway = None if family.axes is None else self._sway(cell.order, u, f, family.axes)
-        return Enclosure(balls.top(centre, n), slopes, sway)
+        return Enclosure(balls.top(centre, n), slopes, self.sway(cell))
 
-    def _sway(self, order: tuple[Segment, ...], u: Any, f: Any, axes: np.ndarray) -> Any:
-        """L_i, for all u and f, and everywhere in the ellipsoid."""
-        n, radius = self.family.A.shape[2], radius_of(axes)
-        X, moves = [], []
-        entries = entries_of(axes, tuple(part.mode for part in order))
+    def sway(self, cell: ParameterCell) -> Any:
+        """L_i, for all u and f, and for every z; None if it moves nothing."""
+        plants = self.family.plants
+        entries = entries_of(plants, tuple(part.mode for part in cell.order))
         if not entries:
             return None
-        for part in order:
+        u, f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
+        X, moves, radius = [], [], plants.radius
+        for part in cell.order:
             tau = self._duration(part, u, f)
             (room,) = self.family.laid_out(radius[part.mode][None], part.lags)
             X.append(swelled(self._corners(part)[0], room) * tau)
             own = [place for place in entries if place[0] == part.mode]
             units = self.family.laid_out(unit_matrices(own, radius.shape[1:]), part.lags)
             moves.append({place: balls.exact(U) * tau for place, U in zip(own, units, strict=True)})
-        by_entry = by_entries(X, moves, n)
-        return along_axes({place: by_entry[place] for place in entries}, axes)
+        by_entry = by_entries(X, moves, plants.states)
+        return along_directions({place: by_entry[place] for place in entries}, plants)
 
     def _duration(self, part: Segment, u: Any, f: Any) -> Any:
         a, b = SHARES[part.share]
@@ -319,24 +313,23 @@ class BoxEnclosures:
 
     def of(self, cell: ParameterCell) -> Enclosure:
         """Enclose one cell; E may be split by `ParameterCell.halves` until the slopes are small."""
-        family, n = self.family, self.family.A.shape[2]
-        parts = [self._of_input(cell, c) for c in range(family.B.shape[3])]
+        family, n = self.family, self.family.plants.states
+        parts = [self._of_input(cell, c) for c in range(family.plants.inputs)]
         together: list[tuple[int, Any]] = []
         for at, (k, _) in enumerate(parts[0].slopes):
             together.append((k, self._joined([part.slopes[at][1] for part in parts], n)))
-        sway = None if family.axes is None else self._sway(cell, family.axes)
-        return Enclosure(self._joined([part.centre for part in parts], n), together, sway)
+        centre = self._joined([part.centre for part in parts], n)
+        return Enclosure(centre, together, self.sway(cell))
 
-    def _sway(self, cell: ParameterCell, axes: np.ndarray) -> Any:
-        """L_i on the cell, everywhere in the ellipsoid; each input's columns by its own pieces."""
-        family = self.family
-        n, radius = family.A.shape[2], radius_of(axes)
-        u, *f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
-        entries = entries_of(axes, (cell.order.mode, cell.order.after))
+    def sway(self, cell: ParameterCell) -> Any:
+        """L_i on the cell, for every z; each input's columns by its own pieces."""
+        family, plants = self.family, self.family.plants
+        entries = entries_of(plants, (cell.order.mode, cell.order.after))
         if not entries:
             return None
-        found = []
-        for c in range(family.B.shape[3]):
+        u, *f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
+        found, n, radius = [], plants.states, plants.radius
+        for c in range(plants.inputs):
             pieces = family.pieces(cell.order, c, self.clock, u, f)
             X, moves = [], []
             for piece, tau in zip(pieces, self._durations(pieces), strict=True):
@@ -347,7 +340,7 @@ class BoxEnclosures:
                 moves.append({at: balls.exact(U) * tau for at, U in zip(own, units, strict=True)})
             found.append(by_entries(X, moves, n))
         joined = {at: self._joined([each[at] for each in found], n) for at in entries}
-        return along_axes(joined, axes)
+        return along_directions(joined, plants)
 
     def _joined(self, parts: list[Any], n: int) -> Any:
         """Rows over (x, all reads) from those over x and the reads of each input."""
@@ -368,7 +361,7 @@ class BoxEnclosures:
         ends = (cell.u, *cell.f)
         middle_u, *middles = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
         u, *f = (balls.interval(*pair) for pair in ends)
-        weights, n = cell.corners.mean(axis=0), self.family.A.shape[2]
+        weights, n = cell.corners.mean(axis=0), self.family.plants.states
         hull = None if len(cell.corners) == 1 else cell.corners
         pieces = self.family.pieces(cell.order, c, self.clock, middle_u, middles)
         centre = product_of([X.exp() for X in self._exponents(pieces, c, weights, None)])

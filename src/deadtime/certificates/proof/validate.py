@@ -58,7 +58,8 @@ def _numbers(setting: Setting) -> str:
 
 def _plants_and_table(setting: Setting) -> str:
     """A, B, F, G fit each other and are finite."""
-    A, B, F, G = setting.A, setting.B, setting.F, setting.G
+    plants, F, G = setting.plants, setting.F, setting.G
+    A, B = plants.A, plants.B
     if (A.ndim, B.ndim, F.ndim, G.ndim) != (4, 4, 3, 4) or not (A.size and B.size and F.size):
         return "A, B, F or G lacks an axis"
     corners, modes, n, _ = A.shape
@@ -72,11 +73,11 @@ def _plants_and_table(setting: Setting) -> str:
     if isinstance(setting.delays, np.ndarray):
         ends = (2,) if setting.delays.ndim == 3 else ()
         expected["delays"] = setting.delays, (*ends, modes, m)
-    axes = setting.axes
-    if axes is not None:
-        if corners > 1 or axes.ndim != 4 or not len(axes):
-            return "axes are those of several vertices, or none"
-        expected["axes"] = axes, (len(axes), modes, n, n + m)
+    misfit = plants.misfit()
+    if misfit:
+        return misfit
+    own = plants.expected_shapes()
+    expected |= {name: (array, own[name]) for name, array in plants.arrays.items()}
     late = np.any(G[:, 1:, :, :q])
     return (
         _misshapen(expected)
@@ -88,7 +89,7 @@ def _plants_and_table(setting: Setting) -> str:
 
 def _context(setting: Setting) -> str:
     """The table has the rows that its context selects from."""
-    modes = setting.A.shape[1]
+    modes = setting.modes
     rows = {"none": 1, "mode": modes, "mode_age": modes * setting.ages}.get(setting.context)
     if rows is None:
         return "context is none of none, mode, mode_age"
@@ -186,7 +187,7 @@ def _stretches(evidence: StretchEvidence) -> str:
     for own in graph.clocks:
         if not own.ends and own.last not in knots:
             return f"knots must hold {own.last}, from where a mode may last"
-    varies = family.ranges or family.vary or setting.signals.lost_samples
+    varies = family.ranges or not family.plants.known or setting.signals.lost_samples
     if varies and knots != tuple(range(graph.last + 1)):
         return "knots must be all ages where the steps of a stretch are not known"
     if max(graph.switching, graph.places * len(knots)) > MOST_STRETCHES:

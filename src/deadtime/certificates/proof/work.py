@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 FREE, PER_NUMBER = 3 * 10**7, 10**5  # operations: of every file, and for each number that it holds
 HALVINGS = 100  # how many times as many the halving of cells may take
 OVERHEAD = 12  # what a matrix costs besides its arithmetic, in rows
-ELLIPSOID = 30  # products of matrices to enclose what an ellipsoid does to a step
 
 
 @dataclass
@@ -53,9 +52,7 @@ def operations(setting: Setting, knots: int, along: bool) -> int:
     n, d = setting.states, setting.order
     k = n + len(setting.family.reads)
     cells, corners = _cells(setting)
-    cell = corners * cost(d if along else k)
-    if setting.axes is not None:
-        cell += ELLIPSOID * cost(n * k)
+    cell = corners * cost(d if along else k) + setting.plants.products * cost(n * k)
     return _steps(setting, knots, along) * (cost(d) + cells * cell)
 
 
@@ -63,12 +60,12 @@ def _cells(setting: Setting) -> tuple[int, int]:
     """Cells of a step, the parts of a period; and corners of each, both ends of all that varies."""
     ends, moving = np.array(setting.delays), 0
     if not setting.inputs:
-        return 1, 2 * len(setting.A)
+        return 1, 2 * setting.plants.vertices
     if isinstance(setting.delays, tuple):
         moving = int(ends[0] < ends[1])
     elif ends.ndim == 3:
         moving = sum(sorted((ends[0] < ends[1]).sum(axis=1).tolist())[-2:])
-    return 1 + len(np.unique(ends)), len(setting.A) << (1 + moving)
+    return 1 + len(np.unique(ends)), setting.plants.vertices << (1 + moving)
 
 
 def _steps(setting: Setting, knots: int, along: bool) -> int:

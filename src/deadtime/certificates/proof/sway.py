@@ -1,11 +1,12 @@
-"""Steps of an ellipsoid of plants, [A B] + Σ z_i axes_i with |z| ≤ 1: what z does to the rows E.
+"""What the z of a `PlantSet`, [A B] + Σ z_i directions_i with |z| ≤ 1, does to the rows E of steps.
 
 On a cell E(p, z) = E(p, 0) + Σ z_i L_i, L_i the derivative by z_i somewhere on the cell and in the
 ball; over both it is enclosed by way of the entries θ of A and B,
 
-    L_i = Σ_θ (∂E/∂θ) (axes_i)_θ,    ∂E/∂θ = Σ_k (pieces after) L(𝒜_k τ_k, ∂𝒜_k/∂θ τ_k) (before),
+    L_i = Σ_θ (∂E/∂θ) (directions_i)_θ,
+    ∂E/∂θ = Σ_k (pieces after) L(𝒜_k τ_k, ∂𝒜_k/∂θ τ_k) (before),
 
-with every entry in its range Â ± (Σ_i axes_i²)^½. So δE = Σ z_i middle(L_i) + R, and entry by entry
+with every entry in its range Â ± radius. So δE = Σ z_i middle(L_i) + R, and entry by entry
 |R| ≤ r = (Σ_i radius(L_i)²)^½, by Cauchy and Schwarz. For every η, y and ε > 0, with these middles,
 
     (ηᵀ δE y)² ≤ (1 + ε) Σ_i (ηᵀ L_i y)² + (1 + 1/ε) n k Σ_ab η_a² r_ab² y_b² = (η ⊗ y)ᵀ C (η ⊗ y),
@@ -13,8 +14,8 @@ with every entry in its range Â ± (Σ_i axes_i²)^½. So δE = Σ z_i middle(L
 
 With any W (n, n) and X (k, k) such that W ⊗ X ⪰ C this is at most (ηᵀ W η) (yᵀ X y): q = δE y,
 which is all that a quadratic form asks of δE, obeys yᵀ X y − qᵀ W⁻¹ q ≥ 0. That is one quadratic
-inequality, however many axes there are. For least squares on measured states Σ_i vec L_i vec L_iᵀ
-is about a Kronecker product, and little is lost.
+inequality, however many directions there are. For least squares on measured states
+Σ_i vec L_i vec L_iᵀ is about a Kronecker product, and little is lost.
 """
 
 from __future__ import annotations
@@ -28,17 +29,19 @@ from jaxtyping import Float
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.balls import congruent
+from deadtime.plant.plant_set import PlantSet
+from deadtime.plant.uncertain import norm_of_entries
 
 ROUNDS = 60  # of fitting W and X in turn
 FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1
 ROOM = 0.02  # by what part W ⊗ X is above C, so that a verifier may find others
 
 
-def entries_of(axes: np.ndarray, modes: tuple[int, ...]) -> list[tuple[int, int, int]]:
-    """The entries (mode, row, column) of [A B] in these modes that some axis moves."""
-    _, _, n, both = axes.shape
+def entries_of(plants: PlantSet, modes: tuple[int, ...]) -> list[tuple[int, int, int]]:
+    """The entries (mode, row, column) of [A B] in these modes that z moves."""
+    _, _, n, both = plants.directions.shape
     places = product(sorted(set(modes)), range(n), range(both))
-    return [place for place in places if np.any(axes[:, *place])]
+    return [place for place in places if np.any(plants.directions[:, *place])]
 
 
 def unit_matrices(
@@ -51,35 +54,28 @@ def unit_matrices(
     return result
 
 
-def radius_of(axes: np.ndarray) -> Float[np.ndarray, "*entries"]:
-    """How far every entry may be off, rounded up."""
-    largest = np.abs(axes).max(axis=0)
-    unit = np.where(largest > 0.0, largest, 1.0)
-    return unit * np.sqrt(((axes / unit) ** 2).sum(axis=0)) * (1.0 + 1e-12)
-
-
 def swelled(generator: Any, radius: np.ndarray) -> Any:
     """A generator with every entry off by up to a radius."""
     return generator + balls.symmetric_matrix(radius)
 
 
-def along_axes(by_entry: dict[tuple[int, int, int], Any], axes: np.ndarray) -> Any:
+def along_directions(by_entry: dict[tuple[int, int, int], Any], plants: PlantSet) -> Any:
     """(n k, d): L_i in the column i, row by row, from ∂E/∂θ."""
     from flint import arb_mat
 
     columns = [derivative.entries() for derivative in by_entry.values()]
     J = arb_mat([list(row) for row in zip(*columns, strict=True)])
-    return J * balls.exact(np.array([axes[:, *place] for place in by_entry]))
+    return J * balls.exact(np.array([plants.directions[:, *place] for place in by_entry]))
 
 
 @dataclass(frozen=True, eq=False)
 class Sway:
-    """A bound of the change of E that an ellipsoid makes on a cell (immutable).
+    """A bound of the change of E that z makes on a cell (immutable).
 
     Attributes
     ----------
     W : (n, n), X : (k, k)
-        (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for every plant of it, for sure.
+        (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for every z, for sure.
     """
 
     W: Float[np.ndarray, "n n"]
@@ -92,8 +88,8 @@ class Sway:
 
         middle, radius = balls.split(columns)
         if not (np.isfinite(middle).all() and np.isfinite(radius).all()):
-            return None  # the ellipsoid is too wide to be enclosed
-        rest = radius_of(radius.T) * np.sqrt(len(middle)) * (1.0 + 1e-12)
+            return None  # the set is too wide to be enclosed
+        rest = norm_of_entries(radius.T) * np.sqrt(len(middle)) * (1.0 + 1e-12)
         sizes = [balls.norm_above(np.abs(each)) for each in (middle, rest)]
         part = float(np.clip(sizes[1] / max(sizes[0], 1e-300), 1e-9, 1.0))
         L = np.concatenate(

@@ -1,0 +1,22 @@
+"""The registry of sets of plants, and of what is known of a plant: an entry for each kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from deadtime.plant.plant_set import PlantSet
+from deadtime.plant.polytope import Polytope
+from deadtime.plant.uncertain import Ellipsoid
+
+SETS: tuple[type[PlantSet], ...] = (Polytope, Ellipsoid)
+KEYS = tuple(key for kind in SETS for key in kind.keys)  # of all kinds, in files
+
+
+def read_set(A: np.ndarray, B: np.ndarray, arrays: Mapping[str, np.ndarray]) -> PlantSet:
+    """The set whose `arrays` these are; a ValueError if no kind has just these."""
+    for kind in SETS:
+        if set(kind.keys) == set(arrays):
+            return kind(A, B, **arrays)
+    raise ValueError(f"no set of plants has {' and '.join(arrays)} together")
