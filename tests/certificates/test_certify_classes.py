@@ -62,7 +62,7 @@ def test_with_an_average_dwell_time_the_function_falls_along_bursts_of_switches(
     (plant, law), average, chatter = free(ellipses(4.0, 0.8)), 4.0, 2
     linear = load_evidence(CORPUS / "average-free.json").evidence  # by the level of a bucket
     assert dt.verify(CORPUS / "average-free.json", plant, law, dwell_time=average).proven
-    certificate = Certificate.of(linear, 0)
+    certificate = Certificate.of(linear, Check(True))
     assert "average dwell time of 4.0 s (at most 2 + T/4.0 s switches" in certificate.statement[0]
 
     def level(sampled):

@@ -11,8 +11,14 @@ import pytest
 
 import certificate_forgeries as forgeries
 import deadtime as dt
-from certificate_corpus import CORPUS
-from deadtime.certificates.proof import Evidence, StretchEvidence, load_evidence, save_evidence
+from certificate_corpus import CASES, CORPUS
+from deadtime.certificates.proof import (
+    Evidence,
+    StretchEvidence,
+    load_evidence,
+    save_evidence,
+    work,
+)
 from deadtime.certificates.proof.evidence import Centre, Setting
 from deadtime.certificates.proof.work import allowance, operations
 from deadtime.numerics.precision import precision
@@ -89,6 +95,21 @@ def test_both_count_alike_and_every_file_of_the_corpus_asks_for_a_third_of_the_l
         first, second = counts(path)
         assert first == second, path.stem
         assert 3 * first[0] <= first[1], path.stem
+
+
+@pytest.mark.parametrize("halvings", [100, 1], ids=["asked for", "halving"])
+def test_certify_says_the_least_limit_with_which_verify_proves(halvings, monkeypatch, tmp_path):
+    """As of a file that asks for more than is usual: the allowance is made small instead."""
+    for name, value in (("FREE", 10**4), ("PER_NUMBER", 10**2), ("HALVINGS", halvings)):
+        monkeypatch.setattr(work, name, value)
+    monkeypatch.setattr(CHECK, "HALVINGS", halvings)
+    loop, dwell_time, step, options = CASES["range"]
+    found = dt.certify(*loop(), dwell_time, step, **options)
+    path, limit = found.save(tmp_path / "c.json"), found.limit
+    assert limit > 2
+    assert dt.verify(path, limit=limit).proven
+    refused = dt.verify(path, limit=limit - 1).message
+    assert (f"allow {limit:,} times the usual" if halvings > 1 else "operations") in refused
 
 
 ONE = {"A": -np.ones((1, 1, 1, 1)), "B": np.full((1, 1, 1, 1), 1e-3), "delays": (0.05, 0.05)}

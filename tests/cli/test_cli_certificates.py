@@ -31,6 +31,25 @@ ANSWERS = {
     "oracle": (None, None, "The oracle knows the future: no certificate.", None),
 }
 
+MILD = """
+[plant]
+delay = 0.234
+A = [[[-1.5]], [[-1.2]]]
+B = [[[1.0]], [[1.3]]]
+[gains]
+K = [[[-0.5]], [[-0.4]]]
+[[law]]
+kind = "averaged"
+[signal]
+kind = "periodic"
+modes = [0, 1]
+sojourns = [0.5, 0.5]
+[run]
+x0 = [1.0]
+horizon = 3.0
+step = 0.1
+"""
+
 
 def run(capsys, *arguments):
     with pytest.raises(SystemExit) as stopped:
@@ -58,6 +77,7 @@ def made_up(monkeypatch, tmp_path):
             statement=("The loop is the sampled one.",),
             witness=witness,
             save=lambda path: path.write_text(law.label) and path,
+            limit=1,
         )
 
     text = "between 0.99 s and 1.012 s"
@@ -346,3 +366,20 @@ def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, mo
     assert "--delays must be two numbers, or two lists such as [0.3,0.1], got '[0.3'" in err
     run(capsys, "certify", "paper", "--delays", "0.9", "1")
     assert asked[-1] == (0.9, 1)
+
+
+def test_a_proof_that_takes_more_work_than_is_usual_is_saved_with_the_command_that_verifies_it(
+    capsys, tmp_path, monkeypatch
+):
+    for name, value in (("FREE", 10**4), ("PER_NUMBER", 10**2)):
+        monkeypatch.setattr(f"deadtime.certificates.proof.work.{name}", value)
+    path = tmp_path / "c.json"
+    file = tmp_path / "p.toml"
+    file.write_text(MILD, encoding="utf-8")
+    code, out, _ = run(capsys, "certify", str(file), "--law", "averaged", "--out", str(path))
+    assert code == 0
+    command = re.search(r"More work than is usual: deadtime (verify .*)", out)[1].split()
+    assert run(capsys, *command[:-2])[0] == 1
+    code, out, _ = run(capsys, *command)
+    assert code == 0
+    assert out.startswith("Proved: ")

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
-from deadtime.certificates.proof import Evidence, StretchEvidence, save_evidence
+from deadtime.certificates.proof import Check, Evidence, StretchEvidence, save_evidence
 from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import decay_rate
@@ -61,6 +61,8 @@ class Certificate:
         The worst signal found, when not stable.
     evidence : Evidence or StretchEvidence or None
         The numbers of the proof, when stable.
+    limit : int
+        With which `verify` proves it: how many times the work that is usual for so many numbers.
     """
 
     stable: bool | None
@@ -70,14 +72,16 @@ class Certificate:
     statement: tuple[str, ...] = ()
     witness: Any = None
     evidence: Evidence | StretchEvidence | None = None
+    limit: int = 1
 
     @classmethod
-    def of(cls, evidence: Evidence | StretchEvidence, cells: int) -> Certificate:
+    def of(cls, evidence: Evidence | StretchEvidence, checked: Check) -> Certificate:
         """A certificate of stability from evidence that passed the check."""
         rate = decay_rate(evidence)
         pace = f"decays at least like exp(−{round_down(rate)} t)" if rate else "decays"
         message = f"Stable for every admissible signal{_also(evidence)}, proved: the loop {pace}."
-        return cls(True, message, rate, True, statement(evidence, cells), None, evidence)
+        words = statement(evidence, checked.cells)
+        return cls(True, message, rate, True, words, None, evidence, checked.limit)
 
     def lyapunov(
         self, mode: int = 0, age: int = 0, lost: int = 0
@@ -174,6 +178,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
     signals, words = setting.signals, setting.signals.sentence(setting.modes)
+    which, _ = setting.plants.in_words
     ends = any(map(math.isfinite, setting.limits.maximum_dwell))
     alike = ""
     if isinstance(setting.delays, np.ndarray) and not is_box(setting):
@@ -223,8 +228,8 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     )
     return (
         f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
-        f"initial state{memory} and past input, the digital loop of {setting.plants.subject} with "
-        f"this table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
+        f"initial state{memory} and past input, the digital loop of {which} with this "
+        f"table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
         f"(offsets){' and noise' if signals.lost_samples else ', noise and lost samples'}.",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "

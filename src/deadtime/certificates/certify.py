@@ -215,7 +215,7 @@ def _decide(
     rates = rates if wanted is None else [wanted]
     evidence, outcome = _evidence(setting, rates, progress)
     if evidence is not None:
-        return Certificate.of(evidence, outcome.cells)
+        return Certificate.of(evidence, outcome)
     if not search_signals:
         return Certificate(None, f"Inconclusive: {outcome.reason}.")
     searched = searched or _searched(corners, law, setting, progress)

@@ -113,7 +113,7 @@ def extremes(
         ends = list(delays)
     vertices = zip(plants.A, plants.B, strict=True)
     found = [SwitchedSystem(A, B, delay) for A, B in vertices for delay in ends]
-    moved = [mode for mode in range(plants.modes) if plants.directions[:, mode].any()]
+    moved = [mode for mode in range(plants.sizes[0]) if plants.directions[:, mode].any()]
     return found + [_worst(one, plants, table, mode) for one in found for mode in moved]
 
 

@@ -283,21 +283,21 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     """The loop and the signals of a certificate, so that a reader can tell it from another one."""
     plants = setting.plants
     known = plants.A, plants.B, np.array(setting.delays), *plants.arrays.values()
-    several = plants.short and f", {plants.short}"
+    (modes, n, m), (_, short) = plants.sizes, plants.in_words
+    several = f", {short}" if short else ""
     rows, taps = setting.G.shape[:2]
     signals = setting.signals
     late = f" of {number_of(signals.mode_lag, 'period')} ago" if signals.mode_lag else ""
     kept = f", {number_of(setting.memory, 'number')} remembered" if setting.memory else ""
     return (
         f"Plant {_digest(*known)}: "
-        f"{number_of(plants.modes, 'mode')}, {number_of(plants.states, 'state')}, "
-        f"{number_of(plants.inputs, 'input')}, "
+        f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
         f"{_in_figures(setting.delays)}{several}; A[0] = {_first(plants.A[0, 0])}, "
         f"B[0] = {_first(plants.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
         f"{setting.context}{late}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}"
         f"{kept}; state gain {_first(setting.F[0])}",
-        f"Signals: {signals.sentence(plants.modes)}; clock tolerance {signals.clock_tolerance!r}",
+        f"Signals: {signals.sentence(modes)}; clock tolerance {signals.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",
     )
 

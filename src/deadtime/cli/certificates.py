@@ -155,16 +155,19 @@ def certify(
             uncertain=uncertain,
             trying=lambda what: advance(what, 0),
         )
-    saved = [] if out is None else _save(judged, out)
+    saved = {} if out is None else _save(judged, out)
     if json_output:
         record = about(chosen, period) | for_json(asked.signals, chosen.plant.modes)
         record |= {"delays": ranges}
         record |= {"uncertain": uncertain} if chosen.uncertain is not None else {}
-        print_json(record | {"laws": certificate_record(judged)}, saved)
+        print_json(record | {"laws": certificate_record(judged)}, [*saved])
     else:
         _print_judged(chosen, judged, asked, period, law is not None, (uncertain, ranges))
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
+            for path, limit in saved.items():
+                if limit > 1:  # such as where many delays have ranges
+                    print(f"More work than is usual: deadtime verify {path} --limit {limit}")
     return 0 if law is None or judged[0].stable else 1
 
 
@@ -284,14 +287,14 @@ def _print_verification(result: Verification) -> None:
     print(f"({'proven' if result.proven else 'not proven'} in {result.seconds:.2g} s)")
 
 
-def _save(judged: list[Judged], out: Path) -> list[Path]:
-    """Save every certificate that says stable; one file for one law."""
+def _save(judged: list[Judged], out: Path) -> dict[Path, int]:
+    """Save every certificate that says stable, one file for one law; the limit of each."""
     certificates = {one.law: one.certificate for one in judged if one.stable}
-    saved = []
+    saved = {}
     for name, certificate in certificates.items():
         assert certificate is not None
         path = out if len(judged) == 1 else out.with_stem(f"{out.stem}-{file_name(name)}")
-        saved.append(certificate.save(path))
+        saved[certificate.save(path)] = certificate.limit
     return saved
 
 

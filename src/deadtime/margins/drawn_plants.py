@@ -12,7 +12,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import as_rate
 from deadtime.feedback import Law
-from deadtime.plant import UncertainPlant
+from deadtime.plant.plant_set import PlantUncertainty
 from deadtime.spectrum import growth_rate
 
 DRAWN = 100
@@ -55,7 +55,7 @@ class DrawnStability(Frozen):
 
 
 def drawn_stability(
-    known: UncertainPlant, law: Law, step: float = 0.01, *, count: int = DRAWN, seed: int = 0
+    known: PlantUncertainty, law: Law, step: float = 0.01, *, count: int = DRAWN, seed: int = 0
 ) -> DrawnStability:
     """Whether a law's loop decays on plants drawn from an uncertain one, with each mode held.
 
@@ -90,7 +90,7 @@ def drawn_stability(
     100
     81
     """
-    instance("known", known, UncertainPlant)
+    instance("known", known, PlantUncertainty)
     instance("law", law, Law)
     step = positive("step", step)
     if not has_rates(law):

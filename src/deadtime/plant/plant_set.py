@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -17,51 +17,33 @@ from deadtime.plant.switched_system import SwitchedSystem
 class PlantSet(Frozen, ABC):
     """Plants of which the true one may be any, and another in each period (immutable).
 
-    They are the polytope of the vertices, or of one vertex all are among [A B] + Σ z_i directions_i
-    with |z| ≤ 1; all modes with one point of the polytope, and one z.
-
-    Attributes
-    ----------
-    A : (vertices, modes, n, n), B : (vertices, modes, n, m)
-        The vertices; one alone is the plant that is known, or the middle.
+    They are the polytope of the vertices A (vertices, modes, n, n) and B (vertices, modes, n, m);
+    or, of one vertex, all are among [A B] + Σ z_i directions_i with |z| ≤ 1. All modes have one
+    point of the polytope, and one z.
     """
 
     kind: ClassVar[str]  # what sentences call it
-    keys: ClassVar[tuple[str, ...]] = ()  # arrays that it has besides A and B, as in files
+    keys: ClassVar[tuple[str, ...]] = ()  # its arrays besides A and B, as in files
     products: ClassVar[int] = 0  # of order n k, to enclose what z does to a step's n × k matrix
 
     A: Float[np.ndarray, "vertex mode n n"]
     B: Float[np.ndarray, "vertex mode n m"]
 
     @property
-    def vertices(self) -> int:
-        """How many."""
-        return len(self.A)
-
-    @property
-    def modes(self) -> int:
-        """How many."""
-        return self.A.shape[1]
-
-    @property
-    def states(self) -> int:
-        """n."""
-        return self.A.shape[2]
-
-    @property
-    def inputs(self) -> int:
-        """m."""
-        return self.B.shape[3]
+    def sizes(self) -> tuple[int, int, int]:
+        """Modes, n, m."""
+        return self.A.shape[1], self.A.shape[2], self.B.shape[3]
 
     @property
     def directions(self) -> Float[np.ndarray, "d mode n nm"]:
-        """[A B] of each; none of the polytope alone."""
-        return np.zeros((0, self.modes, self.states, self.states + self.inputs))
+        """[A B] of each; none of a polytope."""
+        modes, n, m = self.sizes
+        return np.zeros((0, modes, n, n + m))
 
     @property
     def radius(self) -> Float[np.ndarray, "mode n nm"]:
         """How far z moves each entry of [A B] at most, rounded up."""
-        return np.zeros((self.modes, self.states, self.states + self.inputs))
+        raise NotImplementedError
 
     @property
     def in_polytope(self) -> bool:
@@ -71,80 +53,64 @@ class PlantSet(Frozen, ABC):
     @property
     def known(self) -> bool:
         """Whether it is one plant alone."""
-        return self.vertices == 1 and self.in_polytope
+        return self.in_polytope and len(self.A) == 1
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays that it has besides A and B, by their names in files."""
+        """Its arrays besides A and B, by their names in files."""
         return {name: getattr(self, name) for name in self.keys}
 
     @property
-    def subject(self) -> str:
-        """Which plants, for a sentence."""
-        return "the plant"
-
-    @property
-    def short(self) -> str:
-        """Its kind and size, for a list; empty of one plant."""
-        return ""
+    @abstractmethod
+    def in_words(self) -> tuple[str, str]:
+        """Which plants, for a sentence; and its kind and size, nothing of one plant."""
 
     def entries(self, mode: int) -> Float[np.ndarray, "vertex n nm"]:
         """[A B] of a mode at each vertex."""
         return np.concatenate((self.A[:, mode], self.B[:, mode]), axis=2)
 
-    def with_inputs(self, count: int) -> Self:
+    def with_inputs(self, count: int) -> PlantSet:
         """The same, of its first inputs alone."""
         return replace(self, B=self.B[..., :count])
+
+    def misfit(self) -> str:
+        """Why `arrays` and the vertices make no set of this kind; empty if they do."""
+        return ""
+
+    def moved(self, plant: SwitchedSystem, z: np.ndarray) -> SwitchedSystem:
+        """A plant moved by z."""
+        by, n = np.tensordot(z, self.directions, 1), plant.states
+        return plant.like(plant.A + by[..., :n], plant.B + by[..., n:])
 
     def farthest(self, gradient: np.ndarray) -> np.ndarray:
         """The z of a plant of the set at which a linear function of z is about largest."""
         return gradient / float(np.linalg.norm(gradient)) * (1.0 - 1e-9)
-
-    def moved(self, plant: SwitchedSystem, z: np.ndarray) -> SwitchedSystem:
-        """A plant moved by z."""
-        by = np.tensordot(z, self.directions, 1)
-        n = self.states
-        return plant.like(plant.A + by[..., :n], plant.B + by[..., n:])
 
     def has_vertex(self, A: np.ndarray, B: np.ndarray) -> bool:
         """Whether this plant, number by number, is a vertex."""
         known = zip(self.A, self.B, strict=True)
         return any(np.array_equal(A, one) and np.array_equal(B, its) for one, its in known)
 
+    def covers(self, asked: PlantSet) -> bool:
+        """Whether z moves a vertex to all plants that another set's z moves it to."""
+        return asked.in_polytope
+
     def lacks(self, asked: PlantSet) -> str:
         """Why a proof for this set is none for another one; empty if it is."""
         if not all(map(self.has_vertex, asked.A, asked.B)):
             return "a plant with other matrices"
-        if asked.in_polytope or self.covers(asked):
-            return ""
         same = isinstance(self, type(asked))
-        return f"another {asked.kind}" if same else f"no {asked.kind} of plants"
-
-    def covers(self, asked: PlantSet) -> bool:
-        """Whether all that z does to the plants of another set it does to those of this one."""
-        return False
-
-    def misfit(self) -> str:
-        """Why its arrays do not make a set, but for their shapes; empty if they do."""
-        return ""
-
-    def expected_shapes(self) -> dict[str, tuple[int, ...]]:
-        """The shapes of `arrays` that fit A and B."""
-        return {}
+        lacking = f"another {asked.kind}" if same else f"no {asked.kind} of plants"
+        return "" if asked.in_polytope or self.covers(asked) else lacking
 
 
 class PlantUncertainty(Frozen, ABC):
-    """A plant that is not known exactly, as it is measured or given.
+    """A plant that is not known exactly: the likeliest one, or the middle, is `plant`."""
 
-    Attributes
-    ----------
-    plant : SwitchedSystem
-        The likeliest plant, or the middle.
-    """
+    in_words: ClassVar[tuple[str, str]]  # where A and B are, and where the delays are
+    file_keys: ClassVar[dict[str, tuple[str, Any, str]]]  # of [uncertainty]: shape, example, words
 
     plant: SwitchedSystem
-    in_words: ClassVar[str]  # where A and B are
-    delays_in_words: ClassVar[str]  # where the delays are
 
     @abstractmethod
     def plant_set(self) -> PlantSet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -32,10 +32,7 @@ def norm_of_entries(parts: np.ndarray) -> Float[np.ndarray, "*entries"]:
 class Ellipsoid(PlantSet):
     """The plants [A B] + Σ z_i axes_i with |z| ≤ 1 about the one vertex (immutable).
 
-    Attributes
-    ----------
-    axes : (d, modes, n, n + m)
-        The half axes, d ≥ 1.
+    `axes` (d, modes, n, n + m) are the half axes, d ≥ 1.
     """
 
     kind: ClassVar[str] = "ellipsoid"
@@ -51,28 +48,29 @@ class Ellipsoid(PlantSet):
 
     @property
     def radius(self) -> Float[np.ndarray, "mode n nm"]:
-        """How far each entry of [A B] may be off, rounded up."""
+        """The half widths of the box about it, rounded up."""
         return norm_of_entries(self.axes)
 
     @property
-    def subject(self) -> str:
-        """The plants, for a sentence."""
+    def in_words(self) -> tuple[str, str]:
+        """As of every set."""
         return (
             f"any plant in the ellipsoid about the given one, of {len(self.axes)} half axes in the "
             "entries of A and B (constant within each period)"
-        )
+        ), f"an ellipsoid of {len(self.axes)} axes"
 
-    @property
-    def short(self) -> str:
-        """How many axes it has."""
-        return f"an ellipsoid of {len(self.axes)} axes"
-
-    def with_inputs(self, count: int) -> Self:
+    def with_inputs(self, count: int) -> Ellipsoid:
         """The same, of its first inputs alone."""
-        return replace(super().with_inputs(count), axes=self.axes[..., : self.states + count])
+        n = self.A.shape[2]
+        return replace(self, B=self.B[..., :count], axes=self.axes[..., : n + count])
+
+    def misfit(self) -> str:
+        """Whether there is one vertex, and an axis."""
+        fits = len(self.A) == 1 and self.axes.ndim == 4 and len(self.axes)
+        return "" if fits else "axes are those of several vertices, or none"
 
     def covers(self, asked: PlantSet) -> bool:
-        """Whether it holds another ellipsoid about the same plant, up to rounding."""
+        """Whether the other ellipsoid lies in this one, up to rounding."""
         have, want = (one.reshape(len(one), -1) for one in (self.axes, asked.directions))
         unit = np.abs(have).max(axis=0)
         if want[:, unit == 0.0].any():
@@ -81,15 +79,6 @@ class Ellipsoid(PlantSet):
         part = want @ np.linalg.pinv(have, rcond=_ROUNDED)
         near = bool(np.abs(want - part @ have).max() <= _ROUNDED)
         return near and bool(np.linalg.norm(part, 2) <= 1.0 + 0.5e-9)
-
-    def misfit(self) -> str:
-        """Whether there is one vertex, and an axis."""
-        fits = self.vertices == 1 and self.axes.ndim == 4 and len(self.axes)
-        return "" if fits else "axes are those of several vertices, or none"
-
-    def expected_shapes(self) -> dict[str, tuple[int, ...]]:
-        """That of the axes."""
-        return {"axes": (len(self.axes), self.modes, self.states, self.states + self.inputs)}
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -120,8 +109,15 @@ class UncertainPlant(PlantUncertainty):
     (50, 4)
     """
 
-    in_words: ClassVar[str] = "in their ellipsoid of 95 %"
-    delays_in_words: ClassVar[str] = "intervals of 95 %"
+    in_words: ClassVar[tuple[str, str]] = "in their ellipsoid of 95 %", "intervals of 95 %"
+    file_keys: ClassVar[dict[str, tuple[str, Any, str]]] = {
+        "covariance": (
+            "(size, size)",
+            [[1e-4]],
+            "Of all entries of A, row by row and mode by mode, then of B, then of the delays, one "
+            "per input, or mode by mode where each has its own.",
+        )
+    }
 
     plant: SwitchedSystem
     covariance: Float[np.ndarray, "size size"]
@@ -186,13 +182,7 @@ class UncertainPlant(PlantUncertainty):
         return np.concatenate(parts, axis=3)
 
     def plant_set(self, level: float = 0.95) -> PlantSet:
-        """The ellipsoid of `axes`; the plant alone if A and B are certain.
-
-        Parameters
-        ----------
-        level : float
-            Between 0 and 1.
-        """
+        """The ellipsoid of `axes` at a level; the plant alone if A and B are certain."""
         axes, middle = self.axes(level), Polytope.of([self.plant])
         return Ellipsoid(middle.A, middle.B, axes) if len(axes) else middle
 

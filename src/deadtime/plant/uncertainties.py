@@ -6,10 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deadtime.plant.plant_set import PlantSet
+from deadtime.plant.plant_set import PlantSet, PlantUncertainty
 from deadtime.plant.polytope import Polytope
-from deadtime.plant.uncertain import Ellipsoid
+from deadtime.plant.uncertain import Ellipsoid, UncertainPlant
 
+UNCERTAINTIES: tuple[type[PlantUncertainty], ...] = (UncertainPlant,)
 SETS: tuple[type[PlantSet], ...] = (Polytope, Ellipsoid)
 KEYS = tuple(key for kind in SETS for key in kind.keys)  # of all kinds, in files
 

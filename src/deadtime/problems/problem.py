@@ -18,7 +18,8 @@ from deadtime.imperfections.disturbances import in_words
 from deadtime.laws import (
     ExactPredictor,
 )
-from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant, Weight
+from deadtime.plant import OperatingPoint, SwitchedSystem, Weight
+from deadtime.plant.plant_set import PlantUncertainty
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Rule, SignalClass, SwitchingModel, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
@@ -106,7 +107,7 @@ class Problem(Frozen):
     seed: int = 0
     predict: str = "applied"
     weight: Weight | None = None
-    uncertain: UncertainPlant | None = None
+    uncertain: PlantUncertainty | None = None
     operating_point: OperatingPoint | None = None
 
     @property

@@ -27,7 +27,7 @@ from deadtime.switching import SignalClass
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
     from deadtime.margins.delay import DelayMargin
-    from deadtime.plant import UncertainPlant
+    from deadtime.plant.plant_set import PlantUncertainty
 
 
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
@@ -151,7 +151,7 @@ def judge(
     return list(answers)
 
 
-def uncertain_plant(problem: Problem) -> UncertainPlant:
+def uncertain_plant(problem: Problem) -> PlantUncertainty:
     """The plants that the problem's [uncertainty] leaves open."""
     if problem.uncertain is None:
         raise ArgumentError(
@@ -166,10 +166,10 @@ def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) ->
     if problem.uncertain is None:
         return []
     if uncertain:
-        where = "intervals of 95 %" if delays is None else "ranges of --delays"
+        where, ranges = problem.uncertain.in_words
         return [
-            "Every plant of [uncertainty]: A and B in their ellipsoid of 95 %, delays in their "
-            f"{where}."
+            f"Every plant of [uncertainty]: A and B {where}, delays in their "
+            f"{ranges if delays is None else 'ranges of --delays'}."
         ]
     return [
         "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."

@@ -73,7 +73,7 @@ class Sways:
         ends = self.family.ends(order)
         plants = self.family.plants
         if plants.in_polytope:
-            return [None] * (len(us) * len(ends) * plants.vertices)
+            return [None] * (len(us) * len(ends) * len(plants.A))
         with precision():
             return [self._at(order, u, f) for u in us for f in ends]
 
@@ -81,7 +81,7 @@ class Sways:
         places = f if isinstance(f, tuple) else (f,) * len(self.family.moving(order))
         cell = ParameterCell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
         columns = self.enclosures.sway(cell)
-        return None if columns is None else Sway.of(columns, self.family.plants.states)
+        return None if columns is None else Sway.of(columns, self.family.states)
 
 
 def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:

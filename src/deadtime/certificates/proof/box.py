@@ -246,7 +246,7 @@ class Box(Steps):
 
     def laid_out(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
         """`generator` of each [A B] (number, n, n + m)."""
-        n, own = self.plants.states, self.own_reads(c)
+        n, own = self.states, self.own_reads(c)
         result = np.zeros((len(entries), n + len(own), n + len(own)))
         result[:, :n, :n] = entries[:, :, :n]
         result[:, :n, n + own.index(lag)] = entries[:, :, n + c]
@@ -258,7 +258,7 @@ class Box(Steps):
 
     def columns(self, c: int) -> list[int]:
         """Where the reads of input c are among the columns of E."""
-        return [self.plants.states + at for at, (_, j) in enumerate(self.reads) if j == c]
+        return [self.states + at for at, (_, j) in enumerate(self.reads) if j == c]
 
     def sample(
         self,
@@ -274,9 +274,9 @@ class Box(Steps):
         floats = TimeNumbers(float, lambda d: (d.low, d.high), self.step, lambda a, sign: 0.0)
         A, B = (np.tensordot(weights, M, 1) for M in (self.plants.A, self.plants.B))
         places = list(f) if isinstance(f, tuple) else [f] * len(self.moving(order))
-        n = self.plants.states
+        n = self.states
         result = np.zeros((n, n + len(self.reads)))
-        for c in range(self.plants.inputs):
+        for c in range(self.plants.sizes[2]):
             now, E = 0.0, np.eye(n, n + len(self.reads))
             for piece in self.pieces(order, c, floats, u, places):
                 end = self.step if piece.end is None else piece.end

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from deadtime.base.wording import number_of
@@ -24,6 +24,7 @@ from deadtime.certificates.proof.work import (
     Work,
     allowance,
     exhausted,
+    least_limit,
     operations,
     refusal,
 )
@@ -47,12 +48,15 @@ class Check:
     failed : tuple or None
         (transition, u) of the step where a small inequality fails, u the instant of its switch
         as a fraction of the period.
+    limit: int
+        The least limit with which it is proved.
     """
 
     proven: bool
     reason: str = ""
     cells: int = 0
     failed: tuple[Transition, float] | None = None
+    limit: int = 1
 
 
 def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Check:
@@ -71,9 +75,10 @@ def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Chec
     work = Work(HALVINGS * limit * allowed)
     try:
         with precision():
-            return _check_stretches(evidence, work) if along else _check_split(evidence, work)
+            found = _check_stretches(evidence, work) if along else _check_split(evidence, work)
     except TooMuchWork:
         return Check(False, exhausted(allowed, limit))
+    return replace(found, limit=least_limit(asked, work.done, allowed))
 
 
 def _check_split(evidence: Evidence, work: Work) -> Check:

@@ -116,9 +116,8 @@ class Covering:
         """E over a cell; cells of one pair of modes come again in other forms: enclosed once."""
         key = (cell.order, cell.u, cell.f, cell.corners.tobytes())
         if key not in self.known:
-            plants = self.family.plants
-            k = plants.states + len(self.family.reads)
-            self.work.do(cost(k) + plants.products * cost(plants.states * k))
+            n, k = self.family.states, self.family.states + len(self.family.reads)
+            self.work.do(cost(k) + self.family.plants.products * cost(n * k))
             self.known[key] = self.enclosures.of(cell)
         return self.known[key]
 

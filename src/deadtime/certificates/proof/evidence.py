@@ -111,17 +111,17 @@ class Setting(Frozen):
     @property
     def modes(self) -> int:
         """How many."""
-        return self.plants.modes
+        return self.plants.sizes[0]
 
     @property
     def states(self) -> int:
         """n."""
-        return self.plants.states
+        return self.plants.sizes[1]
 
     @cached_property
     def inputs(self) -> int:
         """m; 0 where no row ever sends one."""
-        return self.plants.inputs if np.any(self.F) or np.any(self.G) else 0
+        return self.plants.sizes[2] if np.any(self.F) or np.any(self.G) else 0
 
     @property
     def outputs(self) -> int:

@@ -50,6 +50,11 @@ class Steps(Frozen, ABC):
     plants: PlantSet
     step: float
 
+    @property
+    def states(self) -> int:
+        """n."""
+        return self.plants.sizes[1]
+
     @cached_property
     def reads(self) -> tuple[tuple[int, int], ...]:
         """The past inputs that the plant reads, (lag, input), the oldest first."""
@@ -82,12 +87,12 @@ class Steps(Frozen, ABC):
         Returns (samples, n, k): what a search for a certificate looks at before the proof.
         """
         us = instants if self.switches(order) else np.zeros(1)
-        ends, points = self.ends(order), np.eye(self.plants.vertices)
+        ends, points = self.ends(order), np.eye(len(self.plants.A))
         return np.stack([self.sample(order, u, f, w) for u in us for f in ends for w in points])
 
     def _weights(self, weights: np.ndarray | None) -> np.ndarray:
         """The point of the polytope: its middle by default."""
-        count = self.plants.vertices
+        count = len(self.plants.A)
         return np.full(count, 1.0 / count) if weights is None else weights
 
 
@@ -133,7 +138,7 @@ class Family(Steps):
     @classmethod
     def of(cls, plants: PlantSet, delays: Delays, step: float) -> Family:
         """The family of delays, or of a range of one, whose ends must have one N."""
-        start, stop, (modes, m) = (0.0, 0.0), (step, step), (plants.modes, plants.inputs)
+        start, stop, (modes, _, m) = (0.0, 0.0), (step, step), plants.sizes
         if isinstance(delays, np.ndarray):
             windows = windows_of(SwitchedSystem(plants.A[0], plants.B[0], delays), step)
             phases = sorted({window.phase for row in windows for window in row} - {step})
@@ -250,7 +255,7 @@ class Family(Steps):
 
     def laid_out(self, entries: np.ndarray, lags: Lags) -> Float[np.ndarray, "number k k"]:
         """𝒜 of each [A B] (number, n, n + m) in a mode that reads these inputs."""
-        n, size = self.plants.states, self.plants.states + len(self.reads)
+        n, size = self.states, self.states + len(self.reads)
         result = np.zeros((len(entries), size, size))
         result[:, :n, :n] = entries[:, :, :n]
         for j, lag in enumerate(lags):
@@ -270,7 +275,7 @@ class Family(Steps):
         marks = [low if low == high else (1.0 - f) * low + f * high for low, high in self.marks]
         weights = self._weights(weights)
         share = {"all": 1.0, "before": u, "after": 1.0 - u}
-        n = self.plants.states
+        n = self.states
         result: np.ndarray = np.eye(n + len(self.reads))
         for part in order:
             part_time = marks[part.stop] - marks[part.start]

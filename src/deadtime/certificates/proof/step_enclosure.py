@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -36,7 +37,14 @@ from deadtime.certificates.proof.box import (
     U,
 )
 from deadtime.certificates.proof.family import Family, Lags, Segment
-from deadtime.certificates.proof.sway import along_directions, entries_of, swelled, unit_matrices
+from deadtime.certificates.proof.sway import (
+    Entry,
+    along_directions,
+    entries_of,
+    swelled,
+    unit_matrices,
+)
+from deadtime.plant.plant_set import PlantSet
 
 SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + b u
 
@@ -88,7 +96,7 @@ def cells_of(
     family: Family | Box, mode: int, after: int, instants: tuple[float, float] = (0.0, 1.0)
 ) -> list[ParameterCell]:
     """The cells that cover every step from `mode` to `after` with a switch at these instants."""
-    corners, cells = np.eye(family.plants.vertices), []
+    corners, cells = np.eye(len(family.plants.A)), []
     orders: list[Any] = list(family.orders(mode, after))
     for order in orders:
         shares = family.shares(order, instants)
@@ -121,7 +129,7 @@ class Enclosures:
         from flint import arb
 
         family = self.family
-        n = family.plants.states
+        n = family.states
         ends = (cell.u, *cell.f)
         u, f = (balls.interval(*pair) for pair in ends)
         middle_u, middle_f = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
@@ -154,21 +162,14 @@ class Enclosures:
 
     def sway(self, cell: ParameterCell) -> Any:
         """L_i, for all u and f, and for every z; None if it moves nothing."""
-        plants = self.family.plants
-        entries = entries_of(plants, tuple(part.mode for part in cell.order))
+        plants, order = self.family.plants, cell.order
+        entries = entries_of(plants, tuple(part.mode for part in order))
         if not entries:
             return None
         u, f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
-        X, moves, radius = [], [], plants.radius
-        for part in cell.order:
-            tau = self._duration(part, u, f)
-            (room,) = self.family.laid_out(radius[part.mode][None], part.lags)
-            X.append(swelled(self._corners(part)[0], room) * tau)
-            own = [place for place in entries if place[0] == part.mode]
-            units = self.family.laid_out(unit_matrices(own, radius.shape[1:]), part.lags)
-            moves.append({place: balls.exact(U) * tau for place, U in zip(own, units, strict=True)})
-        by_entry = by_entries(X, moves, plants.states)
-        return along_directions({place: by_entry[place] for place in entries}, plants)
+        X = [(part.mode, self._corners(part)[0], self._duration(part, u, f)) for part in order]
+        layouts = [partial(self.family.laid_out, lags=part.lags) for part in order]
+        return along_directions(by_entries(plants, entries, X, layouts), plants)
 
     def _duration(self, part: Segment, u: Any, f: Any) -> Any:
         a, b = SHARES[part.share]
@@ -258,22 +259,31 @@ def towards(
 
 
 def by_entries(
-    X: list[Any], moves: list[dict[tuple[int, int, int], Any]], n: int
-) -> dict[tuple[int, int, int], Any]:
-    """The first n rows of the derivative of … e^{X_2} e^{X_1} by each entry.
+    plants: PlantSet, entries: list[Entry], X: list[tuple[int, Any, Any]], layouts: list[Any]
+) -> dict[Entry, Any]:
+    """The first n rows of the derivative of … e^{X_2} e^{X_1} by each entry of A and B, at every z.
 
-    `moves` has, of every X_k, its derivative by the entries that it depends on.
+    X are the mode of each piece, its generator at the vertex, and its duration; `layouts` tell
+    where the entries of A and B are in the generators.
     """
-    factors, found = [one.exp() for one in X], {}
+    n, radius, factors = plants.sizes[1], plants.radius, []
+    moves: list[dict[Entry, Any]] = []
+    for (mode, generator, tau), laid_out in zip(X, layouts, strict=True):
+        (room,) = laid_out(radius[mode][None])
+        exponent = swelled(generator, room) * tau
+        own = [place for place in entries if place[0] == mode]
+        units = zip(own, laid_out(unit_matrices(own, radius.shape[1:])), strict=True)
+        moves.append({place: frechet(exponent, balls.exact(U) * tau) for place, U in units})
+        factors.append(exponent.exp())
+    found: dict[Entry, Any] = {}
     for k, of_piece in enumerate(moves):
         before = product_of(factors[:k]) if k else None
         after = balls.top(product_of(factors[k + 1 :]), n) if k + 1 < len(X) else None
-        for place, direction in of_piece.items():
-            term = frechet(X[k], direction)
-            term = balls.top(term, n) if after is None else after * term
+        for place, derivative in of_piece.items():
+            term = balls.top(derivative, n) if after is None else after * derivative
             term = term if before is None else term * before
             found[place] = found[place] + term if place in found else term
-    return found
+    return {place: found[place] for place in entries}
 
 
 def product_of(factors: list[Any]) -> Any:
@@ -313,8 +323,8 @@ class BoxEnclosures:
 
     def of(self, cell: ParameterCell) -> Enclosure:
         """Enclose one cell; E may be split by `ParameterCell.halves` until the slopes are small."""
-        family, n = self.family, self.family.plants.states
-        parts = [self._of_input(cell, c) for c in range(family.plants.inputs)]
+        family, n = self.family, self.family.states
+        parts = [self._of_input(cell, c) for c in range(family.plants.sizes[2])]
         together: list[tuple[int, Any]] = []
         for at, (k, _) in enumerate(parts[0].slopes):
             together.append((k, self._joined([part.slopes[at][1] for part in parts], n)))
@@ -328,17 +338,14 @@ class BoxEnclosures:
         if not entries:
             return None
         u, *f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
-        found, n, radius = [], plants.states, plants.radius
-        for c in range(plants.inputs):
+        found = []
+        for c in range(plants.sizes[2]):
             pieces = family.pieces(cell.order, c, self.clock, u, f)
-            X, moves = [], []
-            for piece, tau in zip(pieces, self._durations(pieces), strict=True):
-                (room,) = family.laid_out(radius[piece.mode][None], c, piece.lag)
-                X.append(swelled(self._corners(piece, c)[0], room) * tau)
-                own = [place for place in entries if place[0] == piece.mode]
-                units = family.laid_out(unit_matrices(own, radius.shape[1:]), c, piece.lag)
-                moves.append({at: balls.exact(U) * tau for at, U in zip(own, units, strict=True)})
-            found.append(by_entries(X, moves, n))
+            durations = zip(pieces, self._durations(pieces), strict=True)
+            X = [(piece.mode, self._corners(piece, c)[0], tau) for piece, tau in durations]
+            layouts = [partial(family.laid_out, c=c, lag=piece.lag) for piece in pieces]
+            found.append(by_entries(plants, entries, X, layouts))
+        n = family.states
         joined = {at: self._joined([each[at] for each in found], n) for at in entries}
         return along_directions(joined, plants)
 
@@ -361,7 +368,7 @@ class BoxEnclosures:
         ends = (cell.u, *cell.f)
         middle_u, *middles = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
         u, *f = (balls.interval(*pair) for pair in ends)
-        weights, n = cell.corners.mean(axis=0), self.family.plants.states
+        weights, n = cell.corners.mean(axis=0), self.family.states
         hull = None if len(cell.corners) == 1 else cell.corners
         pieces = self.family.pieces(cell.order, c, self.clock, middle_u, middles)
         centre = product_of([X.exp() for X in self._exponents(pieces, c, weights, None)])

@@ -34,19 +34,18 @@ from deadtime.plant.uncertain import norm_of_entries
 
 ROUNDS = 60  # of fitting W and X in turn
 FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1
+Entry = tuple[int, int, int]  # mode, row and column of [A B]
 ROOM = 0.02  # by what part W ⊗ X is above C, so that a verifier may find others
 
 
-def entries_of(plants: PlantSet, modes: tuple[int, ...]) -> list[tuple[int, int, int]]:
+def entries_of(plants: PlantSet, modes: tuple[int, ...]) -> list[Entry]:
     """The entries (mode, row, column) of [A B] in these modes that z moves."""
     _, _, n, both = plants.directions.shape
     places = product(sorted(set(modes)), range(n), range(both))
     return [place for place in places if np.any(plants.directions[:, *place])]
 
 
-def unit_matrices(
-    entries: list[tuple[int, int, int]], shape: tuple[int, ...]
-) -> Float[np.ndarray, "entry n nm"]:
+def unit_matrices(entries: list[Entry], shape: tuple[int, ...]) -> Float[np.ndarray, "entry n nm"]:
     """[A B] with a 1 at each entry, whatever its mode."""
     result = np.zeros((len(entries), *shape))
     for at, (_, a, b) in enumerate(entries):
@@ -59,7 +58,7 @@ def swelled(generator: Any, radius: np.ndarray) -> Any:
     return generator + balls.symmetric_matrix(radius)
 
 
-def along_directions(by_entry: dict[tuple[int, int, int], Any], plants: PlantSet) -> Any:
+def along_directions(by_entry: dict[Entry, Any], plants: PlantSet) -> Any:
     """(n k, d): L_i in the column i, row by row, from ∂E/∂θ."""
     from flint import arb_mat
 

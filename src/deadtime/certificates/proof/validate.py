@@ -76,8 +76,8 @@ def _plants_and_table(setting: Setting) -> str:
     misfit = plants.misfit()
     if misfit:
         return misfit
-    own = plants.expected_shapes()
-    expected |= {name: (array, own[name]) for name, array in plants.arrays.items()}
+    for name, array in plants.arrays.items():
+        expected[name] = array, (len(array), modes, n, n + m)
     late = np.any(G[:, 1:, :, :q])
     return (
         _misshapen(expected)

@@ -22,14 +22,15 @@ OVERHEAD = 12  # what a matrix costs besides its arithmetic, in rows
 
 @dataclass
 class Work:
-    """How many operations may still be done."""
+    """How many operations may be done, and how many were."""
 
-    left: float = math.inf
+    most: float = math.inf
+    done: int = 0
 
     def do(self, operations: int) -> None:
         """Count some, before they are done."""
-        self.left -= operations
-        if self.left < 0.0:
+        self.done += operations
+        if self.done > self.most:
             raise TooMuchWork
 
 
@@ -60,12 +61,12 @@ def _cells(setting: Setting) -> tuple[int, int]:
     """Cells of a step, the parts of a period; and corners of each, both ends of all that varies."""
     ends, moving = np.array(setting.delays), 0
     if not setting.inputs:
-        return 1, 2 * setting.plants.vertices
+        return 1, 2 * len(setting.plants.A)
     if isinstance(setting.delays, tuple):
         moving = int(ends[0] < ends[1])
     elif ends.ndim == 3:
         moving = sum(sorted((ends[0] < ends[1]).sum(axis=1).tolist())[-2:])
-    return 1 + len(np.unique(ends)), setting.plants.vertices << (1 + moving)
+    return 1 + len(np.unique(ends)), len(setting.plants.A) << (1 + moving)
 
 
 def _steps(setting: Setting, knots: int, along: bool) -> int:
@@ -90,6 +91,11 @@ def _told(setting: Setting, ages: int) -> int:
     if free:
         return ages * ((lost + 1) * own + lost * rows)
     return ages * (2 * lost + 1) * own + lost * lost * rows
+
+
+def least_limit(asked: int, done: int, allowed: int) -> int:
+    """How many times what is allowed a check takes that asked for some work and did some."""
+    return max(1, -(-asked // allowed), -(-done // (HALVINGS * allowed)))
 
 
 def refusal(asked: int, allowed: int, limit: float) -> str:

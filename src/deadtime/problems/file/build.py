@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +15,7 @@ from deadtime.base.wording import numbered
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, SensorImperfection, Sizes, StepDisturbance, require
-from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
+from deadtime.plant import OperatingPoint, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.estimators import add_observers, names_of
@@ -155,7 +156,8 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
             promise = promise_of(file, model, plant.modes, step)
     if file.uncertainty is not None:
         with _section("uncertainty"):
-            uncertain = UncertainPlant(plant, file.uncertainty.covariance)
+            kind: Any = schema.UNCERTAINTIES[type(file.uncertainty)]
+            uncertain = kind(plant, **file.uncertainty.model_dump())
     if file.operating_point is not None:
         with _section("operating_point"):
             point = OperatingPoint(file.operating_point.x, file.operating_point.u)

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, create_model, model_validator
 
+from deadtime.plant.plant_set import PlantUncertainty
+from deadtime.plant.uncertainties import UNCERTAINTIES as KINDS
 from deadtime.problems.file.estimators import ModeFilterSection, ObserverSection
 from deadtime.problems.file.servo import ServoSection
 from deadtime.problems.imperfection_registry import ENTRIES as IMPERFECTIONS, ImperfectionSection
@@ -43,6 +46,7 @@ State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
 Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
 Allowed = Annotated[Matrix | None, Shape("(modes, modes)", [[0, 1], [1, 0]])]
 Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
+NESTED: Any = float, Vector, Matrix, Matrices
 Instants = Literal["anywhere", "samples"]
 AT = "When modes may change: anywhere, or at the samples of the run."
 Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
@@ -64,13 +68,18 @@ class PlantSection(Section):
     )
 
 
-class UncertaintySection(Section):
-    """How well [plant] is known, as `deadtime identify` writes it."""
+def uncertainty_section(kind: type[PlantUncertainty]) -> type[Section]:
+    """The section of a kind of uncertainty, with its keys."""
+    keys: dict[str, Any] = {
+        name: (Annotated[NESTED[np.ndim(value)], Shape(form, value)], Field(description=words))
+        for name, (form, value, words) in kind.file_keys.items()
+    }
+    about = "How well [plant] is known, as `deadtime identify` writes it."
+    return create_model(f"{kind.__name__}Section", __base__=Section, __doc__=about, **keys)
 
-    covariance: Annotated[Matrix, Shape("(size, size)", [[1e-4]])] = Field(
-        description="Of all entries of A, row by row and mode by mode, then of B, then of the "
-        "delays, one per input, or mode by mode where each has its own."
-    )
+
+# What the keys of a section make of the plant.
+UNCERTAINTIES = {uncertainty_section(kind): kind for kind in KINDS}
 
 
 class OperatingPointSection(Section):
@@ -253,10 +262,12 @@ if TYPE_CHECKING:
     LawEntry = LawSection
     Switching = SwitchingSection
     ImperfectionEntry = ImperfectionSection
+    UncertaintySection = Section
 else:
     LawEntry = Annotated[Union[ENTRIES], Field(discriminator="kind")]  # noqa: UP007
     Switching = Annotated[Union[MODELS], Field(discriminator="kind")]  # noqa: UP007
     ImperfectionEntry = Annotated[Union[IMPERFECTIONS], Field(discriminator="kind")]  # noqa: UP007
+    UncertaintySection = Union[tuple(UNCERTAINTIES)]  # noqa: UP007
 Signal = Annotated[
     ConstantSignal
     | PeriodicSignal
