@@ -174,7 +174,6 @@ def _decide(
     search_signals: bool,
     progress: Callable[[str], None],
 ) -> Certificate:
-    """The modes alone, then Lyapunov functions, then a bad signal."""
     corners = extremes(setting.plants, setting.delays, table)
     held = [
         (constant_growth(with_memory(one, table), table, mode, aged_row(table, mode)), mode, one)
@@ -232,7 +231,6 @@ def _decide(
 def _searched(
     corners: list[SwitchedSystem], law: Law, setting: Setting, progress: Callable[[str], None]
 ) -> list[Certificate]:
-    """The worst signal of every corner, up to the first that is proved to grow."""
     searched = []
     progress("looking for a signal that grows")
     for corner in corners:

@@ -200,7 +200,6 @@ def out_of_reach(modes: int, law: Law, signals: SignalClass, step: float) -> str
 
 
 def _why_no_table(law: Law) -> str:
-    """Why a law that has no table has no certificate."""
     name = type(law).__name__
     if law.observer is None and law.filter is None:
         return f"{name} is no table but a nonlinear law: no certificate of this kind."

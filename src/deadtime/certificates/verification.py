@@ -319,7 +319,6 @@ def _other_plant(setting: Setting, plant: SwitchedSystem | PlantUncertainty | No
 
 
 def _other_delay(delays: Delays, plant: SwitchedSystem) -> str:
-    """Which delays a certificate is about, if they are not the plant's."""
     if isinstance(delays, np.ndarray) and delays.ndim == 3:
         within = np.all((delays[0] <= plant.delays) & (plant.delays <= delays[1]))
         return "" if within else _in_figures(delays)
@@ -343,7 +342,6 @@ def _in_figures(delays: Delays) -> str:
 
 
 def _digest(*arrays: np.ndarray) -> str:
-    """First digits of the SHA-256 of arrays as little-endian binary64, in C order."""
     data = b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays)
     return hashlib.sha256(data).hexdigest()[:SHOWN]
 

@@ -420,7 +420,6 @@ def unit_bands(response: Response, parts: list[Band], delay: float) -> list[Band
 
 
 def _branches(response: Response, parts: list[Band], delay: float) -> list[EigenvalueBranch]:
-    """A branch for each eigenvalue in each band."""
     every = Samples(
         *(np.concatenate(x) for x in zip(*(band.samples for band in parts), strict=True))
     )

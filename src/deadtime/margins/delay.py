@@ -383,14 +383,12 @@ def delay_margin(
 
 
 def _moved(plant: SwitchedSystem, input: int | None, shift: float) -> np.ndarray:
-    """The plant's delays, those of an input or of all longer by a shift."""
     delays = np.array(plant.delays)
     delays[:, slice(None) if input is None else input] += shift
     return delays
 
 
 def _range(lower: float, upper: float, constant: DelayMargin) -> str:
-    """The true delays between two ends of the shortest that moves, in words."""
     nominal, of_one = constant.nominal, of_input(constant.input)
     if constant.differ:
         shorter, longer = inwards(nominal - lower, 0.0), inwards(upper - nominal, 0.0)

@@ -346,7 +346,6 @@ def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> Leas
 
 
 def _of(shape: DwellShape, article: str = "") -> str:
-    """The dwell time that moves, in words."""
     if shape.signals.chatter > 1:
         return f"{article and article + 'n '}average dwell time"
     article = article and article + " "
@@ -356,7 +355,6 @@ def _of(shape: DwellShape, article: str = "") -> str:
 
 
 def _each(time: float, shape: DwellShape, *, up: bool = False) -> str:
-    """The dwell times that move, in words."""
     times = shape.dwell_times(time) if shape.mode is None else (time,)
     times = times[:1] if shape.alike else times
     return ", ".join(in_words(one, up=up) for one in times)

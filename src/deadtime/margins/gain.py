@@ -134,7 +134,6 @@ def _around(plant: SwitchedSystem, law: Law, step: float | None) -> tuple[_End, 
 def _interval(
     plant: SwitchedSystem, law: Law, mode: int, step: float | None
 ) -> tuple[float, float]:
-    """The factors next to 1 at which this mode is lost."""
 
     grown = _ROUND_OFF * least_growth(plant)
 
@@ -168,7 +167,6 @@ def _interval(
 
 
 def _acting(factor: float, plant: SwitchedSystem) -> SwitchedSystem:
-    """The plant with every input's effect so many times as strong."""
     return plant.like(plant.A, factor * plant.B)
 
 
@@ -249,7 +247,6 @@ def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"
 
 
 def _gains(response: Response, omega: np.ndarray, delay: float) -> np.ndarray:
-    """The eigenvalues of L, (points, m)."""
     samples = response.samples(omega)
     p, _, _ = response.delay_line(omega, np.full(omega.size, delay))
     L = inverses(samples.M) @ samples.r @ p

@@ -217,7 +217,6 @@ def _is_told_the_mode(law: Law, step: float, signal: SwitchingSignal | Rule) -> 
 
 
 def _drops(setting: RobustnessRuns) -> Tolerance:
-    """Lost samples, to a tenth of the probability."""
 
     def between(good: float, bad: float) -> float | None:
         return 0.5 * (good + bad) if bad - good > max(_FINE * bad, 1e-3) else None
@@ -239,7 +238,6 @@ def _drops(setting: RobustnessRuns) -> Tolerance:
 def _whole(
     setting: RobustnessRuns, kind: Callable[[int], Imperfection], most: int, what: str, how: str
 ) -> Tolerance:
-    """Whole periods: doubled until runs are lost, then bisected."""
     values = [0.0]
     while values[-1] < most:
         values.append(min(float(most), max(1.0, 2.0 * values[-1])))

@@ -88,7 +88,6 @@ class StepResponse(Frozen):
 
 
 def _settling(time: np.ndarray, outside: np.ndarray) -> dict[str, float]:
-    """The sample from which on nothing is outside."""
     far = np.flatnonzero(outside)
     return {"SettlingTime": float(time[far[-1] + 1 if far.size else 0])}
 

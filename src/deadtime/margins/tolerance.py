@@ -129,7 +129,6 @@ class RobustnessRuns:
 
     @cached_property
     def _perfect_elsewhere(self) -> list[Trajectory]:
-        """`_perfect` from another start."""
         alone, start = pushes(self.imperfections), elsewhere(self.x0)
         return [self._run(start, alone, i) for i in range(self.scenarios)]
 

@@ -183,7 +183,6 @@ def _filter(
     blocks: list[tuple[np.ndarray, np.ndarray]],
     full: list[np.ndarray],
 ) -> np.ndarray:
-    """F of ψ⁺ = F (v, w)."""
     v, w = channels.D.shape
     n, y = model.centre.E.shape
     r, s = len(model.centre.R), v - y - len(model.centre.R)

@@ -219,6 +219,5 @@ def _reach(sway: Sway, units: Units) -> float:
 
 
 def _in_units(sway: Sway, units: Units) -> tuple[np.ndarray, np.ndarray]:
-    """X and W of y and q in the units of v and w."""
     n, k = len(sway.W), len(sway.X)
     return (sway.X * units.v[:k] * units.v[:k, None], sway.W / units.w[:n] / units.w[:n, None])

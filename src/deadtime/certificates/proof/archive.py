@@ -98,7 +98,6 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
 
 
 def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
-    """V, and what only this package's check of it uses."""
     if isinstance(evidence, StretchEvidence):
         V = {"kind": "stretches", "knots": evidence.knots, "P": _pack(evidence.P)}
         averaged = evidence.setting.transitions.bucket is not None
@@ -291,7 +290,6 @@ def _delays(value: Any) -> Delays:
 
 
 def _array_of(value: Any) -> np.ndarray:
-    """An array from lists of lists of numbers."""
     flat = np.array(value, dtype=object)
     return np.array([_float(entry) for entry in flat.ravel()]).reshape(flat.shape)
 
@@ -302,7 +300,6 @@ def _pack(array: np.ndarray) -> dict[str, Any]:
 
 
 def _array(packed: dict[str, Any]) -> np.ndarray:
-    """A float64 array of the stored shape."""
     _require_keys("an array", packed, "shape data")
     shape = packed["shape"]
     if not all(isinstance(n, int) and not isinstance(n, bool) and n >= 0 for n in shape):

@@ -206,5 +206,4 @@ def least_dominance(X: Any) -> float:
 
 
 def _down(value: Any) -> float:
-    """A float below a ball."""
     return math.nextafter(float(value.lower()), -math.inf)

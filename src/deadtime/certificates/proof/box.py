@@ -298,7 +298,6 @@ class Box(Steps):
 def _phase(
     one: DelayInterval, clock: TimeNumbers, direction: int | None, f: list[Any]
 ) -> tuple[Any, dict[int, Any]]:
-    """φ of a delay, and how it moves."""
     low, high = clock.phases(one)
     if direction is None:
         return low, {}

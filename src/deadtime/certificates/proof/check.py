@@ -82,7 +82,6 @@ def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Chec
 
 
 def _check_split(evidence: Evidence, work: Work) -> Check:
-    """One large inequality, and the small ones of every transition."""
     channels = Channels.of(evidence.setting, evidence.centre)
     inequalities, count = SplitInequalities(evidence, channels, work), 0
     for transition in _spread(evidence.setting.transitions.all(evidence.knots)):
@@ -98,7 +97,6 @@ def _check_split(evidence: Evidence, work: Work) -> Check:
 
 
 def _check_stretches(evidence: StretchEvidence, work: Work) -> Check:
-    """One inequality for every stretch."""
     inequalities, count = StretchInequalities(evidence, work), 0
     if not inequalities.positive():
         return Check(False, "the Lyapunov function is not positive", count)

@@ -190,7 +190,6 @@ def swaying(form: QuadraticForm, Delta: Any, sway: Sway) -> tuple[QuadraticForm,
 
 
 def _value(form: QuadraticForm, Delta: Any) -> Any:
-    """The form at Δ."""
     cross = Delta.transpose() * form.wv
     return form.vv + cross + cross.transpose() + Delta.transpose() * form.ww * Delta
 

@@ -91,7 +91,6 @@ class Steps(Frozen, ABC):
         return np.stack([self.sample(order, u, f, w) for u in us for f in ends for w in points])
 
     def _weights(self, weights: np.ndarray | None) -> np.ndarray:
-        """The point of the polytope: its middle by default."""
         count = len(self.plants.A)
         return np.full(count, 1.0 / count) if weights is None else weights
 
@@ -203,7 +202,6 @@ class Family(Steps):
         return [start, *inner, stop]
 
     def _held(self, mode: int, start: int, stop: int) -> Iterator[Segment]:
-        """The segments between two marks in one mode."""
         if start < stop:
             for a, b in pairwise(self._cuts((mode,), start, stop)):
                 yield Segment(mode, self.lags[mode][a], a, b, "all")

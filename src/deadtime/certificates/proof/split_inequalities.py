@@ -75,7 +75,6 @@ class SplitInequalities:
         return ends if self.s else ()
 
     def _places(self, transition: Transition) -> tuple[int, int]:
-        """Where S before and after a transition stands."""
         place = self.evidence.setting.transitions.place
         here = place(transition.mode, transition.lost)
         return here, place(transition.after, transition.next_lost)
@@ -206,7 +205,6 @@ class SplitInequalities:
         return worst * grow
 
     def _row_residual(self, unit: np.ndarray) -> float:
-        """The largest |η_c|."""
         setting, centre = self.evidence.setting, self.evidence.centre
         if not setting.rows_differ:
             return 0.0
@@ -222,7 +220,6 @@ class SplitInequalities:
         return largest
 
     def _filter_residual(self, unit: np.ndarray) -> float:
-        """|ε|."""
         if not self.s:
             return 0.0
         setting, Psi = self.evidence.setting, self.evidence.centre.Psi

@@ -185,14 +185,12 @@ class Enclosures:
         return high - low if first < last else 0
 
     def _rate(self, part: Segment, direction: int, u: Any, f: Any) -> Any:
-        """∂τ/∂u or ∂τ/∂f."""
         a, b = SHARES[part.share]
         if direction == U:
             return (self._mark(part.stop, f) - self._mark(part.start, f)) * b
         return (u * b + a) * (self._rise(part.stop) - self._rise(part.start))
 
     def _corners(self, part: Segment) -> list[Any]:
-        """𝒜 of every corner of the polytope."""
         key = part.mode, part.lags
         if key not in self.generators:
             self.generators[key] = [balls.decimal(X) for X in self.family.generator(*key)]
@@ -201,7 +199,6 @@ class Enclosures:
     def _factors(
         self, cell: ParameterCell, u: Any, f: Any, weights: np.ndarray, hull: np.ndarray | None
     ) -> list[Any]:
-        """The exponentials of a cell, in order of time."""
         return [
             (hull_of(self._corners(part), weights, hull) * self._duration(part, u, f)).exp()
             for part in cell.order
@@ -295,7 +292,6 @@ def product_of(factors: list[Any]) -> Any:
 
 
 def _sum(factors: list[Any], inner: list[Any]) -> Any:
-    """Σ_k factors[-1] … inner[k] … factors[0]."""
     total = None
     for k, derivative in enumerate(inner):
         term = product_of([*factors[:k], derivative, *factors[k + 1 :]])
@@ -362,7 +358,6 @@ class BoxEnclosures:
         return result
 
     def _of_input(self, cell: ParameterCell, c: int) -> Enclosure:
-        """The columns of x and of one input."""
         from flint import arb
 
         ends = (cell.u, *cell.f)
@@ -393,7 +388,6 @@ class BoxEnclosures:
         return [(k, math.nextafter(0.5 * (b - a), math.inf)) for k, (a, b) in ends if b > a]
 
     def _corners(self, piece: InputPiece, c: int) -> list[Any]:
-        """The generator of a piece at every corner of the polytope."""
         key = piece.mode, c, piece.lag
         if key not in self.generators:
             self.generators[key] = [balls.decimal(X) for X in self.family.generator(*key)]
@@ -406,7 +400,6 @@ class BoxEnclosures:
     def _exponents(
         self, pieces: list[InputPiece], c: int, weights: np.ndarray, hull: np.ndarray | None
     ) -> list[Any]:
-        """𝒜 τ of every piece."""
         return [
             hull_of(self._corners(piece, c), weights, hull) * tau
             for piece, tau in zip(pieces, self._durations(pieces), strict=True)

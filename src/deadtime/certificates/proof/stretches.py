@@ -231,7 +231,6 @@ class StretchInequalities:
         return self.full(step.after, len(rows), follows) * self._under(step.after, rows)
 
     def _under(self, mode: int, rows: tuple[int, ...]) -> Any:
-        """The product of full steps under these rows, by halves."""
         key = mode, rows
         if key not in self.followed:
             self.work.do(cost(self.setting.order))

@@ -141,7 +141,6 @@ def _other(seen: np.ndarray, factor: np.ndarray) -> np.ndarray:
 
 
 def _whitened(L: np.ndarray, W: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """(n k, d): the L_i in units in which W and X are I."""
     ways = np.linalg.inv(np.linalg.cholesky(W)), np.linalg.inv(np.linalg.cholesky(X))
     return np.tensordot(ways[0], ways[1] @ L, 1).reshape(-1, L.shape[2])
 

@@ -40,7 +40,6 @@ def why_malformed(evidence: Evidence | StretchEvidence) -> str:
 
 
 def _numbers(setting: Setting) -> str:
-    """Times and counts are finite numbers of their kind."""
     times: dict[str, Any] = {
         **{f"delays{list(at)}": delay.item() for at, delay in np.ndenumerate(setting.delays)},
         "step": setting.step,
@@ -57,7 +56,6 @@ def _numbers(setting: Setting) -> str:
 
 
 def _plants_and_table(setting: Setting) -> str:
-    """A, B, F, G fit each other and are finite."""
     plants, F, G = setting.plants, setting.F, setting.G
     A, B = plants.A, plants.B
     if (A.ndim, B.ndim, F.ndim, G.ndim) != (4, 4, 3, 4) or not (A.size and B.size and F.size):
@@ -88,7 +86,6 @@ def _plants_and_table(setting: Setting) -> str:
 
 
 def _context(setting: Setting) -> str:
-    """The table has the rows that its context selects from."""
     modes = setting.modes
     rows = {"none": 1, "mode": modes, "mode_age": modes * setting.ages}.get(setting.context)
     if rows is None:
@@ -107,7 +104,6 @@ def _context(setting: Setting) -> str:
 
 
 def _times(setting: Setting) -> str:
-    """Delays within one period; a class of signals that the graph describes."""
     signals = setting.signals
     try:
         signals.require_clock()
@@ -136,7 +132,6 @@ def _times(setting: Setting) -> str:
 
 
 def _rho_and_knots(rho: object, knots: tuple[object, ...]) -> str:
-    """ρ in (0, 1], ages that ascend."""
     if not (isinstance(rho, float) and 0.01 <= rho <= 1.0):
         return "rho is not in [0.01, 1]"
     ages = [knot for knot in knots if isinstance(knot, int) and not isinstance(knot, bool)]
@@ -146,7 +141,6 @@ def _rho_and_knots(rho: object, knots: tuple[object, ...]) -> str:
 
 
 def _matrices(evidence: Evidence, centre: Centre) -> str:
-    """The centre and P, Π, S, knots."""
     setting = evidence.setting
     sizes = _misshapen(_expected_shapes(evidence, setting, centre))
     if sizes:

@@ -215,7 +215,6 @@ def theorem_bound(
 
 
 def _decades(log: float | None) -> float | None:
-    """A natural logarithm in base 10."""
     return None if log is None else log * _PER_DECADE
 
 

@@ -424,7 +424,6 @@ def log_star(groups: Groups, norm: Norm, rate: float) -> float:
 
 
 def _length(logs: Sequence[float]) -> float:
-    """log of the Euclidean norm."""
     return 0.5 * log_sum([2.0 * value for value in logs])
 
 

@@ -138,7 +138,6 @@ def _period(loop: SampledLoop, cycle: Cycle, growth: Growth) -> float:
 
 
 def _random_words(sojourns: Sojourns, signals: Admissible, number: int) -> Iterator[Word]:
-    """Cycles to climb from."""
     rng, follows = np.random.default_rng(2), sojourns.kinds.follows
     span = float(max(2, sojourns.length[-1] - sojourns.length[0]))
     longest = MOST_SOJOURNS if signals.is_free else max(MOST_SOJOURNS, len(signals.recurring))

@@ -171,7 +171,6 @@ class SampledLoop:
         return Growth(self.shift + rate, vector)
 
     def _dense(self, table: LoopPeriods) -> tuple[complex, np.ndarray] | None:
-        """The largest eigenvalue over one cycle and its vector, by computing all of them."""
         if self.order > DENSE:
             return None
         operator = np.array([self.after(table, 1, z) for z in np.eye(self.order)]).T

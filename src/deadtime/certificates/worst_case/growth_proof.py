@@ -176,7 +176,6 @@ def _moves(loop: SampledLoop, cycle: Cycle) -> list[Any]:
 def _move(
     loop: SampledLoop, table: PieceTable, cuts: Cuts, entries: tuple[int, ...], lags: range
 ) -> Any:
-    """`_moves`, of the period with these pieces."""
     from flint import arb_mat
 
     parts = [(*part, table.lag[e]) for e in entries for part in table.parts(e, cuts)]

@@ -175,7 +175,6 @@ def _projection(
     low: np.ndarray,
     high: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """V (order, rank) and U (rank, order)."""
     order = loop.order
     if order <= RANK:
         return np.eye(order), np.eye(order)

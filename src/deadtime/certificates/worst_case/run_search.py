@@ -131,7 +131,6 @@ def worst_in_runs(loop: RunLoop, signals: Admissible, budget: int) -> WorstCase:
 
 
 def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:
-    """Random cycles, the ones of the shortest sojourns first."""
     if not signals.recurring:
         return
     rng = np.random.default_rng(3)

@@ -74,7 +74,6 @@ def _apart(word: Word, other: Word) -> int | None:
 
 @lru_cache(maxsize=64)
 def _turns(size: int) -> np.ndarray:
-    """Every rotation of the places 0, …, size − 1, one a row."""
     return (np.arange(size) - np.arange(size)[:, None]) % size
 
 
@@ -223,7 +222,6 @@ def _most_promising(level: _Level) -> np.ndarray:
 
 
 def _each(letters: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """All sojourns of these letters: their kinds, and the indices of their lengths."""
     sizes = [own.size for own in letters]
     return np.repeat(np.arange(len(letters)), sizes), np.concatenate(letters)
 

@@ -125,7 +125,6 @@ def admissible(cycle: Cycle, signals: Admissible, total: int) -> Cycle | None:
 
 
 def _neighbours(cycle: Cycle, signals: Admissible, scale: float) -> Iterator[Cycle]:
-    """The admissible cycles at this reach."""
     count, total = len(cycle.modes), cycle.periods
     gaps = np.array(cycle.gaps)
     for sign in (scale, -scale):
