@@ -145,12 +145,14 @@ def certificate(content):
     need(rate is None or type(rate) in (int, float), "decay_rate is not a number")
     c = SimpleNamespace(rho=real(rho, "rho"), rate=0 if rate is None else rate)
     need(0 <= c.rate <= sys.float_info.max, "decay_rate is negative, or not finite")
-    own = [key for key in SETS if key in plant]
-    A, B, c.delays, *moves = take(plant, "plant", " ".join(["A B delays", *own]))
+    A, B, c.delays, *axes = take(plant, "plant", "A B delays" + " axes" * ("axes" in plant))
     c.vertices, c.modes, c.n, c.m = len(A), len(A[0]), len(A[0][0]), len(B[0][0][0])
     c.A = nested(A, "A", c.vertices, c.modes, c.n, c.n)
     c.B = nested(B, "B", c.vertices, c.modes, c.n, c.m)
-    c.axes, c.off, c.set = SETS[own[0]](c, *moves) if own else ([], None, "")
+    c.axes = array(axes[0], "axes", None, c.modes, c.n, c.n + c.m) if axes else []
+    need(not axes or (c.axes and c.vertices == 1), "axes are none, or those of several vertices")
+    c.off = lambda i, a, b: sum((arb(axis[i][a][b]) ** 2 for axis in c.axes), arb(0)).sqrt().upper()
+    c.set = f" in an ellipsoid of {len(c.axes)} axes" * (len(c.axes) > 0)
     each = type(c.delays[0]) is list  # delays of every mode and input; else low and high of one
     c.box = each and type(c.delays[0][0]) is list  # low and high of every mode and input
     D = nested(c.delays, "delays", *(2,) * (c.box or not each), *(c.modes, c.m) * each)
@@ -210,24 +212,9 @@ def certificate(content):
     c.Psi = array(rest[0], "Psi", None, None) if c.linear else []
     c.width = rest[0]["shape"][1] if c.linear else 0
     c.S = array(rest[1], "S", places, len(knots), len(c.Psi), len(c.Psi)) if c.linear else []
-    arrays = [law["F"], law["G"], lyapunov["P"], *(rest if c.linear else []), *moves]
+    arrays = [law["F"], law["G"], lyapunov["P"], *(rest if c.linear else []), *axes]
     c.numbers = sum(math.prod(x["shape"]) for x in arrays)
     return c
-
-
-def ellipsoid(c, packed):
-    """The axes of z, how far it moves an entry (mode, row, column) at most, and what it is."""
-    axes = array(packed, "axes", None, c.modes, c.n, c.n + c.m)
-    need(axes and c.vertices == 1, "axes are none, or those of several vertices")
-
-    def off(i, a, b):
-        return sum((arb(axis[i][a][b]) ** 2 for axis in axes), arb(0)).sqrt().upper()
-
-    return axes, off, f" in an ellipsoid of {len(axes)} axes"
-
-
-# Sets of plants about one vertex, by the key of `plant` that they have besides A and B.
-SETS = {"axes": ellipsoid}
 
 
 def per_mode(value, name, c):
@@ -644,8 +631,8 @@ class Loop:
         return arb_mat(rows + [[0] * self.k] * (self.k - self.n))
 
     def swayed(self, chain):
-        """By how much each entry of [A B] moves E, at all plants of the set, of a chain of pieces
-        (mode, duration, and where each input is read)."""
+        """(n k, axes): by how much each axis of the ellipsoid moves E, of a chain of pieces (mode,
+        duration, and where each input is read), at all of its points."""
         c, n, k, E, moved = self.c, self.n, self.k, eye(self.k), {}
         for mode, duration, at in chain:
             places = {**{b: b for b in range(n)}, **{n + j: col for j, col in at.items()}}
@@ -667,7 +654,7 @@ class Loop:
         return {place: part(D, 0, n, 0, k) for place, D in moved.items()}
 
     def sway(self, i, j, q, p):
-        """W, X with (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for every z, |z| ≤ 1."""
+        """W, X with (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for all of the ellipsoid."""
         c, n, k, m = self.c, self.n, self.k, self.c.m
         if self.boxed:
             u, f, g, moved = p[0], p[1 : m + 1], p[m + 1 : 2 * m + 1], {}
@@ -998,8 +985,7 @@ def summary(c):
     low, high = c.delays if c.box else (low, high)
     D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
-    plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
-    plant += c.set
+    plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "") + c.set
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
     kept = f", {c.q} remembered" * (c.q > 0)
     rows = f"rows by {c.context}" + f" of {c.lag} periods ago" * (c.lag > 0)
