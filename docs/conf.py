@@ -1,7 +1,7 @@
 """The documentation site: `make docs`.
 
-Formulas are Unicode text, here as in the docstrings; those that are displayed become MathML when
-the pages are built, so no page needs a script for them, a font or a network.
+Formulas of pages are LaTeX, rendered by the MathJax that is shipped with the site; formulas in
+docstrings are text, which becomes MathML.
 """
 
 import os
@@ -24,6 +24,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.viewcode",
+    "sphinx-mathjax-offline",  # with sphinx.ext.mathjax
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
@@ -41,7 +42,7 @@ exclude_patterns = ["_build"]
 highlight_language = "none"
 nitpicky = True
 
-myst_enable_extensions = ["attrs_inline", "colon_fence"]
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 
 autodoc_typehints = "none"  # shapes and units are in the docstrings
