@@ -23,6 +23,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx-mathjax-offline",  # with sphinx.ext.mathjax
     "sphinx_copybutton",
@@ -41,6 +42,10 @@ templates_path = ["templates"]
 exclude_patterns = ["_build"]
 highlight_language = "none"
 nitpicky = True
+default_role = "literal"  # `names` makes links of it, here and in pages
+napoleon_google_docstring = False
+napoleon_use_param = False
+napoleon_use_rtype = False
 
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
