@@ -42,9 +42,9 @@ def process(app, what, name, owner, options, lines) -> None:
     text = equations.cited(text)
     text = ATTRIBUTE.sub(lambda found: attribute(owner, name, found), text)
     text = TYPE.sub(lambda found: "(" + PUBLIC.sub(r"``\1``", found[1]) + ")", text)
-    numbers = [link for link in equations.links_of(name) if link.split("<")[1] not in text]
-    if numbers:  # before the entries of its own attributes
-        at = text.find(".. attribute::") % (len(text) + 1)
+    at = text.find(".. attribute::") % (len(text) + 1)  # entries of their own
+    numbers = [link for link in equations.links_of(name) if link.split("<")[1] not in text[:at]]
+    if numbers:
         text = f"{text[:at]}\nEquations: {', '.join(numbers)}\n\n{text[at:]}"
     lines[:] = text.split("\n")
 
