@@ -1,7 +1,6 @@
 """The documentation site: `make docs`.
 
-Formulas of pages are LaTeX, rendered by the MathJax that is shipped with the site; formulas in
-docstrings are text, which becomes MathML.
+Formulas are LaTeX, rendered by the MathJax that is shipped with the site.
 """
 
 import os
@@ -31,7 +30,6 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "docstrings",
     "equations",
-    "formulas",
     "links",
     "names",
     "openings",
