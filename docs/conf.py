@@ -1,7 +1,6 @@
 """The documentation site: `make docs`.
 
-Formulas are Unicode text, here as in the docstrings; those that are displayed become MathML when
-the pages are built, so no page needs a script for them, a font or a network.
+Formulas are LaTeX, rendered by the MathJax that is shipped with the site.
 """
 
 import os
@@ -23,13 +22,14 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
+    "sphinx-mathjax-offline",  # with sphinx.ext.mathjax
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "docstrings",
     "equations",
-    "formulas",
     "links",
     "names",
     "openings",
@@ -40,8 +40,12 @@ templates_path = ["templates"]
 exclude_patterns = ["_build"]
 highlight_language = "none"
 nitpicky = True
+default_role = "literal"  # `names` makes links of it, here and in pages
+napoleon_google_docstring = False
+napoleon_use_param = False
+napoleon_use_rtype = False
 
-myst_enable_extensions = ["attrs_inline", "colon_fence"]
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 
 autodoc_typehints = "none"  # shapes and units are in the docstrings

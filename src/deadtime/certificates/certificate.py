@@ -41,7 +41,7 @@ def require_json(name: str, path: str | Path) -> Path:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
-    """Whether a digital loop is stable for every admissible signal (immutable).
+    r"""Whether a digital loop is stable for every admissible signal (immutable).
 
     Attributes
     ----------
@@ -49,7 +49,8 @@ class Certificate:
         True: it is; False: `witness` is an admissible signal under which it is not; None: neither
         was found, `message` says why.
     decay_rate : float or None
-        1/s: every solution is below C e^{−decay_rate t}; None unless stable.
+        1/s: every solution is below :math:`C e^{-\alpha t}` with this :math:`\alpha`; None unless
+        stable.
     proven : bool
         Whether ball arithmetic and a rigorous factorisation have verified every inequality, the
         decay rate included.
@@ -86,7 +87,9 @@ class Certificate:
     def lyapunov(
         self, mode: int = 0, age: int = 0, lost: int = 0
     ) -> Float[np.ndarray, "order order"]:
-        """P_{mode,age} of V = ξᵀ P ξ, ξ = (x_k, w_k, u_{k−1}, …, u_{k−W}).
+        r"""The matrix of the Lyapunov function of a mode and an age.
+
+        :math:`P` of :math:`V = \xi^T P \xi` with :math:`\xi = (x_k, w_k, u_{k-1}, \dots, u_{k-W})`.
 
         w is what a law remembers of its outputs, (x̄, s) of `feedback.recurrence`; nothing of a law
         of the state.

@@ -66,7 +66,7 @@ def certify(
     progress: Callable[[str], None] | None = None,
     **signals: Unpack[SignalOptions],
 ) -> Certificate:
-    """Whether the digital loop is stable for every switching signal with a dwell time.
+    r"""Whether the digital loop is stable for every switching signal with a dwell time.
 
     Switches may fall anywhere, not only on the sampling grid. The answer is True with a Lyapunov
     function, False with a signal under which the loop provably grows, or None with a reason.
@@ -83,7 +83,8 @@ def certify(
         `OutputFeedback` of one. Of that the whole loop is certified: the state, the estimate, the
         sums of errors and the inputs on their way, at a reference and a disturbance of 0.
     dwell_time : float, one per mode, or SignalClass
-        Shortest sojourn τ_d, in seconds, more than one period; or all that is known of the signals.
+        Shortest sojourn :math:`\tau_d`, in seconds, more than one period; or all that is known of
+        the signals.
     step : float
         Sampling period h, in seconds.
     delays : (low, high), optional

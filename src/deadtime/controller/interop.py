@@ -30,9 +30,12 @@ _DISTURBED = 1e-3  # `control.linearize` moves every input and state a little
 
 
 def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
-    """A law at a period as a discrete system of python-control, from x and the mode to u.
+    r"""A law at a period as a discrete system of python-control, from x and the mode to u.
 
-        u_k = F_c x_k + Σ_j G_{c,j} u_{k−j},    states: u_{k−1}, …, u_{k−N}, mode, age
+    .. math::
+
+        u_k = F_c x_k + \sum_j G_{c,j} u_{k-j},
+        \quad \text{states: } u_{k-1}, \dots, u_{k-N}, \text{ mode, age}
 
     Of an `OutputFeedback` y comes in instead of x, with a servo after the mode the reference r too,
     in place of the law's own; before the mode among the states is what its observer keeps: z, what
@@ -164,10 +167,10 @@ class _Observed:
 def plant_to_control(
     plant: SwitchedSystem, step: float, *, C: ArrayLike | None = None, name: str = "plant"
 ) -> Any:
-    """A plant with its input delay at a period, exactly discretised: from u and the mode to x.
+    r"""A plant with its input delay at a period, exactly discretised: from u and the mode to x.
 
     The mode holds for a whole period, so switches fall on the grid; the delay need not. With a C,
-    shape (p, n) or (modes, p, n), y = C_σ x comes out after x.
+    shape (p, n) or (modes, p, n), :math:`y = C_\sigma x` comes out after x.
 
     Examples
     --------
@@ -216,7 +219,7 @@ def loop_to_control(
     Returns
     -------
     (control.InterconnectedSystem, array)
-        Put x₀ into the first n entries of the array, and give both to
+        Put :math:`x_0` into the first n entries of the array, and give both to
         `control.input_output_response`, with the modes at the samples as the input, and below them
         the reference of a law with a servo, row by row.
 

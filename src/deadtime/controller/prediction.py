@@ -23,9 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Frozen):
-    """The state at t_k + D, as the law of a controller forecasts it (immutable).
+    r"""The state at :math:`t_k + D`, as the law of a controller forecasts it (immutable).
 
-        x̂(t_k + D_j) = Σ_i p_i P_i
+    .. math::
+
+        \hat x(t_k + D_j) = \sum_i p_i P_i
 
     over the modes i in which the forecast may end, from the last sample that was served and the
     inputs before it, as applied: those that nothing can change any more. Where inputs have delays
@@ -34,15 +36,15 @@ class Prediction(Frozen):
     Attributes
     ----------
     states : (inputs, n)
-        x̂(t_k + D_j), of every input the state that it meets; one and the same where all arrive
-        together.
+        :math:`\hat x(t_k + D_j)`, of every input the state that it meets; one and the same where
+        all arrive together.
     by_mode : (inputs, modes, n)
-        P_i, the state expected if the forecast ends in mode i; NaN where it cannot. A
+        :math:`P_i`, the state expected if the forecast ends in mode i; NaN where it cannot. A
         `MeanPredictor` has one mode, the mean one.
     probabilities : (inputs, modes)
-        p_i: by the law's forecast, and, of a `BeliefPredictor`, by its filter.
+        :math:`p_i`: by the law's forecast, and, of a `BeliefPredictor`, by its filter.
     horizons : (inputs, modes)
-        D_j, by the mode in which the forecast ends, in seconds.
+        :math:`D_j`, by the mode in which the forecast ends, in seconds.
 
     Examples
     --------
@@ -67,7 +69,7 @@ class Prediction(Frozen):
     def covariance(
         self, disturbance: ArrayLike | None = None, estimate: ArrayLike | None = None
     ) -> Float[np.ndarray, "input n n"]:
-        """The covariance of x(t_k + D_j) about x̂(t_k + D_j), as the forecast has it.
+        """The covariance of the predicted states, as the forecast has it.
 
         What a disturbance adds over the delay, what is not known of the state now, and how far
         apart the futures are that the law thinks possible. Inputs that are still to be sent count
@@ -76,11 +78,12 @@ class Prediction(Frozen):
         Parameters
         ----------
         disturbance : array_like, optional
-            W of `imperfections.WhiteDisturbance(W)`: a number, (n,), (n, n) or (modes, n, n), x²
-            per second. By default 0, or what the filter of a `BeliefPredictor` counts with.
+            :math:`W` of `imperfections.WhiteDisturbance`: a number, (n,), (n, n) or (modes, n, n),
+            :math:`x^2` per second. By default 0, or what the filter of a `BeliefPredictor` counts
+            with.
         estimate : array_like, optional
-            The covariance of the state now about what the law takes it for: a number, (n,) or
-            (n, n), x². By default 0 of a state that is measured, and what a Kalman filter says
+            The covariance of the state now about what the law takes it for: a number, (n,) or (n,
+            n), :math:`x^2`. By default 0 of a state that is measured, and what a Kalman filter says
             of an estimate, in its steady state; a filter of outputs has its own, and takes none.
 
         Raises
@@ -97,7 +100,7 @@ class Prediction(Frozen):
     def covariance_by_mode(
         self, disturbance: ArrayLike | None = None, estimate: ArrayLike | None = None
     ) -> Float[np.ndarray, "input mode n n"]:
-        """The covariance about P_i if the forecast ends in mode i; NaN where it cannot."""
+        """The covariance about :math:`P_i` if the forecast ends in mode i; NaN where it cannot."""
         share, state, C = self._cases(disturbance, estimate)
         total = share.sum(axis=0)
         with np.errstate(invalid="ignore"):

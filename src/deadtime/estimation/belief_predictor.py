@@ -20,14 +20,18 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class BeliefPredictor(Law):
-    """A law whose rows are weighed by how likely their modes are; it reads no mode.
+    r"""A law whose rows are weighed by how likely their modes are; it reads no mode.
 
-        u = Σ_c π_c (F_c x + Σ_j G_{c,j} u_{k−j}),    c = mode, or (mode, age)
+    .. math::
+
+        u_k = \sum_c \pi_c \Big( F_c x_k + \sum_j G_{c,j} u_{k-j} \Big),
+        \quad c \text{ a mode, or a mode and its age}
 
     Of `ExpectedPredictor` under the filter's switching model this is the expectation over what is
     not known, the present mode included. Of other laws with rows by mode it is their mean. On an
-    `OutputModeFilter` it measures y in place of x and each row is given E[x | its mode]: as rows
-    are linear, that is the mean over both; then `run.estimates` is E[x].
+    `OutputModeFilter` it measures :math:`y` in place of :math:`x` and each row is given
+    :math:`E[x \mid \text{its mode}]`: as rows are linear, that is the mean over both; then
+    `run.estimates` is E[x].
 
     Parameters
     ----------

@@ -137,13 +137,17 @@ def first_belief(value: ArrayLike | None, modes: int, ages: int) -> Float[np.nda
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ModeFilter(Frozen):
-    """The belief over the modes of a plant of which x is measured and the mode is not (immutable).
+    r"""The belief over the modes of a plant of which x is measured and the mode is not (immutable).
 
-        π_k(j) ∝ Σ_i π_{k−1}(i) P_ij p(x_k | x_{k−1}, inputs, i then j),    P: the model at samples
+    .. math::
 
-    p is normal about what the model predicts over a period in mode i; of a switch within it, about
-    the middle of what i and j predict, and as much wider as its instant is unknown. Where age
-    matters, as under a `SemiMarkov` model, the belief is over modes and ages.
+        \pi_k(j) \propto \sum_i \pi_{k-1}(i) P_{ij} \,
+        p(x_k \mid x_{k-1}, \text{inputs}, i \text{ then } j)
+
+    with :math:`P` the model at samples. :math:`p` is normal about what the model predicts over a
+    period in mode i; of a switch within it, about the middle of what i and j predict, and as much
+    wider as its instant is unknown. Where age matters, as under a `SemiMarkov` model, the belief is
+    over modes and ages.
 
     Parameters
     ----------
@@ -154,9 +158,9 @@ class ModeFilter(Frozen):
     step : float
         Sampling period h, in seconds.
     disturbance : array_like
-        W of `imperfections.WhiteDisturbance(W)`, x² per second: a number for number·I, (n,) for a
-        diagonal, (n, n), or (modes, n, n) where modes have their own. A noise of s √h per period
-        and state is W = s².
+        :math:`W` of `imperfections.WhiteDisturbance`, :math:`x^2` per second: a number for number
+        times :math:`I`, (n,) for a diagonal, (n, n), or (modes, n, n) where modes have their own. A
+        noise of :math:`s \sqrt h` per period and state is :math:`W = s^2`.
     noise : array_like
         Standard deviation of `imperfections.Noise`, in units of x: a number or (n,).
     switches : "anywhere" or "samples", optional
@@ -348,7 +352,7 @@ class ModeFilter(Frozen):
 
     @property
     def longest_lag(self) -> int:
-        """N: no input older than u_{k−N} acts in period k of the model."""
+        """:math:`N`: no input older than :math:`u_{k-N}` acts in period k of the model."""
         return SampledPlant.of(self.plant, self.step).longest_lag
 
     def __repr__(self) -> str:

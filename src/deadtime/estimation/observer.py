@@ -110,16 +110,16 @@ Model = str | int  # "modes", "mean", or the number of a mode
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Observer(Frozen):
-    """A switched observer with a gain per mode (immutable).
+    r"""A switched observer with a gain per mode (immutable).
 
     Parameters
     ----------
     plant : SwitchedSystem
         The model, its delay included.
     C : array_like, shape (p, n) or (modes, p, n)
-        What is measured, y = C_σ x; one matrix for all modes or one per mode.
+        What is measured, :math:`y = C_\sigma x`; one matrix for all modes or one per mode.
     gain : array_like, shape (n, p) or (modes, n, p)
-        L_i of the correction (see the module); `luenberger` and `kalman` design it.
+        :math:`L_i` of the correction (see the module); `luenberger` and `kalman` design it.
     step : float
         Sampling period h, in seconds.
     allow_unstable : bool
@@ -128,9 +128,10 @@ class Observer(Frozen):
     Attributes
     ----------
     covariance : (modes, n, n) or None
-        Of x − x̂_k, after the correction, in the steady state of a mode; of a Kalman filter.
+        Of :math:`x - \hat x_k`, after the correction, in the steady state of a mode; of a Kalman
+        filter.
     prior : (modes, n, n) or None
-        Of x − x̄_k, before the correction.
+        Of :math:`x - \bar x_k`, before the correction.
 
     Raises
     ------
@@ -296,17 +297,18 @@ def luenberger(
     *,
     model: Model = "modes",
 ) -> Observer:
-    """An observer whose error decays as poles say, in every mode.
+    r"""An observer whose error decays as poles say, in every mode.
 
-    The gain L_i gives the error matrix Φ_i (I − L_i C_i) the eigenvalues e^{ph}: with M = Φ_i L_i
-    it is Φ_i − M C_i, the transpose of a state feedback.
+    The gain :math:`L_i` gives the error matrix :math:`\Phi_i (I - L_i C_i)` the eigenvalues
+    :math:`e^{p h}`: with :math:`M = \Phi_i L_i` it is :math:`\Phi_i - M C_i`, the transpose of a
+    state feedback.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The model; every mode must be observable.
     C : array_like, shape (p, n) or (modes, p, n)
-        What is measured, y = C_σ x.
+        What is measured, :math:`y = C_\sigma x`.
     poles : array_like, shape (n,) or (modes, n)
         Poles of the error for all modes, or one list per mode, in 1/s.
     step : float
@@ -370,20 +372,25 @@ def kalman(
     *,
     model: Model = "modes",
 ) -> Observer:
-    """The steady-state Kalman filter of every mode.
+    r"""The steady-state Kalman filter of every mode.
 
-        dx/dt = A_σ x + B_σ u(t − D) + w,    y_k = C_σ x(t_k) + v_k,
+    .. math::
 
-    w continuous white noise of intensity W, E w(t) w(s)ᵀ = W δ(t − s), and v_k white with
-    covariance R. Over a period w leaves the covariance Q_d = ∫₀^h e^{As} W e^{Aᵀs} ds, and with
-    the steady state P of
+        \dot x = A_\sigma x + B_\sigma u(t - D) + w, \quad y_k = C_\sigma x(t_k) + v_k,
 
-        P = Φ (I − L C) P Φᵀ + Q_d,    L = P Cᵀ (C P Cᵀ + R)⁻¹,
+    with :math:`w` continuous white noise of intensity :math:`W`,
+    :math:`E\,w(t) w(s)^T = W \delta(t - s)`, and :math:`v_k` white with covariance :math:`R`. Over
+    a period :math:`w` leaves the covariance :math:`Q_d = \int_0^h e^{A s} W e^{A^T s} \, ds`, and
+    with the steady state :math:`P` of
 
-    `observer.prior` is P, the covariance of x − x̄ before a correction, and
-    `observer.covariance` (I − L C) P, that of x − x̂ after it. In a mode that lasts no other
-    observer has a smaller one. Just after a switch it is not optimal: the filter that is would
-    carry its covariance along.
+    .. math::
+
+        P = \Phi (I - L C) P \Phi^T + Q_d, \quad L = P C^T (C P C^T + R)^{-1},
+
+    `observer.prior` is :math:`P`, the covariance of :math:`x - \bar x` before a correction, and
+    `observer.covariance` :math:`(I - L C) P`, that of :math:`x - \hat x` after it. In a mode that
+    lasts no other observer has a smaller one. Just after a switch it is not optimal: the filter
+    that is would carry its covariance along.
 
     Parameters
     ----------

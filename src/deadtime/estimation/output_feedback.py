@@ -25,7 +25,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class OutputFeedback(Law):
-    """A law that measures y = C_σ x and is run on what an observer makes of it.
+    r"""A law that acts on an observer's estimate of the state from :math:`y = C_\sigma x`.
 
     Every law may be used: it is given x̂ instead of x. Its model and the observer's are the same
     where nothing is known to the contrary, but need not be. With the right model, a right first

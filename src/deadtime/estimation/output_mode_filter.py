@@ -29,7 +29,7 @@ from deadtime.switching import SwitchingModel
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class OutputModeFilter(Frozen):
-    """The belief over the modes of a plant, and its state, where y = C_σ x + noise is measured.
+    """The belief over the modes of a plant, and its state, from noisy outputs.
 
     An interacting-multiple-model filter: a Kalman filter per mode, corrected by every output and
     mixed at every sample as the switching model and the outputs say. It is an approximation, as
@@ -48,10 +48,11 @@ class OutputModeFilter(Frozen):
         What is measured. Of an `Observer` of this plant and period its C, and its gains in place
         of Kalman's; a sample of which one output is missing then corrects nothing.
     covariance : array_like
-        Of the first state about `estimate`, x²: a number for number·I, (n,) or (n, n).
+        Of the first state about `estimate`, :math:`x^2`: a number for number times :math:`I`, (n,)
+        or (n, n).
     disturbance : array_like
-        W of `imperfections.WhiteDisturbance(W)`: a number, (n,), (n, n) or (modes, n, n), x² per
-        second.
+        :math:`W` of `imperfections.WhiteDisturbance`: a number, (n,), (n, n) or (modes, n, n),
+        :math:`x^2` per second.
     noise : array_like
         Standard deviation of `imperfections.Noise`, in units of y: a number or (p,).
     estimate : array_like, shape (n,), optional
@@ -161,7 +162,7 @@ class OutputModeFilter(Frozen):
 
     @property
     def longest_lag(self) -> int:
-        """N: no input older than u_{k−N} acts in period k of the model."""
+        """:math:`N`: no input older than :math:`u_{k-N}` acts in period k of the model."""
         return self.chain.longest_lag
 
     def bank(self, ages: int = 1) -> BankForm:

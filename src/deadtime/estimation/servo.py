@@ -176,14 +176,14 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Servo(Frozen):
-    """A plant extended by what tracking needs (immutable); see the module for the equations.
+    r"""A plant extended by what tracking needs (immutable); see the module for the equations.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The plant.
     C : array_like, shape (p, n) or (modes, p, n)
-        What is measured, y = C_σ x.
+        What is measured, :math:`y = C_\sigma x`.
     tracked : array_like, shape (tracked, p), optional
         H: the combinations of y that follow the reference; all of y by default.
     integral : bool
@@ -333,7 +333,8 @@ class Servo(Frozen):
     ) -> Float[np.ndarray, "mode m"]:
         """The constant input that holds the tracked outputs at a reference, in every mode.
 
-        A_i x + B_i u + c_i = 0 and H C_i x = r; the smallest (x, u) where there are several.
+        :math:`A_i x + B_i u + c_i = 0` and :math:`H C_i x = r`; the smallest :math:`(x, u)` where
+        there are several.
 
         Parameters
         ----------

@@ -43,7 +43,10 @@ class LoopSpeeds(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Functional(Frozen):
-    """u(t) = F_c x(t) + Σ_p C_c,p ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ, τ from α_p to β_p.
+    r"""A law in continuous time: feedback of the state and of windows of past inputs.
+
+    :math:`u(t) = F_c x(t) + \sum_p C_{c,p} \int_{\alpha_p}^{\beta_p} e^{S_p (\tau - \alpha_p)} R_p
+    u(t - \tau) \, d\tau`.
 
     c is the row that applies at t. Immutable.
 
@@ -54,7 +57,7 @@ class Functional(Frozen):
     C : (rows, windows, m, q), S : (windows, q, q), R : (windows, q, m)
         Of the windows p.
     near : (windows,), far : (windows,)
-        0 ≤ α_p < β_p, seconds.
+        :math:`0 \le \alpha_p < \beta_p`, seconds.
     row : callable
         From times (T,) to the rows that apply there; where it changes the signal switches.
     """
@@ -73,7 +76,7 @@ class Functional(Frozen):
         K: Float[np.ndarray, "row m n"],
         row: Callable[[Float[np.ndarray, " T"]], Int[np.ndarray, " T"]],
     ) -> Functional:
-        """State feedback u = K_c x: of its one window nothing is left."""
+        """State feedback :math:`u = K_c x`: of its one window nothing is left."""
         (rows, m, n), none = K.shape, np.zeros(1)
         nothing = np.zeros((rows, 1, m, n)), np.zeros((1, n, n)), np.zeros((1, n, m))
         return cls(K, *nothing, none, none, row)

@@ -93,16 +93,17 @@ def _require_fit(law: Law, table: Feedback) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Law(Frozen, ABC):
-    """A predictor-feedback law.
+    r"""A predictor-feedback law.
 
     Attributes
     ----------
     plant : SwitchedSystem
         The law's *model* of the plant, delay included.
     gains : (modes, m, n) array or None
-        K_i of u = +K_i x, used for the mismatch; None where the law has no gain per mode.
+        :math:`K_i` of :math:`u = +K_i x`, used for the mismatch; None where the law has no gain per
+        mode.
     outputs : (modes, p, n) array or None
-        C_i, of a law that measures y = C_σ x; None for the whole state.
+        :math:`C_i`, of a law that measures :math:`y = C_\sigma x`; None for the whole state.
     observer, servo, reference : Observer, Servo, Reference or None
         Of a law on estimates from outputs, and of one that tracks outputs; see `OutputFeedback`.
     filter : ModeFilter, OutputModeFilter or None
@@ -142,7 +143,7 @@ class Law(Frozen, ABC):
 
     @property
     def is_linear(self) -> bool:
-        """Whether u_k is linear in measurements and the law's state, along any signal of modes."""
+        """Whether u is linear in measurements and the law's state, along any signal of modes."""
         return False
 
     @property
@@ -257,7 +258,7 @@ class Law(Frozen, ABC):
     def spread(
         self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
-        """The covariance of x(t_k + D_j) in every row that may apply and every future.
+        """The covariance of :math:`x(t_k + D_j)` in every row that may apply and every future.
 
         W is the intensity of white noise that acts on dx/dt, or of each mode its own. Raises
         `ArgumentError` for a law that has none.

@@ -32,7 +32,9 @@ Context = Literal["none", "mode", "mode_age", "step"]
 
 
 class Factor(NamedTuple):
-    """The taps as powers of one small matrix: G_{c,j} = H_c S^{j−1} Γ_s for j < N, then `last`.
+    r"""The taps as powers of one small matrix.
+
+    :math:`G_{c,j} = H_c S^{j-1} \Gamma_s` for :math:`j < N`, then `last`.
 
     H : (contexts, m, q),  S : (q, q),  input : Γ_s (q, m),  last : G_{c,N} (contexts, m, m)
     """
@@ -43,7 +45,7 @@ class Factor(NamedTuple):
     last: Float[np.ndarray, "context m m"]
 
     def taps(self, count: int) -> Float[np.ndarray, "context N m m"]:
-        """The first `count` taps G_{c,1}, G_{c,2}, …, multiplied out."""
+        r"""The first `count` taps :math:`G_{c,1}, G_{c,2}, \dots`, multiplied out."""
         contexts, m, _ = self.H.shape
         columns, power = self.input, self.S  # Γ_s, S Γ_s, …: twice as many each time
         while columns.shape[1] < (count - 1) * m:
@@ -134,14 +136,14 @@ def follow(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Feedback(Frozen):
-    """A digital feedback law as a table (immutable).
+    r"""A digital feedback law as a table (immutable).
 
     Attributes
     ----------
     state_gain : (contexts, m, n)
-        F_c.
+        :math:`F_c`.
     input_gain : (contexts, N, m, m)
-        G_{c,j}, j = 1 (the latest input) first, N ≥ 1.
+        :math:`G_{c,j}`, :math:`j = 1` (the latest input) first, :math:`N \ge 1`.
     context : "none", "mode", "mode_age" or "step"
         What selects the row; see the module.
     step : float
@@ -149,7 +151,8 @@ class Feedback(Frozen):
     ages : int
         Rows per mode of a (mode, age) table, 1 otherwise.
     factor : Factor or None
-        The taps as H_c S^{j−1} Γ_s, where that form exists: O(1) cost in N for who uses it.
+        The taps as :math:`H_c S^{j-1} \Gamma_s`, where that form exists: its cost does not depend
+        on :math:`N`.
     memory : int
         How many of the m outputs, the first ones, are no inputs of the plant but the law's state,
         of which it reads the last (`feedback.recurrence`); 0 of a law that keeps nothing but its
@@ -201,12 +204,12 @@ class Feedback(Frozen):
 
     @property
     def latest_first(self) -> Float[np.ndarray, "context m past"]:
-        """The taps of each row side by side, (contexts, m, N·m), as inputs lie in u_{k−1}, …."""
+        """The taps of each row side by side, (contexts, m, N m), the latest input first."""
         return side_by_side(self.input_gain)
 
     @property
     def oldest_first(self) -> Float[np.ndarray, "context m past"]:
-        """The taps of each row side by side, (contexts, m, N·m), as inputs lie in u_{k−N}, ….
+        """The taps of each row side by side, (contexts, m, N m), the oldest input first.
 
         Examples
         --------
@@ -229,9 +232,9 @@ class Feedback(Frozen):
         return sample if self.context == "step" else row_of(self.context, self.ages, mode, age)
 
     def rows(self, modes: np.ndarray, initial_age: int = 0) -> np.ndarray:
-        """The row that applies at each sample of a run, from the sampled modes σ(t_0), σ(t_1), ….
+        r"""The row that applies at each sample of a run, from the sampled modes.
 
-        `initial_age` is the age of σ(t_0) in samples.
+        `initial_age` is the age of :math:`\sigma(t_0)` in samples.
 
         Examples
         --------

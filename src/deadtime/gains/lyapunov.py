@@ -57,17 +57,18 @@ class CommonLyapunov(Frozen):
 
 
 def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
-    """The common Lyapunov matrix P of all modes, of norm 1, with the largest λ_min(Q).
+    r"""The common Lyapunov matrix of all modes, of norm 1, with the best decay.
 
-    Solves: maximise q subject to (A_i + B_i K_i)ᵀP + P(A_i + B_i K_i) ≤ −q I, 0 ≤ P ≤ I. Among
-    all pairs of (4) it has the largest λ_min(Q)/|P|, the ratio on which the paper's ε* depends.
+    Solves: maximise :math:`q` subject to :math:`(A_i + B_i K_i)^T P + P (A_i + B_i K_i) \preceq -q
+    I`, :math:`0 \preceq P \preceq I`. Among all pairs of (4) it has the largest
+    :math:`\lambda_{\min}(Q)/|P|`, the ratio on which the paper's :math:`\varepsilon^*` depends.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The plant; its delay plays no part.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x, every A_i + B_i K_i Hurwitz.
+        :math:`K_i` of :math:`u = +K_i x`, every :math:`A_i + B_i K_i` Hurwitz.
 
     Returns
     -------
@@ -321,26 +322,32 @@ class JointDesign(Frozen):
 
 
 def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
-    """Gains for every mode and one P for all of them, with a decay rate under any switching.
+    r"""Gains for every mode and one P for all of them, with a decay rate under any switching.
 
-        A_i X + B_i Y_i + (·)ᵀ + 2αX ≤ 0,   X > 0,   K_i = Y_i X⁻¹,   P = X⁻¹
+    .. math::
 
-    For the plant without its delay √(xᵀPx) then decays like e^{−αt}, however it switches. Of all
-    solutions the one is taken that minimises max_i |K_i X^{1/2}|² + cond X, in units of |A| and
-    |B|, with X ≥ I: the first term bounds the gains, the second the condition of P. Both
-    enter the bounds on the allowed distance of the modes, and left free both tend to infinity.
+        A_i X + B_i Y_i + (\cdot)^T + 2 \alpha X \preceq 0,
+        \quad X \succ 0,
+        \quad K_i = Y_i X^{-1},
+        \quad P = X^{-1}
+
+    For the plant without its delay :math:`\sqrt{x^T P x}` then decays like :math:`e^{-\alpha t}`,
+    however it switches. Of all solutions the one is taken that minimises
+    :math:`\max_i |K_i X^{1/2}|^2 + \text{cond}\, X`, in units of :math:`|A|` and :math:`|B|`, with
+    :math:`X \succeq I`: the first term bounds the gains, the second the condition of :math:`P`.
+    Both enter the bounds on the allowed distance of the modes, and left free both tend to infinity.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The plant; its delay plays no part.
     decay_rate : float
-        α > 0, in 1/s.
+        :math:`\alpha > 0`, in 1/s.
 
     Returns
     -------
     JointDesign
-        `.gains`, `.P` and the recomputed `.decay_rate` ≥ α.
+        `.gains`, `.P` and the recomputed `.decay_rate`, at least :math:`\alpha`.
 
     Raises
     ------

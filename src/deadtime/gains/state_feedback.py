@@ -86,7 +86,7 @@ def place(
     step: float | None = None,
     allow_unstable: bool = False,
 ) -> Float[np.ndarray, "mode m n"]:
-    """Gains that place the poles of A_i + B_i K_i, or of the loop run at a period.
+    r"""Gains that place the poles of :math:`A_i + B_i K_i`, or of the loop run at a period.
 
     Parameters
     ----------
@@ -95,9 +95,10 @@ def place(
     poles : array_like, shape (n,) or (modes, n)
         Poles for all modes, or one list per mode, in 1/s; complex ones with their conjugates.
     step : float, optional
-        Sampling period h, in seconds: Φ_i + Γ_i K_i then has the poles e^{ph} (see the module),
-        and the exact predictor of a mode, run at this period, decays as the poles say. Such
-        gains need not make A_i + B_i K_i Hurwitz where h is long.
+        Sampling period h, in seconds: :math:`\Phi_i + \Gamma_i K_i` then has the poles
+        :math:`e^{p h}` (see the module), and the exact predictor of a mode, run at this period,
+        decays as the poles say. Such gains need not make :math:`A_i + B_i K_i` Hurwitz where h is
+        long.
     allow_unstable : bool
         Accept poles that do not decay.
 
@@ -162,7 +163,7 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | 
 def lqr(
     plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike, step: float | None = None
 ) -> Float[np.ndarray, "mode m n"]:
-    """Gains that minimise ∫ xᵀQx + uᵀRu in each mode, its delay and switching aside.
+    """Gains that minimise a quadratic cost in each mode, its delay and switching aside.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ def lqr(
     step : float, optional
         Sampling period h, in seconds: the same integral is minimised over inputs that are held,
         exactly, between samples too (C. Van Loan 1978). Of an exact predictor it is the cost from
-        time D on. Such gains need not make A_i + B_i K_i Hurwitz where h is long.
+        time D on. Such gains need not make :math:`A_i + B_i K_i` Hurwitz where h is long.
 
     Returns
     -------

@@ -67,7 +67,8 @@ class Experiment(Frozen):
     errors : (size,) array
         Standard errors of all unknowns, in the order of `names`.
     largest : (n + m,) array
-        What every |state| and |input| stays below, at three standard deviations of the noise.
+        What the magnitude of every state and input stays below, at three standard deviations
+        of the noise.
     added : bool
         Whether the inputs are added to a law's.
     sentences : tuple of str
@@ -142,7 +143,7 @@ class Experiment(Frozen):
         return " ".join(self.sentences)
 
     def sent(self, operating_point: OperatingPoint | None) -> Float[np.ndarray, "m T"]:
-        """`inputs` as the actuators get them, u₀ + u; what is added to a law's stays as it is."""
+        """`inputs` as the actuators get them: with the operating point."""
         if operating_point is None or self.added:
             return self.inputs
         return operating_point.u[:, None] + self.inputs
@@ -150,7 +151,7 @@ class Experiment(Frozen):
     def to_pandas(self, operating_point: OperatingPoint | None = None) -> pd.DataFrame:
         """A table with columns t, u1, … (add_u1, … where a law's are added to) and mode.
 
-        With an operating point u1, … are u₀ + u.
+        With an operating point u1, … are :math:`u_0 + u`.
         """
         import pandas as pd
 
@@ -373,10 +374,11 @@ def design_experiment(
     step : float
         Sampling period, seconds.
     input_limit : float or (m,) array_like
-        What |u| must not exceed.
+        What :math:`|u|` must not exceed.
     disturbance : array_like
-        W, the intensity of the process noise, x² per second: a number for number·I, (n,) for a
-        diagonal, (n, n), or (modes, n, n) for one per mode, such as `fit.disturbance`.
+        :math:`W`, the intensity of the process noise, :math:`x^2` per second: a number for number
+        times :math:`I`, (n,) for a diagonal, (n, n), or (modes, n, n) for one per mode, such as
+        `fit.disturbance`.
     noise : float or (n,) array_like
         Standard deviation of every state's sensor, in its units, such as `fit.noise`; then the mean
         of W over the rows is counted with in every mode, as `identify` will find one for all.
@@ -386,8 +388,8 @@ def design_experiment(
         To whose inputs those of the experiment are added; an unstable plant needs one. It must be
         told what was sent (`applied` of `Controller.update`), where it remembers inputs.
     state_limit : float or (n,) array_like, optional
-        What every |x| must not exceed at samples of a run from rest, by its mean and three standard
-        deviations.
+        What every :math:`|x_i|` must not exceed at samples of a run from rest, by its mean and
+        three standard deviations.
     criterion : "delay" or "all"
         Whether the delays alone are to be told well, or all unknowns (D-optimal).
     hold : int

@@ -34,8 +34,8 @@ class Identification(Findings):
     step : float
         The sampling period of the log, seconds; its mean where rows are uneven.
     disturbance : (modes, n, n) array
-        Intensity W of the process noise in each mode, x² per second; one for all modes where
-        sensors are noisy.
+        Intensity W of the process noise in each mode, :math:`x^2` per second; one for all modes
+        where sensors are noisy.
     noise : (p,) array
         Standard deviations of the sensors; 0 where measurements are taken as exact.
     model : switching model or None
@@ -132,9 +132,10 @@ class Identification(Findings):
     def save(
         self, path: str | PathLike[str], *, title: str = "", horizon: float | None = None
     ) -> None:
-        """Write a problem file: plant, names, switching, mode filter, and gains to begin with.
+        r"""Write a problem file: plant, names, switching, mode filter, and gains to begin with.
 
-        Gains are those of least ∫|x|² + |u|²; change them to yours. Laws are the paper's.
+        Gains are those of least :math:`\int |x|^2 + |u|^2 \, dt`; change them to yours. Laws are
+        the paper's.
 
         Parameters
         ----------

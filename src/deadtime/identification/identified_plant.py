@@ -93,7 +93,7 @@ class Findings(Frozen):
 
     @property
     def largest_states(self) -> Float[np.ndarray, " n"]:
-        """The largest |x| of every state in the log."""
+        """The largest magnitude of every state in the log."""
         if (log := self._found.of_outputs) is not None:
             return largest_of(log, self._found.best.theta, self._found.window)
         back, recording = np.linalg.pinv(self._C).T, self._recording.absolute()

@@ -61,9 +61,12 @@ def identify(
     rest: bool | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
+    r"""The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
 
-        dx/dt = A_σ x + Σ_j b_σ,j u_j(t − D_j) + white noise,    y_k = C x_k + v_k
+    .. math::
+
+        \dot x = A_\sigma x + \sum_j b_{\sigma,j} u_j(t - D_j) + \text{white noise},
+        \quad y_k = C x_k + v_k
 
     by maximum likelihood, exact at any fraction of a period: docs/theory/identification.md.
 

@@ -21,26 +21,29 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class AveragedPredictor(TableLaw):
-    """Average of exact predictor feedbacks: the mode never changes, but which one is not known.
+    r"""Average of exact predictor feedbacks: the mode never changes, but which one is not known.
 
-        u(t) = Σ_i w_i K_i P_i(t),    P_i(t) = e^{A_i D} x(t) + ∫_{t−D}^{t} e^{A_i(t−θ)} B_i u(θ) dθ
+    .. math::
 
-    With a dwell time τ_d it trusts the current mode for the rest of its guaranteed dwell: P_i is
-    then the state at t + D of the model that stays in σ(t) for max(0, τ_d − age) seconds and in
-    mode i from there on.
+        u(t) = \sum_i w_i K_i P_i(t),
+        \quad P_i(t) = e^{A_i D} x(t) + \int_{t-D}^{t} e^{A_i (t - \theta)} B_i u(\theta) \, d\theta
+
+    With a dwell time :math:`\tau_d` it trusts the current mode for the rest of its guaranteed
+    dwell: :math:`P_i` is then the state at :math:`t + D` of the model that stays in
+    :math:`\sigma(t)` for max(0, :math:`\tau_d` − age) seconds and in mode i from there on.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The law's model.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x.
+        :math:`K_i` of :math:`u = +K_i x`.
     weights : array_like, shape (modes,), optional
-        Probability w_i of each mode, ≥ 0, summing to 1; equal by default.
+        Probability :math:`w_i` of each mode, at least 0, summing to 1; equal by default.
     dwell_time : float, optional
-        τ_d > 0, seconds: the time for which every mode, once entered, is sure to last.
+        :math:`\tau_d` > 0, seconds: the time for which every mode, once entered, is sure to last.
     allow_unstable : bool
-        Accept gains that leave some A_i + B_i K_i unstable.
+        Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
     Raises
     ------
@@ -49,8 +52,8 @@ class AveragedPredictor(TableLaw):
 
     References
     ----------
-    arXiv 2503.08446, equations (2), (3); (3) prints e^{A(t−s)} where e^{A(t−θ)} is meant.
-    The dwell time: arXiv 2506.03908.
+    arXiv 2503.08446, equations (2), (3); (3) prints :math:`e^{A(t-s)}` where
+    :math:`e^{A(t-\theta)}` is meant. The dwell time: arXiv 2506.03908.
 
     Examples
     --------
@@ -103,13 +106,16 @@ class AveragedPredictor(TableLaw):
         dwell_time: float | None = None,
         allow_unstable: bool = False,
     ) -> AveragedPredictor:
-        """The averaged law whose weights make the worst constant mode as stable as they can.
+        r"""The averaged law whose weights make the worst constant mode as stable as they can.
 
-            minimise  max_i g_i(w),    g_i = growth_rate(plant, law, i, step),
+        .. math::
 
-        over the weights w and, on request, over one gain for all modes with |K| ≤ 2 max |K_i|.
-        The weights alone help the worst mode and change little on signals that switch. One gain
-        pays where the averaged loop is unstable in some mode, and costs where it is not.
+            \min_w \max_i g_i(w)
+
+        over the weights :math:`w` and, on request, over one gain for all modes with
+        :math:`|K| \le 2 \max_i |K_i|`; :math:`g_i` is ``growth_rate(plant, law, i, step)``. The
+        weights alone help the worst mode and change little on signals that switch. One gain pays
+        where the averaged loop is unstable in some mode, and costs where it is not.
 
         Parameters
         ----------
@@ -118,12 +124,12 @@ class AveragedPredictor(TableLaw):
         step : float
             Sampling period at which growth is measured, in seconds.
         common_gain : bool
-            Replace the gains by one K for all modes, sought from Σ w_i K_i on.
+            Replace the gains by one K for all modes, sought from :math:`\sum_i w_i K_i` on.
 
         Raises
         ------
         InfeasibleError
-            If no common gain was found that leaves every A_i + B_i K stable.
+            If no common gain was found that leaves every :math:`A_i + B_i K` stable.
 
         Examples
         --------

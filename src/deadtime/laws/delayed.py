@@ -17,7 +17,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class DelayedStateFeedback(TableLaw):
-    """State feedback u(t) = K_σ(t) x(t), as if its effect were immediate: it arrives D late.
+    r"""State feedback :math:`u(t) = K_{\sigma(t)} x(t)` that ignores the delay.
 
     The law that every predictor is measured against; with a long delay it fails.
 
@@ -26,9 +26,9 @@ class DelayedStateFeedback(TableLaw):
     plant : SwitchedSystem
         The law's model; only its sizes and delay matter here.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x.
+        :math:`K_i` of :math:`u = +K_i x`.
     allow_unstable : bool
-        Accept gains that leave some A_i + B_i K_i unstable.
+        Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
     Examples
     --------

@@ -23,7 +23,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ExactPredictor(TableLaw):
-    """Exact predictor feedback u(t) = K_σ(t+D) P(t), P(t) = x(t + D): it knows the future.
+    r"""Exact predictor feedback :math:`u(t) = K_{\sigma(t+D)} x(t + D)`, which knows the future.
 
     Where inputs or modes have delays of their own, t + D is, input by input, when the plant first
     reads what is sent at t, and inputs to come that act until then are the law's own.
@@ -36,11 +36,11 @@ class ExactPredictor(TableLaw):
     plant : SwitchedSystem
         The law's model.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x.
+        :math:`K_i` of :math:`u = +K_i x`.
     signal : SwitchingSignal, optional
         The future that the law believes in; by default the signal of the run.
     allow_unstable : bool
-        Accept gains that leave some A_i + B_i K_i unstable.
+        Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
     References
     ----------

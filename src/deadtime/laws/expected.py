@@ -22,9 +22,12 @@ from deadtime.switching.models.model import SampledChain, require_model
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ExpectedPredictor(TableLaw):
-    """Expectation of exact predictor feedback, given the current mode and how old it is.
+    r"""Expectation of exact predictor feedback, given the current mode and how old it is.
 
-        u(t) = E[ K_σ(t+D) P(t) | σ(t), age(t) ],    P(t) = x(t + D) for that future
+    .. math::
+
+        u(t) = E\big[ K_{\sigma(t+D)} P(t) \,\big|\, \sigma(t), \text{age}(t) \big],
+        \quad P(t) = x(t + D) \text{ for that future}
 
     Under a Markov process in continuous time the table has one row per mode, from block
     exponentials without a time grid. Under any other model switches are taken to happen at samples,
@@ -36,14 +39,14 @@ class ExpectedPredictor(TableLaw):
     plant : SwitchedSystem
         The law's model of the plant.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x.
+        :math:`K_i` of :math:`u = +K_i x`.
     model : switching model
         How the mode switches, with as many modes as the plant.
     ages : int, optional
         The most ages (samples) that the table tells apart, where age matters; older modes count as
         that old. By default as many as matter to the model.
     allow_unstable : bool
-        Accept gains that leave some A_i + B_i K_i unstable.
+        Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
     Raises
     ------
@@ -55,8 +58,8 @@ class ExpectedPredictor(TableLaw):
 
     Notes
     -----
-    A table holds modes · ages · N · m² numbers of 8 bytes, and filling it needs as much again:
-    2 modes, 1,000 ages and N = 1,000 take 16 MB for one input.
+    A table holds modes × ages × :math:`N m^2` numbers of 8 bytes, and filling it needs as much
+    again: 2 modes, 1,000 ages and N = 1,000 take 16 MB for one input.
 
     References
     ----------

@@ -19,9 +19,14 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class LowPassPredictor(TableLaw):
-    """A law followed by a low-pass filter that it knows of: the table holds the filtered input.
+    r"""A law followed by a low-pass filter that it knows of: the table holds the filtered input.
 
-        T du/dt = v − u,    v the wrapped law,    u_k = E u_{k−1} + (1 − E) v_k,    E = e^{−h T⁻¹}
+    .. math::
+
+        T \dot u = v - u,
+        \quad u_k = E u_{k-1} + (1 - E) v_k,
+        \quad E = e^{-h T^{-1}},
+        \quad v \text{ the wrapped law}
 
     The wrapped law predicts with the past u, those that the plant gets, so with one delay its
     prediction stays exact; where delays differ it counts on inputs that it is still to send as if

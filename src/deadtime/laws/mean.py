@@ -22,12 +22,16 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class MeanPredictor(TableLaw):
-    """Exact predictor feedback of the mean plant (Ā, B̄).
+    r"""Exact predictor feedback of the mean plant (Ā, B̄).
 
-        u(t) = K̄ (e^{Ā D} x(t) + ∫_{t−D}^{t} e^{Ā(t−θ)} B̄ u(θ) dθ)
+    .. math::
 
-    With a dwell time τ_d it trusts the current mode for the rest of its guaranteed dwell: the
-    prediction then stays in σ(t) for max(0, τ_d − age) seconds and in the mean from there on.
+        u(t) = \bar K \Big( e^{\bar A D} x(t)
+        + \int_{t-D}^{t} e^{\bar A (t - \theta)} \bar B u(\theta) \, d\theta \Big)
+
+    With a dwell time :math:`\tau_d` it trusts the current mode for the rest of its guaranteed
+    dwell: the prediction then stays in :math:`\sigma(t)` for max(0, :math:`\tau_d` − age) seconds
+    and in the mean from there on.
 
     Parameters
     ----------
@@ -36,13 +40,14 @@ class MeanPredictor(TableLaw):
     gain : array_like, shape (m, n)
         K̄ of u = +K̄ x.
     gains : array_like, shape (modes, m, n), optional
-        The modes' own K_i, needed only for the mismatch; without them there is none.
+        The modes' own :math:`K_i`, needed only for the mismatch; without them there is none.
     dwell_time : float, optional
-        τ_d > 0, seconds: the time for which every mode, once entered, is sure to last.
+        :math:`\tau_d` > 0, seconds: the time for which every mode, once entered, is sure to last.
     mean : pair of array_like, shapes (n, n) and (n, m), optional
         (Ā, B̄); the element-wise mean of the modes by default.
     allow_unstable : bool
-        Accept gains that leave Ā + B̄ K̄, or some A_i + B_i K_i, unstable.
+        Accept gains that leave :math:`\bar A + \bar B \bar K`, or some :math:`A_i + B_i K_i`,
+        unstable.
 
     References
     ----------

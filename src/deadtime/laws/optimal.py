@@ -23,22 +23,33 @@ MOST_MEMORY = 4e9
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class OptimalPredictor(TableLaw):
-    """The causal law of least expected cost, given a stochastic model of the switching.
+    r"""The causal law of least expected cost, given a stochastic model of the switching.
 
-        minimise  E ∫₀^∞ xᵀQx + uᵀRu dt    over all u_k that depend on x(t_0), …, x(t_k), the
-                                           inputs before t_k, and the modes seen up to t_k
+    .. math::
 
-    The lifted state ξ = (x_k, u_{k−1}, …, u_{k−N}) under the modes and ages θ is a Markov jump
-    linear system whose jumps are seen, so the optimum is linear in ξ with one row per θ,
+        \min \; E \int_0^\infty x^T Q x + u^T R u \, dt
 
-        u_k = −(h R + 𝔅ᵀ E_θ(P) 𝔅)⁻¹ 𝔅ᵀ E_θ(P) 𝔄_i ξ_k,
-        P_θ = 𝒬_i + 𝔄_iᵀ E_θ(P) 𝔄_i − 𝔄_iᵀ E_θ(P) 𝔅 (h R + 𝔅ᵀ E_θ(P) 𝔅)⁻¹ 𝔅ᵀ E_θ(P) 𝔄_i,
+    over all :math:`u_k` that depend on :math:`x(t_0), \dots, x(t_k)`, the inputs before :math:`t_k`
+    and the modes up to :math:`t_k`.
 
-    E_θ(P) the mean of P one sample later, and the cost between samples counted exactly (𝒬_i;
-    cross terms that appear for N = 1 are included). `ExpectedPredictor` averages what would be
-    right for each future; this law also weighs what a wrong guess costs, and counts on later
-    measurements. Where the modes are alike the two cost nearly the same; where they differ much,
-    this one may have a finite cost and that one none.
+    The lifted state :math:`\xi = (x_k, u_{k-1}, \dots, u_{k-N})` under the modes and ages
+    :math:`\theta` is a Markov jump linear system whose jumps are seen, so the optimum is linear in
+    :math:`\xi` with one row per :math:`\theta`,
+
+    .. math::
+
+        u_k &= -(h R + \mathfrak{B}^T E_\theta(P) \mathfrak{B})^{-1}
+        \mathfrak{B}^T E_\theta(P) \mathfrak{A}_i \xi_k, \\
+        P_\theta &= \mathcal{Q}_i + \mathfrak{A}_i^T E_\theta(P) \mathfrak{A}_i \\
+        &\quad - \mathfrak{A}_i^T E_\theta(P) \mathfrak{B}
+        (h R + \mathfrak{B}^T E_\theta(P) \mathfrak{B})^{-1}
+        \mathfrak{B}^T E_\theta(P) \mathfrak{A}_i,
+
+    with :math:`E_\theta(P)` the mean of :math:`P` one sample later, and the cost between samples
+    counted exactly (:math:`\mathcal{Q}_i`; cross terms that appear for :math:`N = 1` are included).
+    `ExpectedPredictor` averages what would be right for each future; this law also weighs what a
+    wrong guess costs, and counts on later measurements. Where the modes are alike the two cost
+    nearly the same; where they differ much, this one may have a finite cost and that one none.
 
     Parameters
     ----------
@@ -60,7 +71,7 @@ class OptimalPredictor(TableLaw):
     ArgumentError
         If the weights do not fit the plant or are not definite, or the model does not fit;
         `digital` raises it if the step does not fit the model's sojourns, the solution would
-        not fit into 4 GB, or e^{2·A·delay} is beyond double precision.
+        not fit into 4 GB, or :math:`e^{2 A D}` is beyond double precision.
     InfeasibleError
         By `digital`, if no causal law has a finite cost: none stabilises in mean square.
 
@@ -68,7 +79,7 @@ class OptimalPredictor(TableLaw):
     -----
     In the model switches happen at samples: one that happens within a period is seen at the
     next sample, and is taken to happen there. That is exact for switches on the grid and O(h)
-    otherwise. The solution takes modes · ages · (n + N m)² numbers of 8 bytes.
+    otherwise. The solution takes modes × ages × :math:`(n + N m)^2` numbers of 8 bytes.
 
     References
     ----------

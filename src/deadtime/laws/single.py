@@ -21,20 +21,23 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class SingleModePredictor(TableLaw):
-    """Exact predictor feedback of mode i, forecasting that this mode is held.
+    r"""Exact predictor feedback of mode i, forecasting that this mode is held.
 
-        u(t) = K_i P_i(t),    P_i(t) = e^{A_i D} x(t) + ∫_{t−D}^{t} e^{A_i(t−θ)} B_i u(θ) dθ
+    .. math::
+
+        u(t) = K_i P_i(t),
+        \quad P_i(t) = e^{A_i D} x(t) + \int_{t-D}^{t} e^{A_i (t - \theta)} B_i u(\theta) \, d\theta
 
     Parameters
     ----------
     plant : SwitchedSystem
         The law's model.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x.
+        :math:`K_i` of :math:`u = +K_i x`.
     mode : int
         The mode i that the law believes in, counted from 0.
     allow_unstable : bool
-        Accept gains that leave some A_i + B_i K_i unstable.
+        Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
     References
     ----------

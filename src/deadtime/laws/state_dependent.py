@@ -23,10 +23,14 @@ from deadtime.switching.rules.rule import as_rule
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class StateDependentPredictor(Law):
-    """Exact predictor feedback where the state decides the mode, σ = r(x): the rule run forward.
+    r"""Exact predictor feedback where the state decides the mode: the rule run forward.
 
-        u(t) = K_σ(t+D) P(t),    P(t) = x(t + D) of the model under its rule, from x(t) and the
-                                 inputs in flight; σ(t + D) = r(P(t))
+    .. math::
+
+        u(t) = K_{\sigma(t+D)} P(t), \quad \sigma(t + D) = r(P(t)),
+
+    with :math:`P(t) = x(t + D)` of the model under its rule, from :math:`x(t)` and the inputs in
+    flight.
 
     The state decides the future, so there is nothing to guess: with the right model and rule it
     is exact, as the oracle is, and knows no signal. Between crossings the model moves by its
@@ -36,22 +40,22 @@ class StateDependentPredictor(Law):
     input by input, when the plant first reads what is sent at t.
 
     It is the one law that is no table: not linear in the state, it runs its model once a period.
-    The sampled mode tells it on which side of a boundary x is.
-    Updated continuously (`step=None`) its loop is known where model and plant are the same: from D
-    on, x follows (A_σ + B_σ K_σ) x under the rule, and, where an input's delay differs between
-    modes, a delay equation.
+    The sampled mode tells it on which side of a boundary x is. Updated continuously (`step=None`)
+    its loop is known where model and plant are the same: from D on, :math:`x` follows
+    :math:`(A_\sigma + B_\sigma K_\sigma) x` under the rule, and, where an input's delay differs
+    between modes, a delay equation.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The law's model.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x.
+        :math:`K_i` of :math:`u = +K_i x`.
     rule : HalfSpace, Polyhedra, QuadraticRegions or callable
         r, from a state of shape (n,) to a mode. A function is asked at samples, see
         `deadtime.switching.FunctionRule`; the others miss no crossing.
     allow_unstable : bool
-        Accept gains that leave some A_i + B_i K_i unstable.
+        Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
     Raises
     ------

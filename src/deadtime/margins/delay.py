@@ -278,7 +278,7 @@ def delay_margin(
     input: int | None = None,
     **signals: Unpack[SignalOptions],
 ) -> DelayMargin:
-    """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
+    r"""The true delays that a law tolerates: it keeps its table, the plant's delay differs.
 
     Parameters
     ----------
@@ -295,9 +295,9 @@ def delay_margin(
         each is wrong by another time is what `certify` with `delays` proves.
     upto : float, optional
         The longest true delay that is tried, in seconds. By default ten times the nominal one; or
-        ten times 1/ω, ω the highest frequency at which the loop's gain may be 1, where that is
-        longer. Of several delays, that of the shortest that moves, by default ten times the
-        longest.
+        ten times :math:`1/\omega`, :math:`\omega` the highest frequency at which the loop's gain
+        may be 1, where that is longer. Of several delays, that of the shortest that moves, by
+        default ten times the longest.
     input : int, optional
         The input whose delay moves, in every mode by as many seconds, counted from 0; the other
         inputs keep theirs. By default those of all inputs move, by as many seconds. Inputs that

@@ -45,13 +45,15 @@ def loop_transfer(
     at: str = "input",
     frequencies: ArrayLike | None = None,
 ) -> Any:
-    """The transfer function of a loop cut open, with one mode held, for python-control.
+    r"""The transfer function of a loop cut open, with one mode held, for python-control.
 
     The sign is python-control's: the closed loop is `control.feedback(L)`, and a single loop
-    encircles −1. With the plant from its inputs to what is measured, P, and the law from what is
-    measured to the inputs that it asks for, K (the law's own past inputs are within it),
+    encircles −1. With the plant from its inputs to what is measured, :math:`P`, and the law from
+    what is measured to the inputs that it asks for, K (the law's own past inputs are within it),
 
-        L = −K P  at the plant's input,    L = −P K  at its output.
+    .. math::
+
+        L = -K P \text{ at the plant's input}, \quad L = -P K \text{ at its output}.
 
     Parameters
     ----------
@@ -69,8 +71,8 @@ def loop_transfer(
         Where it is cut: at the m inputs of the plant, or at the n states, or p outputs, that are
         measured.
     frequencies : array_like, shape (K,), optional
-        rad/s, positive, increasing, up to π/h: the response there, exactly. It costs no more for a
-        delay of many periods, as a system with all inputs in flight as states does.
+        rad/s, positive, increasing, up to :math:`\pi/h`: the response there, exactly. It costs no
+        more for a delay of many periods, as a system with all inputs in flight as states does.
 
     Returns
     -------
@@ -80,7 +82,7 @@ def loop_transfer(
     Raises
     ------
     ArgumentError
-        As by `growth_rate`; if frequencies are missing without a step, or above π/h; if
+        As by `growth_rate`; if frequencies are missing without a step, or above :math:`\pi/h`; if
         python-control is not installed.
 
     Examples
@@ -164,8 +166,8 @@ class ModeView(Frozen):
     sensitivity, complementary : (K,)
         The largest singular values of S and T.
     phase : float or None
-        How much more lag every channel may have, degrees; None where no |λ| is 1, and where the
-        loop is not stable.
+        How much more lag every channel may have, degrees; None where no eigenvalue has
+        modulus 1, and where the loop is not stable.
     phase_frequency : float or None
         Where, rad/s.
     disk : float or None

@@ -105,10 +105,10 @@ def robustness(
     Errors of delay and gain are those that leave every constant mode stable, exact from the
     spectrum; of several delays, those of all at once and of each input alone. Where a delay of very
     many periods would make them take long they are left out, and a sentence says so. The rest is
-    simulated on the given signal: a run counts as lost when it diverges, its loop grows, or |x|
-    ends above where it started. Where that says nothing, because x is pushed, starts at 0, or
-    inputs are limited, a run must come to rest where the perfect loop does, which is pushed alike
-    and has no other imperfection; `docs/robustness.md` has the details.
+    simulated on the given signal: a run counts as lost when it diverges, its loop grows, or
+    :math:`|x|` ends above where it started. Where that says nothing, because x is pushed, starts at
+    0, or inputs are limited, a run must come to rest where the perfect loop does, which is pushed
+    alike and has no other imperfection; `docs/robustness.md` has the details.
 
     Parameters
     ----------

@@ -253,7 +253,7 @@ def stability_margin(
     ratio: float = 1.01,
     **signals: Unpack[SignalOptions],
 ) -> StabilityMargin:
-    """Bracket the largest value for which a loop is stable under every admissible signal.
+    r"""Bracket the largest value for which a loop is stable under every admissible signal.
 
     The value may be anything that a function turns into a plant and a law; see the examples.
 
@@ -266,8 +266,8 @@ def stability_margin(
     bounds : (low, high)
         The values to search between; the loop must be certified at `low`.
     dwell_time : float, one per mode, or SignalClass
-        τ_d > 0, seconds: the signals are all those that stay in each mode at least so long; or all
-        that is known of them.
+        :math:`\tau_d > 0`, seconds: the signals are all those that stay in each mode at least so
+        long; or all that is known of them.
     step : float
         Sampling period h > 0, seconds.
     ratio : float
@@ -431,7 +431,7 @@ def stability_chart(
     dwell_times : sequence of float
         Seconds, in any order.
     progress : callable, optional
-        Called with a few words before each margin, len(laws)·len(dwell_times) times.
+        Called with a few words before each margin, ``len(laws) * len(dwell_times)`` times.
 
     Raises
     ------

@@ -203,7 +203,7 @@ class SwitchedSystem(Frozen):
 
     @cached_property
     def identity(self) -> Float[np.ndarray, "n n"]:
-        """The weight of |x|²."""
+        """The weight of :math:`|x|^2`."""
         return read_only(np.eye(self.states))
 
     def mean(self) -> SwitchedSystem:
@@ -222,12 +222,14 @@ class SwitchedSystem(Frozen):
         return self.like(A, B, delays[None])
 
     def apart(self, alpha: float) -> SwitchedSystem:
-        """The plant with its modes α times as far from mode 0: A_0 + α (A_i − A_0), B alike.
+        r"""The plant with its modes α times as far from mode 0.
+
+        :math:`A_0 + \alpha (A_i - A_0)`, and :math:`B` alike.
 
         Parameters
         ----------
         alpha : float
-            α ≥ 0: 0 makes all modes the same, 1 changes nothing.
+            :math:`\alpha \ge 0`: 0 makes all modes the same, 1 changes nothing.
 
         Examples
         --------

@@ -83,17 +83,18 @@ class Ellipsoid(PlantSet):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class UncertainPlant(PlantUncertainty):
-    """A plant, and the covariance of its entries and delays (immutable).
+    r"""A plant, and the covariance of its entries and delays (immutable).
 
-    θ is normal about the plant's: all of A_0, row by row, A_1, …, then B_0, …, then the delays, one
-    per input, or mode by mode where each mode has its own.
+    :math:`\theta` is normal about the plant's: all of :math:`A_0`, row by row, :math:`A_1, \dots`,
+    then :math:`B_0, \dots`, then the delays, one per input, or mode by mode where each mode has its
+    own.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The likeliest plant.
     covariance : array_like, shape (size, size)
-        Of θ, symmetric and positive semidefinite.
+        Of :math:`\theta`, symmetric and positive semidefinite.
 
     Raises
     ------
@@ -157,11 +158,19 @@ class UncertainPlant(PlantUncertainty):
         return tuple(self._at(shift) for shift in z @ root.T)
 
     def axes(self, level: float = 0.95) -> Float[np.ndarray, "d mode n nm"]:
-        """Half axes of the ellipsoid that holds A and B at a level, [A B] of each.
+        r"""Half axes of the ellipsoid that holds A and B at a level, [A B] of each.
 
-        A and B lie with this probability in {[Â B̂] + Σ z_i axes_i : |z| ≤ 1} = {θ : (θ − θ̂)ᵀ Σ⁻¹
-        (θ − θ̂) ≤ r²}, Σ their covariance whatever the delays are, r² the quantile of χ² with
-        d = rank Σ degrees of freedom. `certify` proves a loop for all of it.
+        With this probability :math:`A` and :math:`B` lie in
+
+        .. math::
+
+            \Big\{ [\hat A\ \hat B] + \sum_i z_i\, \text{axes}_i : |z| \le 1 \Big\}
+            = \big\{ \theta :
+            (\theta - \hat\theta)^T \Sigma^{-1} (\theta - \hat\theta) \le r^2 \big\}
+
+        where :math:`\Sigma` is their covariance, whatever the delays are, and :math:`r^2` the
+        quantile of :math:`\chi^2` with :math:`\text{rank}\, \Sigma` degrees of freedom. `certify`
+        proves a loop for all of it.
 
         Parameters
         ----------
@@ -211,11 +220,12 @@ class UncertainPlant(PlantUncertainty):
         return low, high
 
     def corners(self, level: float = 0.95) -> tuple[SwitchedSystem, ...]:
-        """A polytope that holds A and B at a level: two corners per uncertain entry.
+        r"""A polytope that holds A and B at a level: two corners per uncertain entry.
 
-        The corners θ̂ ± √d r L e_k, Σ = L Lᵀ, span the least cross-polytope about the ellipsoid of
-        `axes`. It grows with √d: of many entries it is far wider than their intervals, and
-        `certify` proves far more of the ellipsoid itself. The delays are the likeliest ones.
+        The corners :math:`\hat\theta \pm \sqrt d\, r L e_k`, :math:`\Sigma = L L^T`, span the least
+        cross-polytope about the ellipsoid of `axes`. It grows with :math:`\sqrt d`: of many entries
+        it is far wider than their intervals, and `certify` proves far more of the ellipsoid itself.
+        The delays are the likeliest ones.
 
         Parameters
         ----------

@@ -25,7 +25,7 @@ _MOST = 3  # rows of a matrix that is written out in a label
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Weight(Frozen):
-    """The weights of the cost ∫ xᵀQx + uᵀRu (immutable).
+    r"""The weights of the cost :math:`\int x^T Q x + u^T R u \, dt` (immutable).
 
     Parameters
     ----------

@@ -418,12 +418,14 @@ def audit(
     progress: Progress | None = None,
     dwell_time: float = 0.2,
 ) -> list[Claim]:
-    """Hold what the paper says of its example's runs against many random signals.
+    r"""Hold what the paper says of its example's runs against many random signals.
 
-    Its figure for ε* is held against `theorem_bound` elsewhere: see `constants_table`.
+    Its figure for :math:`\varepsilon^*` is held against `theorem_bound` elsewhere: see
+    `constants_table`.
 
-    Random signals have sojourns τ_d + Exp(τ_d), τ_d the dwell time. Claims about a trend are
-    measured at four points each, on 0.4 times as many signals, the same at each point.
+    Random signals have sojourns of the dwell time :math:`\tau_d` plus an exponential time of that
+    mean. Claims about a trend are measured at four points each, on 0.4 times as many signals, the
+    same at each point.
 
     Parameters
     ----------
@@ -436,7 +438,7 @@ def audit(
     progress : callable, optional
         Called with a few words before each piece of work, `STEPS` times in all.
     dwell_time : float
-        τ_d of the random signals, in seconds; the example's is 0.2.
+        :math:`\tau_d` of the random signals, in seconds; the example's is 0.2.
 
     Returns
     -------

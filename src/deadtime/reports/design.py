@@ -134,11 +134,11 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
     """Cost over delay margin, a panel per design: the trade-off, the answer, and the limits.
 
     The cost is relative to the cheapest design that was found, on a logarithmic axis; below it is
-    the largest |u| of every design, and its limit dashed where one is asked for; with limits of
-    several inputs, the largest of them beside its limit. The chosen
-    design is ringed; hollow marks decay slower, or need larger inputs, than was asked. Green is
-    what some linear controller of each mode alone reaches; what none reaches is shaded red. The
-    legend lists what is drawn.
+    the largest :math:`|u|` of every design, and its limit dashed where one is asked for; with
+    limits of several inputs, the largest of them beside its limit. The chosen design is ringed;
+    hollow marks decay slower, or need larger inputs, than was asked. Green is what some linear
+    controller of each mode alone reaches; what none reaches is shaded red. The legend lists what is
+    drawn.
 
     Parameters
     ----------

@@ -267,15 +267,15 @@ class LawRuns:
 
 
 def summary(data: xr.Dataset | Comparison) -> Summary:
-    """Quantiles, wins and relative costs of the laws of a `monte_carlo` dataset.
+    r"""Quantiles, wins and relative costs of the laws of a `monte_carlo` dataset.
 
-    With J_ℓi the cost of law ℓ on scenario i, ∞ where it diverged, law ℓ is best on the
-    scenarios with J_ℓi = min_k J_ki < ∞, and its relative cost is the median of J_ℓi / J_ri
-    over i, r being the reference law. Where all laws follow a reference J is ∫|r − y| instead.
+    With J_ℓi the cost of law ℓ on scenario i, ∞ where it diverged, law ℓ is best on the scenarios
+    with J_ℓi = min_k J_ki < ∞, and its relative cost is the median of J_ℓi / J_ri over i, r being
+    the reference law. Where all laws follow a reference :math:`J` is :math:`\int |r - y|` instead.
 
-    A run has grown that diverged, or whose |x| does not decay over its second half and ends above
-    where it started; where a reference, a disturbance or noise pushes x, above `GROWN` times the
-    least peak that a law has on the same scenario.
+    A run has grown that diverged, or whose :math:`|x|` does not decay over its second half and ends
+    above where it started; where a reference, a disturbance or noise pushes x, above `GROWN` times
+    the least peak that a law has on the same scenario.
 
     Parameters
     ----------

@@ -213,7 +213,7 @@ def _improvements(reaches: list[Reach]) -> list[str]:
 
 
 def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
-    """How far each certificate reaches, on one logarithmic axis of the distance ε.
+    r"""How far each certificate reaches, on a logarithmic axis of the distance.
 
     Between two steps stands how many times farther the second one reaches.
     """

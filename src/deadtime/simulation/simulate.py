@@ -52,11 +52,11 @@ def simulate(
 ) -> Trajectory:
     """Simulate a plant under a law.
 
-    Run at a period, the law is computed from x(t_k) and past inputs at t_k = k·step and held.
-    Between samples, switches and arrivals of new inputs the plant is propagated by its matrix
-    exponential, so the result is exact to round-off, wherever the switches fall and whatever
-    the delay. With `step=None` the law is updated continuously; between the points where it is
-    not analytic the loop is solved to high order.
+    Run at a period, the law is computed from :math:`x(t_k)` and past inputs at :math:`t_k = k h`
+    and held. Between samples, switches and arrivals of new inputs the plant is propagated by its
+    matrix exponential, so the result is exact to round-off, wherever the switches fall and whatever
+    the delay. With `step=None` the law is updated continuously; between the points where it is not
+    analytic the loop is solved to high order.
 
     Parameters
     ----------
@@ -74,10 +74,10 @@ def simulate(
     step : float or None
         Sampling period h, in seconds; None for the ideal loop, the law updated continuously.
     u0 : optional
-        Inputs before time 0: None for 0, a constant (scalar or shape (m,)), a function of time
-        on [−D, 0), or held samples of shape (m, N), oldest first. D is the longer of the two
-        delays; the digital loop samples a function and holds it, and N counts its periods; for
-        the ideal loop N samples divide D evenly. `run.history` is one, too.
+        Inputs before time 0: None for 0, a constant (scalar or shape (m,)), a function of time on
+        :math:`[-D, 0)`, or held samples of shape (m, N), oldest first. D is the longer of the two
+        delays; the digital loop samples a function and holds it, and N counts its periods; for the
+        ideal loop N samples divide D evenly. `run.history` is one, too.
     times : array_like, shape (T,), optional
         Instants in [0, horizon] to report, instead of the samples. A run that ends early drops
         those past its end.

@@ -79,7 +79,7 @@ LATE = 11  # instants of the second half, at least, whose |x| the decay rate is 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Frozen):
-    """A simulated run (immutable). Arrays index (signal, time); values are right limits.
+    r"""A simulated run (immutable). Arrays index (signal, time); values are right limits.
 
     Its arrays are read-only; what `to_pandas`, `to_xarray` and `to_control` give are copies.
 
@@ -92,13 +92,13 @@ class Trajectory(Frozen):
     inputs : (m, T)
         u as the law computed it; the plant sees it a delay later.
     mode : (T,)
-        σ.
+        :math:`\sigma`.
     mismatch : (m, T) or None
-        w = u − K_σ(t+D) x(t + D), with the true plant and its true future; None for a law
-        without a gain per mode. Of several delays t + D is when the plant first reads what is sent
-        at t, input by input; the last of these may lie beyond what the run knows: NaN.
+        :math:`w = u - K_{\sigma(t+D)} x(t + D)`, with the true plant and its true future; None for
+        a law without a gain per mode. Of several delays t + D is when the plant first reads what is
+        sent at t, input by input; the last of these may lie beyond what the run knows: NaN.
     diverged : bool
-        |x| left 1e100; the run ends at the last sample before that.
+        :math:`|x|` left 1e100; the run ends at the last sample before that.
     message : str
         What is worth knowing: when and why the run diverged or was chattering, how long it slid
         along a boundary, that its signal was continued. Often empty.
@@ -112,7 +112,7 @@ class Trajectory(Frozen):
     belief : (modes, T) or None
         The probability of each mode in a law that does not receive the mode, as of the last sample.
     tracked, reference : (tracked, T) or None
-        What follows a reference, H C_σ x, and r; of a law with a servo.
+        What follows a reference, :math:`H C_\sigma x`, and :math:`r`; of a law with a servo.
     """
 
     time: Float[np.ndarray, " T"]
@@ -134,7 +134,7 @@ class Trajectory(Frozen):
 
     @property
     def tracked(self) -> Float[np.ndarray, "tracked T"] | None:
-        """H C_σ x."""
+        r""":math:`H C_\sigma x`."""
         if self.followed is None:
             return None
         return read_only(self.followed.outputs(self.states, self.mode))
@@ -156,7 +156,7 @@ class Trajectory(Frozen):
         return self.record.history(self.end)
 
     def metrics(self, weight: Weight | None = None) -> dict[str, float]:
-        """Figures of the whole run, whatever `times` were asked for.
+        r"""Figures of the whole run, whatever `times` were asked for.
 
         Parameters
         ----------
@@ -166,12 +166,14 @@ class Trajectory(Frozen):
         Returns
         -------
         dict
-            ise ∫|x|², energy ∫|u|² and cost ∫xᵀQx + uᵀRu (exact, between samples too), peak
-            max|x| over the samples, settling_time (s, from when on |x| stays within 2 % of the
-            peak; inf if it does not), decay_rate (1/s, minus the least-squares slope of log|x|
+            ise :math:`\int |x|^2`, energy :math:`\int |u|^2` and cost
+            :math:`\int x^T Q x + u^T R u` (exact, between samples too), peak :math:`\max |x|` over
+            the samples, settling_time (s, from when on :math:`|x|` stays within 2 % of the peak;
+            inf if it does not), decay_rate (1/s, minus the least-squares slope of :math:`\log |x|`
             over the second half, at 11 times at least; inf if x is zero there, −inf if the run
-            diverged at once), final_norm |x| at the end. Of a law with a servo also iae
-            Σ∫|reference − output| over the tracked outputs, straight between samples.
+            diverged at once), final_norm :math:`|x|` at the end. Of a law with a servo also iae
+            :math:`\sum \int |\text{reference} - \text{output}|` over the tracked outputs, straight
+            between samples.
         """
         record, end = self.record, self.end
         weight = weight_of(weight, self.plant)
@@ -210,7 +212,7 @@ class Trajectory(Frozen):
         settling: float = SETTLED,
         rise: tuple[float, float] = RISE,
     ) -> dict[str, float]:
-        """How an output follows a step of its reference, by python-control's names.
+        r"""How an output follows a step of its reference, by python-control's names.
 
         Parameters
         ----------
@@ -227,11 +229,12 @@ class Trajectory(Frozen):
         Returns
         -------
         dict
-            RiseTime, SettlingTime (s, ∞ if never), Overshoot, Undershoot (% of the step),
-            Peak, PeakTime, SteadyStateValue, SteadyStateError (reference minus output, at the end
-            of the window) and IAE, the integral of |reference − output|. Times are of samples,
-            counted from the step. The first four are NaN where the reference is where the output
-            was already, and where it does not step at `since`, as when that of another output does.
+            RiseTime, SettlingTime (s, ∞ if never), Overshoot, Undershoot (% of the step), Peak,
+            PeakTime, SteadyStateValue, SteadyStateError (reference minus output, at the end of the
+            window) and IAE, the integral of :math:`|\text{reference} - \text{output}|`. Times are
+            of samples, counted from the step. The first four are NaN where the reference is where
+            the output was already, and where it does not step at `since`, as when that of another
+            output does.
 
         Raises
         ------

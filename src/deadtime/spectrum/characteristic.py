@@ -284,7 +284,7 @@ class CharacteristicRoots(Frozen):
         The smallest singular value of Δ there over the largest, rows and columns scaled alike.
     errors : (roots,)
         By how much round-off in Δ may have moved each root, estimated, 1/s. Large gains over the
-        delay cost digits here: about |e^{AD}|² times round-off with an exact law.
+        delay cost digits here: about :math:`|e^{A D}|^2` times round-off with an exact law.
     line : float
         The roots to the right of Re s = `line` were counted, 1/s.
     complete : bool

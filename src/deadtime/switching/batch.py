@@ -17,12 +17,15 @@ from deadtime.switching.signal import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class SignalBatch(Frozen):
-    """Right-continuous switching signals σ_0, σ_1, … one after the other (immutable).
+    r"""Right-continuous switching signals, one after the other (immutable).
 
-        σ_i(t) = modes[k] for times[k] ≤ t < times[k + 1],    first[i] ≤ k < first[i + 1]
+    .. math::
 
-    with the last sojourn of each going on. ``batch[i]`` is σ_i, and ``len(batch)`` how many there
-    are.
+        \sigma_i(t) = \text{modes}[k] \text{ for } \text{times}[k] \le t < \text{times}[k+1],
+        \quad \text{first}[i] \le k < \text{first}[i+1]
+
+    with the last sojourn of each going on. ``batch[i]`` is :math:`\sigma_i`, and ``len(batch)`` how
+    many there are.
 
     Parameters
     ----------

@@ -130,13 +130,16 @@ class SwitchingSignal(Frozen):
         return float(self.sojourns.min()) if self.switches else np.inf
 
     def last_switch(self, t: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-        """When the mode active at each time t ≥ 0 began; before 0 for the first."""
+        r"""When the mode active at each time :math:`t \ge 0` began; before 0 for the first."""
         began = self.times.copy()
         began[0] = -self.initial_age
         return began[np.searchsorted(self.times, t, side="right") - 1]
 
     def average_dwell_time(self, chatter: float = 1.0) -> float:
-        """The largest τ_a with at most chatter + (t − s)/τ_a switches in every [s, t], seconds.
+        r"""The largest average dwell time that the signal keeps, seconds.
+
+        The largest :math:`\tau_a` with at most chatter + :math:`(t - s)/\tau_a` switches in every
+        :math:`[s, t]`.
 
         Takes a time and a memory proportional to the switches.
 
@@ -265,15 +268,17 @@ class SwitchingSignal(Frozen):
         chatter: int = 2,
         seed: int = 0,
     ) -> SwitchingSignal:
-        """A random signal with a minimum or an average dwell time.
+        r"""A random signal with a minimum or an average dwell time.
 
-        With `dwell_time` τ_d, sojourns are τ_d + Exp(mean_sojourn − τ_d); `mean_sojourn` is 2 τ_d
-        unless given. With `average_dwell_time` τ_a, switches arrive as a Poisson process with mean
-        spacing `mean_sojourn` (τ_a unless given) and pass a leaky bucket: it fills at the rate
-        1/τ_a up to `chatter`, and each switch takes 1 from it, so every interval [s, t] holds at
-        most chatter + (t − s)/τ_a switches. The first mode is uniform, each next one uniform over
-        the others. With a minimum dwell time it is the signal of a `SemiMarkov` model:
-        ``SemiMarkov(expon(loc=τ_d, scale=mean_sojourn − τ_d), modes=modes).sample(horizon, seed)``.
+        With `dwell_time` :math:`\tau_d`, sojourns are :math:`\tau_d` plus an exponential time of
+        mean mean_sojourn − :math:`\tau_d`; `mean_sojourn` is :math:`2 \tau_d` unless given. With
+        `average_dwell_time` :math:`\tau_a`, switches arrive as a Poisson process with mean spacing
+        `mean_sojourn` (:math:`\tau_a` unless given) and pass a leaky bucket: it fills at the rate
+        :math:`1/\tau_a` up to `chatter`, and each switch takes 1 from it, so every interval
+        :math:`[s, t]` holds at most chatter + :math:`(t - s)/\tau_a` switches. The first mode is
+        uniform, each next one uniform over the others. With a minimum dwell time it is the signal
+        of a `SemiMarkov` model: ``SemiMarkov(expon(loc=τ_d, scale=mean_sojourn − τ_d),
+        modes=modes).sample(horizon, seed)``.
 
         Parameters
         ----------
@@ -292,7 +297,7 @@ class SwitchingSignal(Frozen):
         mean_sojourn : float, optional
             Mean time between switches (between proposed switches for an average dwell time), s.
         chatter : int
-            N₀ ≥ 1, how many switches an average dwell time allows at once.
+            :math:`N_0 \ge 1`, how many switches an average dwell time allows at once.
         seed : int
             The same seed gives the same signal; a longer horizon continues it.
 

@@ -44,15 +44,15 @@ class SignalOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, init=False)
 class SignalClass:
-    """The admissible switching signals, and what the controller learns of them (immutable).
+    r"""The admissible switching signals, and what the controller learns of them (immutable).
 
     `certify`, `falsify` and the margins take one in place of a dwell time.
 
     Parameters
     ----------
     dwell_time : float, or one per mode, optional
-        Shortest sojourn τ_d, seconds; nothing can be asked about a class without one, which is all
-        that a problem file may know.
+        Shortest sojourn :math:`\tau_d`, seconds; nothing can be asked about a class without one,
+        which is all that a problem file may know.
     maximum_dwell : float, or one per mode, optional
         Longest sojourn, seconds, inf for none; by default a mode may last without end.
     transitions : (modes, modes) of bool, optional
@@ -72,8 +72,8 @@ class SignalClass:
         neither x or y nor the mode, as in a run with `imperfections.Dropout`. A law of the state
         holds its input, an observer predicts.
     chatter : int
-        N₀: above 1, `dwell_time` is an average dwell time τ_a, and any window of T s may hold
-        N₀ + T/τ_a switches, at most one per period.
+        :math:`N_0`: above 1, `dwell_time` is an average dwell time :math:`\tau_a`, and any window
+        of T s may hold :math:`N_0 + T/\tau_a` switches, at most one per period.
 
     Raises
     ------

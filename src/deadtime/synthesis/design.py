@@ -135,7 +135,7 @@ _SCALES = 1e6  # between the states of a balanced mode
 def unit_hints(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], step: float
 ) -> tuple[str, ...]:
-    """Sentences about ratios that mixed units are the likeliest reason of; none for most plants.
+    r"""Sentences about ratios that mixed units are the likeliest reason of; none for most plants.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def design(
     initial: InitialStates | StationaryNoise | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Design:
-    """Gains and a law with a delay margin, decay rate and inputs as asked, at the least cost found.
+    r"""Gains and a law with delay margin, decay rate and inputs as asked, at the least cost found.
 
     Varied are the gains (with one input the poles of each mode, with several the LQR weights), the
     time constant of a low-pass filter in the law, and, if allowed, a longer sampling period. If
@@ -250,7 +250,7 @@ def design(
         How fast every constant mode must decay at least at the nominal delays, 1/s. A wide margin
         at a low cost is easily had by a loop that hardly moves.
     cost : "mean" or "worst"
-        The cost ∫ xᵀQx + uᵀRu of the mean or of the worst mode, each held.
+        The cost :math:`\int x^T Q x + u^T R u \, dt` of the mean or of the worst mode, each held.
     budget : int
         How many designs to try. A larger budget tries all that a smaller one does.
     dearest : float
@@ -262,13 +262,13 @@ def design(
         Of the cost, the identity by default. R must be definite and Q weigh the unstable states of
         every mode, so that no loop is cheap because its growth is not seen.
     input_limit : array_like, shape () or (m,), optional
-        What |u_j| must stay below in every constant mode, from `initial` on without inputs in the
-        past.
+        What :math:`|u_j|` must stay below in every constant mode, from `initial` on without inputs
+        in the past.
     initial : InitialStates or StationaryNoise, optional
-        The states at the start, the ball |x(0)| ≤ 1 by default: over a ball, box or ellipsoid the
-        exact worst case, of a normal x(0) with the probability that it says at least
-        (`deadtime.synthesis.input_peak`). Or stationary noise: then the limit is kept
-        with just the probability that it says, at any one instant.
+        The states at the start, the ball :math:`|x(0)| \le 1` by default: over a ball, box or
+        ellipsoid the exact worst case, of a normal x(0) with the probability that it says at least
+        (`deadtime.synthesis.input_peak`). Or stationary noise: then the limit is kept with just the
+        probability that it says, at any one instant.
     progress : callable, optional
         Called with a few words before each of at most `budget` designs that are tried.
 

@@ -107,8 +107,8 @@ class TradeOff:
         How fast the slowest constant mode decays at the nominal delay, 1/s; negative where one
         grows.
     input_peak : (m,) or None
-        What |u_j| stays at or below in every constant mode, from the states at the start that were
-        asked about (`input_peak`); ∞ where one is unstable.
+        What :math:`|u_j|` stays at or below in every constant mode, from the states at the start
+        that were asked about (`input_peak`); ∞ where one is unstable.
     """
 
     law: Law
@@ -126,14 +126,14 @@ class TradeOff:
 
 @dataclass(frozen=True, eq=False)
 class Design(Frozen):
-    """Gains and a law that meet a request, or come nearest to it (immutable).
+    r"""Gains and a law that meet a request, or come nearest to it (immutable).
 
     Attributes
     ----------
     law : Law
         The law, which holds `gains` and the low-pass filter, if it has one.
     gains : (modes, m, n)
-        K_i of u = +K_i x; with a filter, of v in T du/dt = v − u.
+        :math:`K_i` of :math:`u = +K_i x`; with a filter, of :math:`v` in :math:`T \dot u = v - u`.
     time_constant : (m, m) or None
         T, seconds; None without a filter.
     step : float
@@ -148,9 +148,10 @@ class Design(Frozen):
         Whether the margin is at least that, and the spectrum at both ends says so, too; the decay
         rate at least what was asked, and the inputs at most.
     growth : (2, modes)
-        The growth rates at the true delays D (1 − asked) and D (1 + asked), 1/s.
+        The growth rates at the true delays :math:`D (1 - \text{asked})` and
+        :math:`D (1 + \text{asked})`, 1/s.
     cost : float
-        ∫ xᵀQx + uᵀRu, as in `TradeOff`.
+        :math:`\int x^T Q x + u^T R u \, dt`, as in `TradeOff`.
     decay_rate : float
         How fast the slowest constant mode decays at the nominal delay, 1/s, as in `TradeOff`.
     plain : TradeOff
@@ -168,7 +169,7 @@ class Design(Frozen):
     weight : Weight or None
         Of the cost; None for the identity.
     input_peak : (m,)
-        What |u_j| stays at or below in every constant mode, for `initial`.
+        What :math:`|u_j|` stays at or below in every constant mode, for `initial`.
     input_limit : (m,) or None
         What it was asked to stay below.
     initial : InitialStates or StationaryNoise

@@ -54,9 +54,9 @@ class InputPeak(Frozen):
     initial : InitialStates or StationaryNoise
         The states that it starts from, or what moves it.
     level : (modes, m)
-        What |u_j(t)| stays at or below: over a set its exact maximum; under a normal x(0) a level
-        kept with the probability asked for at least; under noise the one kept with just that
-        probability at any one instant. ∞ where a mode is unstable.
+        What :math:`|u_j(t)|` stays at or below: over a set its exact maximum; under a normal x(0)
+        a level kept with the probability asked for at least; under noise the one kept with just
+        that probability at any one instant. ∞ where a mode is unstable.
     least : (modes, m)
         No lower level is kept: the same as `level` but under a normal x(0), where it is a bound.
     time : (modes, m)
@@ -72,7 +72,7 @@ class InputPeak(Frozen):
 def input_peak(
     plant: SwitchedSystem, law: Law, step: float = 0.01, initial: Source | None = None
 ) -> InputPeak:
-    """How large each input becomes, with each mode held and no inputs in the past.
+    r"""How large each input becomes, with each mode held and no inputs in the past.
 
     Parameters
     ----------
@@ -83,7 +83,8 @@ def input_peak(
     step : float
         Sampling period h, s.
     initial : InitialStates or StationaryNoise, optional
-        The ball |x(0)| ≤ 1 by default; or the noise that moves a loop that started long ago.
+        The ball :math:`|x(0)| \le 1` by default; or the noise that moves a loop that started
+        long ago.
 
     Returns
     -------

@@ -74,7 +74,7 @@ class InitialStates(Frozen):
 
     @staticmethod
     def ball(radius: float = 1.0) -> InitialStates:
-        """|x(0)| ≤ radius: for states in like units.
+        r""":math:`|x(0)| \le` radius: for states in like units.
 
         Raises
         ------
@@ -86,7 +86,7 @@ class InitialStates(Frozen):
 
     @staticmethod
     def box(half_widths: ArrayLike) -> InitialStates:
-        """|x_i(0)| ≤ half_widths[i], each in the unit of its state.
+        r""":math:`|x_i(0)| \le` ``half_widths[i]``, each in the unit of its state.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class InitialStates(Frozen):
 
     @staticmethod
     def ellipsoid(X: ArrayLike) -> InitialStates:
-        """x(0)ᵀ X⁻¹ x(0) ≤ 1; a semidefinite X leaves directions out.
+        r""":math:`x(0)^T X^{-1} x(0) \le 1`; a semidefinite X leaves directions out.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class InitialStates(Frozen):
 
     @property
     def text(self) -> str:
-        """For sentences: "|u| stays below 25 for …"."""
+        """For sentences: "abs(u) stays below 25 for …"."""
         if self.kind == "ball":
             return f"every |x(0)| ≤ {self.size.item():g}"
         if self.kind == "box":
@@ -164,18 +164,18 @@ def _semidefinite(name: str, value: ArrayLike) -> Float[np.ndarray, "n n"]:
 
 @dataclass(frozen=True, eq=False, init=False)
 class StationaryNoise(Frozen):
-    """Stationary noise, as what moves the inputs of a loop (immutable).
+    r"""Stationary noise, as what moves the inputs of a loop (immutable).
 
     Parameters
     ----------
     process : array_like, shape (modes, n, n), (n, n), (n,) or ()
-        W, the intensity of white noise on dx/dt, in units of x² per second: a matrix for every mode
-        or for all, its diagonal, or a number times the identity.
+        :math:`W`, the intensity of white noise on :math:`\dot x`, in units of :math:`x^2` per
+        second: a matrix for every mode or for all, its diagonal, or a number times the identity.
     measurement : array_like, shape (n, n), (n,) or ()
         V, the covariance of the error of every sample of x, likewise.
     probability : float
-        With which |u_j| is to stay below its level at any one instant, above 0 and below 1: the
-        share of the time.
+        With which :math:`|u_j|` is to stay below its level at any one instant, above 0 and below 1:
+        the share of the time.
 
     Raises
     ------
@@ -232,7 +232,7 @@ class StationaryNoise(Frozen):
 
     @property
     def text(self) -> str:
-        """For sentences: "|u| stays below 25 for …"."""
+        """For sentences: "abs(u) stays below 25 for …"."""
         return f"stationary noise, {100.0 * self.probability:g} % of the time"
 
 

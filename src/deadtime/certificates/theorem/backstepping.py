@@ -31,14 +31,14 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False)
 class Backstepping(Frozen):
-    """The backstepping transformation at a time t, between U and W on [t − D, t], given X(t).
+    """The backstepping transformation at a time t, between U and W over a delay, given X(t).
 
     Parameters
     ----------
     plant : SwitchedSystem
         The plant.
     gains : (modes, m, n) array
-        K_i of u = +K_i x.
+        :math:`K_i` of :math:`u = +K_i x`.
     signal : SwitchingSignal
         The plant's signal, known up to t + D.
     time : float
@@ -113,7 +113,9 @@ class Backstepping(Frozen):
 def mismatch_at(
     run: Trajectory, gains: Float[np.ndarray, "mode m n"], times: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T m"]:
-    """The mismatch U(θ) − K_σ(θ+D) x(θ + D) along an ideal run, at times from −D to its end."""
+    r"""The mismatch along an ideal run, at times from −D to its end.
+
+    :math:`U(\theta) - K_{\sigma(\theta+D)} x(\theta + D)`."""
     ahead = times + run.plant.delay
     x, K = run.record.states_at(ahead), gains[_modes(run, ahead)]
     return run.record.inputs_at(times) - np.einsum("kij,kj->ki", K, x)
@@ -122,7 +124,9 @@ def mismatch_at(
 def target_rate(
     run: Trajectory, gains: Float[np.ndarray, "mode m n"], times: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T n"]:
-    """dX/dt by the target system (15), (A_σ + B_σ K_σ) X + B_σ W(t − D)."""
+    r"""The rate of change of X in the target system (15).
+
+    :math:`\dot X = (A_\sigma + B_\sigma K_\sigma) X + B_\sigma W(t - D)`."""
     plant, mode, x = run.plant, _modes(run, times), run.record.states_at(times)
     closed = plant.A[mode] + plant.B[mode] @ gains[mode]
     # W(t − D) with the mode at t itself: (t − D) + D may round to the other side of a switch.
@@ -149,7 +153,9 @@ def lyapunov_functional(
     b: float,
     times: Float[np.ndarray, " T"],
 ) -> Float[np.ndarray, " T"]:
-    """V(t) = XᵀPX + b ∫_{t−D}^{t} e^{θ+D−t} |W(θ)|² dθ along an ideal run: equation (64)."""
+    r"""The Lyapunov functional along an ideal run: equation (64).
+
+    :math:`V(t) = X^T P X + b \int_{t-D}^{t} e^{\theta + D - t} |W(\theta)|^2 d\theta`."""
     x = run.record.states_at(times)
     return np.einsum("ki,ij,kj->k", x, P, x) + b * _weighted_integrals(run, gains, times)
 
@@ -161,11 +167,16 @@ def lyapunov_derivative(
     b: float,
     times: Float[np.ndarray, " T"],
 ) -> Float[np.ndarray, " T"]:
-    """dV/dt along an ideal run, exact: (65) before any inequality is applied to it.
+    r"""dV/dt along an ideal run, exact: (65) before any inequality is applied to it.
 
-        Xᵀ(HᵀP + PH)X + 2 XᵀPB W(t−D) + b e^D |W(t)|² − b |W(t−D)|² − b ∫ e^{θ+D−t} |W|² dθ
+    .. math::
 
-    with H = A_σ + B_σ K_σ; a right derivative where W jumps.
+        X^T (H^T P + P H) X + 2 X^T P B W(t - D)
+        + b e^D |W(t)|^2
+        - b |W(t - D)|^2
+        - b \int_{t-D}^{t} e^{\theta + D - t} |W(\theta)|^2 d\theta
+
+    with :math:`H = A_\sigma + B_\sigma K_\sigma`; a right derivative where :math:`W` jumps.
     """
     delay = run.plant.delay
     x, slope = run.record.states_at(times), target_rate(run, gains, times)

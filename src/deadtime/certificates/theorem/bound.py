@@ -37,7 +37,7 @@ _PER_DECADE = 1.0 / math.log(10.0)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TheoremBound:
-    """The constants of the theorem for one plant (immutable).
+    r"""The constants of the theorem for one plant (immutable).
 
     A number that overflows is inf, one that underflows 0.0; `log10_…` is right all the same.
 
@@ -46,18 +46,22 @@ class TheoremBound:
     form : str
         "printed", "corrected" or "sharp". Only the last two are theorems.
     epsilon, epsilon_star : float
-        The distance ε of modes and gains, (5), and what it must stay below, (62).
+        The distance :math:`\varepsilon` of modes and gains, equation (5), and its bound
+        :math:`\varepsilon^*`, equation (62).
     nu1, nu2 : float or None
-        ∫|U|² ≤ ν₁(|X|² + ∫|W|²) and the reverse, (56) and (57).
+        Constants of :math:`\int |U|^2 \le \nu_1 (|X|^2 + \int |W|^2)`, equation (56), and of the
+        reverse, equation (57).
     kappa : float or None
-        |X|² + ∫|W|² ≤ κ e^{−μt}(…)(0), (63).
+        :math:`|X|^2 + \int |W|^2` decays like :math:`\kappa e^{-\mu t}`, equation (63).
     b, weight : float or None
-        V = XᵀPX + b∫e^{c(θ+D−t)}|W|², (64); the weight c is 1 in the paper, 1/s. None with several
-        delays, as are ν₁, ν₂ and κ: the proof there has no such functional.
+        Of :math:`V = X^T P X + b \int e^{c (\theta + D - t)} |W|^2`, equation (64); the weight
+        :math:`c` is 1 in the paper, 1/s. None with several delays, as are :math:`\nu_1`,
+        :math:`\nu_2` and :math:`\kappa`: the proof there has no such functional.
     mu, rho, xi : float or None
-        (73) and (75); None when they do not exist, and `message` says why.
+        Rates and overshoot, equations (73) and (75); None when they do not exist, and `message`
+        says why.
     holds : bool
-        ε < ε*.
+        :math:`\varepsilon < \varepsilon^*`.
     lyapunov : CommonLyapunov
         The P and Q that the constants use.
     message : str
@@ -86,15 +90,15 @@ class TheoremBound:
     constants: Constants = field(repr=False)
 
     def delta1(self, eps: float) -> float:
-        """δ₁(ε) of |W(t)| ≤ δ₁|X(t)| + δ₂∫|U|, equation (47)."""
+        r"""Constant of :math:`|W| \le \delta_1 |X| + \delta_2 \int |U|`, equation (47)."""
         return exp(self.constants.log_delta1(_log_distance(eps)))
 
     def delta2(self, eps: float) -> float:
-        """δ₂(ε), equation (54)."""
+        r"""Constant :math:`\delta_2(\varepsilon)`, equation (54)."""
         return exp(self.constants.log_delta2(_log_distance(eps)))
 
     def lam(self, eps: float) -> float:
-        """λ(ε) = max(δ₁, δ₂), equation (55): |W(t)| ≤ λ(|X(t)| + ∫|U|)."""
+        r"""The larger of :math:`\delta_1` and :math:`\delta_2`, equation (55)."""
         return exp(self.constants.log_lambda(_log_distance(eps)))
 
     def __repr__(self) -> str:
@@ -108,7 +112,7 @@ def theorem_bound(
     lyapunov: CommonLyapunov | tuple[ArrayLike, ArrayLike] | None = None,
     form: str = "corrected",
 ) -> TheoremBound:
-    """The constants of the stability theorem of the averaged predictor feedback.
+    r"""The constants of the stability theorem of the averaged predictor feedback.
 
     Parameters
     ----------
@@ -116,9 +120,9 @@ def theorem_bound(
         The plant, its delay included: one for all modes and inputs, as the theorem has it; or, for
         "sharp", one per input.
     gains : array_like, shape (modes, m, n)
-        K_i of u = +K_i x, every A_i + B_i K_i Hurwitz.
+        :math:`K_i` of :math:`u = +K_i x`, every :math:`A_i + B_i K_i` Hurwitz.
     dwell_time : float
-        τ_d > 0, in seconds. The sharp constants do not depend on it.
+        :math:`\tau_d > 0`, in seconds. The sharp constants do not depend on it.
     lyapunov : CommonLyapunov or (P, Q), optional
         P and Q of inequality (4). Default: `common_lyapunov`; for "sharp" the best of a range
         of common P.

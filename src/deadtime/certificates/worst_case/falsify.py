@@ -34,7 +34,7 @@ def falsify(
     budget: int = 80_000,
     **signals: Unpack[SignalOptions],
 ) -> WorstCase:
-    """The worst admissible switching signal found for a digital loop, and its growth rate.
+    r"""The worst admissible switching signal found for a digital loop, and its growth rate.
 
     Admissible signals stay in every mode for at least the dwell time, as the controller's clock
     measures it; constant ones are among them. Growth along the signal found is a fact where it
@@ -50,9 +50,9 @@ def falsify(
         measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
         `OutputFeedback` of a table is one with its estimate and its sums, at a reference of 0.
     dwell_time : float, one per mode, or SignalClass
-        τ_d > 0, seconds, at least one period unless modes change at samples only: the shortest
-        sojourn; or all that is known of the signals. With an average dwell time those are searched
-        that keep it in every sojourn.
+        :math:`\tau_d > 0`, seconds, at least one period unless modes change at samples only: the
+        shortest sojourn; or all that is known of the signals. With an average dwell time those are
+        searched that keep it in every sojourn.
     step : float
         Sampling period h, seconds.
     budget : int

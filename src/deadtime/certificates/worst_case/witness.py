@@ -69,7 +69,7 @@ class WorstCase(Frozen):
         State at time 0 and inputs before it, held samples, the oldest first, along the direction
         that grows; as `simulate` takes them. A law with a memory, `law`, begins along it, too, but
         for its sums of errors, which begin at 0. Where that direction turns, x0 and u0 are its real
-        part, and |x| waxes and wanes about the growth.
+        part, and :math:`|x|` waxes and wanes about the growth.
     message : str
         What was found, in a sentence.
     evaluated : int

@@ -100,12 +100,12 @@ MANY = 60  # waves of |x| of which only the peaks are drawn
 
 
 def plot_witness(worst: WorstCase, title: str | None = None, modes: Sequence[str] = ()) -> Figure:
-    """A signal that grows: |x| over many of its cycles, and a few cycles of the mode below.
+    """A signal under which the loop grows: the norm of the state, and the mode below.
 
     Parameters
     ----------
     worst : WorstCase
-        Its growth rate sets how long it is run. Where |x| waves too often to be drawn, its
+        Its growth rate sets how long it is run. Where :math:`|x|` waves too often to be drawn, its
         peaks are.
     title : str, optional
     modes : sequence of str

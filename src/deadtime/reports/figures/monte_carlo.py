@@ -33,11 +33,12 @@ _NARROW, _WIDE = 8.0, 2e3  # ranges of an axis with plain ticks, and with ticks 
 def plot_monte_carlo(
     data: xr.Dataset | Comparison, title: str | None = None, width: Width | None = None
 ) -> Figure:
-    """Distribution functions of the laws' costs, and of their costs over the reference law's.
+    r"""Distribution functions of the laws' costs, and of their costs over the reference law's.
 
-    Where all laws follow a reference, of ∫|r − y| instead. A curve at (c, p): on a share p of the
-    scenarios the cost is at most c. A law that diverges never reaches the top. Axes end where heavy
-    tails would take all the room; laws that lie beyond an axis are named so in the legend.
+    Where all laws follow a reference, of :math:`\int |r - y|` instead. A curve at (c, p): on a
+    share p of the scenarios the cost is at most c. A law that diverges never reaches the top. Axes
+    end where heavy tails would take all the room; laws that lie beyond an axis are named so in the
+    legend.
 
     Parameters
     ----------

@@ -244,7 +244,7 @@ def plot_window(
 def plot_norms(
     runs: Mapping[str, Trajectory], title: str | None = None, width: Width | None = None
 ) -> Figure:
-    """|x| of several runs on logarithmic axes; a run far above the others leaves the frame.
+    """Norms of the state of several runs; a run far above the others leaves the frame.
 
     More than five are shared out among panels with the same axes.
     """

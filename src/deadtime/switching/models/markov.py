@@ -16,24 +16,30 @@ from deadtime.switching.models.model import SampledChain, SwitchingModel, rows_t
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Markov(SwitchingModel):
-    """A Markov process of modes: in mode i, a switch to mode j comes at the rate Λ_ij.
+    r"""A Markov process of modes, in continuous time.
 
-        P(σ(t + s) = j | σ(t) = i) = (e^{sΛ})_ij
+    In mode i, a switch to mode j comes at the rate :math:`\Lambda_{ij}`.
 
-    Sojourns in mode i are exponential with mean 1/Σ_j Λ_ij; a mode that no rate leaves is
-    held. Signals start in a uniformly drawn mode.
+    .. math::
+
+        P(\sigma(t + s) = j \mid \sigma(t) = i) = (e^{s \Lambda})_{ij}
+
+    Sojourns in mode i are exponential with mean :math:`1/\sum_j \Lambda_{ij}`; a mode that no rate
+    leaves is held. Signals start in a uniformly drawn mode.
 
     Parameters
     ----------
     rates : array_like, shape (modes, modes)
-        Λ_ij ≥ 0 for i ≠ j, in 1/s. The diagonal may be 0 or minus the sum of its row.
+        :math:`\Lambda_{ij} \ge 0` for :math:`i \ne j`, in 1/s. The diagonal may be 0 or minus the
+        sum of its row.
 
     Attributes
     ----------
     rates : (modes, modes) array
         The rates, with 0 on the diagonal.
     generator : (modes, modes) array
-        Λ: the rates, with minus their sum on the diagonal, so that rows sum to 0; 1/s.
+        :math:`\Lambda`: the rates, with minus their sum on the diagonal, so that rows sum to 0;
+        1/s.
 
     Raises
     ------
@@ -102,7 +108,7 @@ class Markov(SwitchingModel):
         return None  # how long a mode has been active says nothing
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
-        """P = e^{hΛ}, returns within a period among what stays."""
+        r""":math:`P = e^{h \Lambda}`, returns within a period among what stays."""
         from deadtime.numerics.covariance import transition
 
         P = transition(self.generator, positive("step", step))

@@ -23,20 +23,23 @@ from deadtime.switching.models.model import (
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class MarkovChain(SwitchingModel):
-    """A Markov chain of modes: at each instant k h_c the mode i gives way to j with P_ij, or stays.
+    r"""A Markov chain of modes, which may change at multiples of a period only.
 
-        P(σ((k + 1) h_c) = j | σ(k h_c) = i, the past) = P_ij
+    .. math::
+
+        P(\sigma((k + 1) h_c) = j \mid \sigma(k h_c) = i, \text{the past}) = P_{ij}
 
     Between these instants the mode is held: it lasts whole periods, geometrically many. Signals
-    start in a uniformly drawn mode. A law or filter of period h_c sees every switch and is exact;
-    one of period r h_c sees the chain P^r, and takes a switch within a period to be at its end.
+    start in a uniformly drawn mode. A law or filter of period :math:`h_c` sees every switch and is
+    exact; one of period :math:`r h_c` sees the chain :math:`P^r`, and takes a switch within a
+    period to be at its end.
 
     Parameters
     ----------
     P : array_like, shape (modes, modes)
         Probabilities of the next mode, rows summing to 1, the diagonal included.
     step : float
-        Period h_c of the chain, seconds.
+        Period :math:`h_c` of the chain, seconds.
 
     Attributes
     ----------
@@ -94,7 +97,7 @@ class MarkovChain(SwitchingModel):
         return None  # how long a mode has been active says nothing
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
-        """P^r at a period of r steps; within a period of one nothing switches."""
+        """:math:`P^r` at a period of r steps; within a period of one nothing switches."""
         from deadtime.plant.discretisation import snap
 
         periods = snap(positive("step", step) / self.step)
@@ -134,10 +137,13 @@ class MarkovChain(SwitchingModel):
 
     @classmethod
     def fit(cls, signals: Signals, step: float, *, modes: int | None = None) -> MarkovChain:
-        """The chain of maximum likelihood for the modes that logged signals have at samples.
+        r"""The chain of maximum likelihood for the modes that logged signals have at samples.
 
-            P_ij = N_ij / Σ_j N_ij,    N_ij: how often a sample of mode i is followed by one of j
+        .. math::
 
+            P_{ij} = N_{ij} / \sum_j N_{ij}
+
+        with :math:`N_{ij}` the number of samples of mode i that are followed by one of mode j.
         Of two switches within a period the first is not seen; what follows the last switch of a
         log without an end says nothing. There are as many modes as the largest in the logs tells,
         unless `modes` says more. A mode that no sample follows is refused.

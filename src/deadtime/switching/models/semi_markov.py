@@ -145,21 +145,26 @@ def _median_below(dist: Distribution, high: float) -> float:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class SemiMarkov(SwitchingModel):
-    """A semi-Markov process of modes: stay in mode i for a random time S_i, then jump to mode j.
+    r"""A semi-Markov process of modes, with sojourns of any distribution.
 
-        P(S_i > t) = sf_i(t),    P(next mode is j) = T_ij,  whatever happened before
+    It stays in mode i for a random time :math:`S_i`, then jumps to mode j.
+
+    .. math::
+
+        P(S_i > t) = \mathrm{sf}_i(t),
+        \quad P(\text{next mode is } j) = T_{ij}, \text{ whatever happened before}
 
     Signals start in a uniformly drawn mode, at the beginning of its sojourn.
 
     Parameters
     ----------
     sojourn : distribution, number, or a list of them with one per mode
-        S_i in seconds: a frozen distribution of scipy.stats, anything else with vectorised
+        :math:`S_i` in seconds: a frozen distribution of scipy.stats, anything else with vectorised
         ``cdf``, and ``sf`` or ``logsf``, or a number for a fixed sojourn. A single one holds for
         every mode. Signals are drawn fast where it has a formula for ``isf`` or ``ppf``.
     transition : array_like, shape (modes, modes), optional
-        T_ij ≥ 0 with rows that sum to 1 and a zero diagonal; by default all other modes are
-        equally likely.
+        :math:`T_{ij} \ge 0` with rows that sum to 1 and a zero diagonal; by default all other modes
+        are equally likely.
     modes : int, optional
         Number of modes, where neither of the above tells; 2 by default.
     dwell_time, maximum_dwell : float, or one per mode, optional
@@ -258,9 +263,11 @@ class SemiMarkov(SwitchingModel):
         return process.draw(horizon, seed, first, count)
 
     def hazard(self, step: float, ages: int) -> Float[np.ndarray, "mode age"]:
-        """Probability that a sojourn which outlasted a samples ends by the next one.
+        r"""Probability that a sojourn which outlasted a samples ends by the next one.
 
-            haz_i(a) = P(S_i ≤ (a + 1) h | S_i > a h),    a = 0, …, ages − 1
+        .. math::
+
+            q_{i,a} = P(S_i \le (a + 1) h \mid S_i > a h), \quad a = 0, \dots, \text{ages} - 1
 
         It is 1 where no sojourn outlasts a h. An atom or an end of the support whose ratio to
         h is within 1e-9 of an integer counts as that multiple of h.
@@ -303,7 +310,7 @@ class SemiMarkov(SwitchingModel):
             Sampling period h, seconds; at most half the median sojourn of every mode.
         most : int, optional
             Where the count stops, at least 1. If it stops there, later ages may still differ:
-            `outlives(most · step)` tells how many sojourns reach them.
+            ``outlives(most * step)`` tells how many sojourns reach them.
 
         Raises
         ------
@@ -327,7 +334,7 @@ class SemiMarkov(SwitchingModel):
         )
 
     def outlives(self, time: float) -> Float[np.ndarray, " mode"]:
-        """P(S_i > time) for every mode, `time` in seconds.
+        r""":math:`P(S_i > \text{time})` for every mode, `time` in seconds.
 
         Examples
         --------

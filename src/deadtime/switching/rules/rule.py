@@ -117,14 +117,14 @@ class PolyhedralRule(Rule):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class HalfSpace(PolyhedralRule):
-    """Mode 1 where normal·x ≥ offset, mode 0 elsewhere.
+    r"""Mode 1 where :math:`\text{normal} \cdot x \ge \text{offset}`, mode 0 elsewhere.
 
     Parameters
     ----------
     normal : array_like, shape (n,)
         Points into mode 1; any length but 0.
     offset : float
-        In the unit of normal·x.
+        In the unit of :math:`\text{normal} \cdot x`.
 
     Examples
     --------
@@ -152,7 +152,9 @@ class HalfSpace(PolyhedralRule):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Polyhedra(PolyhedralRule):
-    """The mode of the region that holds the state, region i being where H_i x ≤ h_i.
+    r"""The mode of the polyhedral region that holds the state.
+
+    Region :math:`i` is where :math:`H_i x \le h_i`.
 
     Parameters
     ----------
@@ -169,7 +171,7 @@ class Polyhedra(PolyhedralRule):
 
     Examples
     --------
-    A slab |x₁| ≤ 1 in mode 0 between two half-spaces in mode 1:
+    A slab :math:`|x_1| \le 1` in mode 0 between two half-spaces in mode 1:
 
     >>> slab = ([[1, 0], [-1, 0]], [1, 1])
     >>> rule = Polyhedra([slab, ([[-1, 0]], [-1]), ([[1, 0]], [-1])], modes=[0, 1, 1])
@@ -311,10 +313,10 @@ _SYMMETRIC = 1e-12  # of the largest entry of a matrix
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class QuadraticRegions(Rule):
-    """The mode whose quadratic form is the largest, r(x) = argmax_i xᵀS_i x (max-switching).
+    r"""The mode whose quadratic form is the largest (max-switching).
 
-    On a boundary it is the first of the largest. For the smallest form, as min-switching has it,
-    give −S.
+    :math:`r(x) = \arg\max_i x^T S_i x`. On a boundary it is the
+    first of the largest. For the smallest form, as min-switching has it, give :math:`-S`.
 
     Parameters
     ----------
@@ -333,7 +335,7 @@ class QuadraticRegions(Rule):
 
     Examples
     --------
-    Mode 1 where |x₂| > |x₁|:
+    Mode 1 where :math:`|x_2| > |x_1|`:
 
     >>> rule = QuadraticRegions([[[1, 0], [0, -1]], [[-1, 0], [0, 1]]])
     >>> rule([3.0, -2.0]), rule([1.0, -2.0])
