@@ -23,6 +23,7 @@ from deadtime.estimation import (
     luenberger,
 )
 from deadtime.feedback import Law
+from deadtime.feedback.belief import BeliefFilter
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.file.servo import FileServo, watching
 from deadtime.problems.toml import Shape
@@ -203,7 +204,7 @@ def build_mode_filter(
     model: SwitchingModel | None,
     step: float | None,
     observed: Observed | None,
-) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
+) -> Callable[[SwitchedSystem], BeliefFilter] | None:
     """A function from the plant of a law to its mode filter; tried on the file's own first.
 
     `observed` is the [observer] of the file and what makes it for a plant, where it has one.
