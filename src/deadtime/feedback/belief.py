@@ -14,6 +14,7 @@ A Markov chain is the case of one age.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -111,6 +112,7 @@ def frozen(form: _Form) -> _Form:
     return form._make(read_only(one) if isinstance(one, np.ndarray) else one for one in form)
 
 
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class BeliefFilter(Frozen, ABC):
     """What keeps a belief over the modes at samples: all that laws and controllers ask of one.
 

@@ -120,17 +120,19 @@ def _with_point(text: str) -> str:
     return text if set(text) & set(".eE") else text + ".0"
 
 
-def initializer(array: np.ndarray, precision: Precision, indent: int = 0) -> str:
-    """An array as nested braces."""
-    pad = " " * 4 * indent
+def initializer(
+    array: np.ndarray, precision: Precision, indent: int = 0, braces: str = "{}"
+) -> str:
+    """An array as nested braces, or between what a language other than C writes."""
+    (begin, end), pad = braces, " " * 4 * indent
     if array.ndim == 1:
         numbers = [literal(value, precision) for value in array.astype(DTYPE[precision])]
         lines = [
             ", ".join(numbers[start : start + _LINE]) for start in range(0, len(numbers), _LINE)
         ]
-        return pad + "{" + f",\n{pad} ".join(lines) + "}"
-    inner = ",\n".join(initializer(part, precision, indent + 1) for part in array)
-    return f"{pad}{{\n{inner}\n{pad}}}"
+        return pad + begin + f",\n{pad} ".join(lines) + end
+    inner = ",\n".join(initializer(part, precision, indent + 1, braces) for part in array)
+    return f"{pad}{begin}\n{inner}\n{pad}{end}"
 
 
 def brackets(array: np.ndarray) -> str:

@@ -64,7 +64,7 @@ def export_fmu(
         "belief": controller.believing is not None,
         "observer": observer is not None,
         "outputs": outputs,
-        **given_of(observer, outputs),
+        **given_of(controller),
         "begun": initializer(past, "double"),
         "rest": {key: initializer(array, "double") for key, array in _at_rest(controller).items()},
         "slack": literal(1e-3 * controller.step, "double"),
