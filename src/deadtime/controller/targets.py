@@ -12,6 +12,7 @@ from deadtime.base.json_records import record
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
+    from numpy.typing import ArrayLike
 
     from deadtime.base.files import Staging
     from deadtime.controller.export import ExportedFmu, Names
@@ -33,7 +34,7 @@ class ExportRequest(NamedTuple):
     plant: SwitchedSystem
     plant_names: Names
     x0: Float[np.ndarray, " n"]
-    u0: Float[np.ndarray, " m"]
+    u0: ArrayLike
     precision: Precision
     accuracy: float | None
     rom_budget: int | None

@@ -247,6 +247,7 @@ class ModeFilter(BeliefFilter):
             model=model,
             step=step,
             disturbance=intensities(disturbance, plant.modes, plant.states),
+            outputs=None,
             noise=deviation(noise, plant.states),
             switches=switches,
             forgetting=forgetting,

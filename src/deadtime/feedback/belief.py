@@ -112,7 +112,7 @@ def frozen(form: _Form) -> _Form:
     return form._make(read_only(one) if isinstance(one, np.ndarray) else one for one in form)
 
 
-@dataclass(frozen=True, eq=False, init=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BeliefFilter(Frozen, ABC):
     """What keeps a belief over the modes at samples: all that laws and controllers ask of one.
 
@@ -131,7 +131,7 @@ class BeliefFilter(Frozen, ABC):
     plant: SwitchedSystem
     step: float
     disturbance: Float[np.ndarray, "*mode n n"]
-    outputs: Float[np.ndarray, "mode p n"] | None = None
+    outputs: Float[np.ndarray, "mode p n"] | None
 
     @abstractmethod
     def form(self, ages: int = 1) -> BeliefForm:
