@@ -12,7 +12,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.cli import options
 from deadtime.cli.application import BUILD, app, lines
 from deadtime.cli.printing import print_json
-from deadtime.controller.targets import TARGETS, ExportRequest
+from deadtime.controller.targets import TARGETS
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
@@ -88,22 +88,25 @@ def export(
     if chosen.law(called).outputs is not None:
         names = replace(given, outputs=chosen.outputs, tracked=chosen.tracked)
     with Staging() as staging:  # all that is asked for, or nothing
-        asked = ExportRequest(
-            controller=controller,
-            names=names,
-            plant=chosen.plant,
-            plant_names=replace(given, title=f"Plant: {chosen.title}"),
-            x0=chosen.x0,
-            u0=chosen.u0,
-            precision="float" if single else "double",
-            accuracy=accuracy,
-            rom_budget=rom_budget,
-            name=name,
-            prediction=prediction,
-            fmi=fmi,
-            staging=staging,
-        )
-        made = {key: one.write(asked, paths[key]) for key, one in TARGETS.items() if key in paths}
+        shared = {
+            "precision": "float" if single else "double",
+            "accuracy": accuracy,
+            "names": names,
+            "rom_budget": rom_budget,
+            "name": name,
+            "prediction": prediction,
+            "version": fmi,
+            "plant": chosen.plant,
+            "plant_names": replace(given, title=f"Plant: {chosen.title}"),
+            "x0": chosen.x0,
+            "u0": chosen.u0,
+            "staging": staging,
+        }
+        made = {
+            key: one.write(controller, paths[key], shared)
+            for key, one in TARGETS.items()
+            if key in paths
+        }
     if json_output:
         point = chosen.operating_point
         told: dict[str, Any] = {"law": called, "step": controller.step}

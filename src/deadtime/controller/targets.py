@@ -10,42 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from deadtime.base.json_records import record
 
 if TYPE_CHECKING:
-    import numpy as np
-    from jaxtyping import Float
-    from numpy.typing import ArrayLike
-
-    from deadtime.base.files import Staging
-    from deadtime.controller.export import ExportedFmu, Names
-    from deadtime.controller.export.fmi_description import Version
-    from deadtime.controller.export.forms import Precision
+    from deadtime.controller.export import ExportedFmu
     from deadtime.controller.running import RunningLaw
-    from deadtime.plant import SwitchedSystem
-
-
-class ExportRequest(NamedTuple):
-    """A controller, the plant that it is for, and the options of all targets.
-
-    x0, u0, plant_names : what the plant begins with, as deviations, and what its FMU is called
-    others : as in `Controller.export_c` and `Controller.export_fmu`
-    """
-
-    controller: RunningLaw
-    names: Names
-    plant: SwitchedSystem
-    plant_names: Names
-    x0: Float[np.ndarray, " n"]
-    u0: ArrayLike
-    precision: Precision
-    accuracy: float | None
-    rom_budget: int | None
-    name: str
-    prediction: bool
-    fmi: Version
-    staging: Staging
-
-    def some(self, *names: str) -> dict[str, Any]:
-        """Options by their names, those of every target among them."""
-        return {name: getattr(self, name) for name in ("staging", *names)}
 
 
 class Written(NamedTuple):
@@ -58,48 +24,50 @@ class Written(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A target: what its path is, in a word and in a sentence, and what writes it there."""
+    """A target: what its path is, in a word and in a sentence, and what writes it there.
+
+    `write` is given the options of all targets by name, those of `export_c`, `export_fmu` and
+    `export_plant_fmu`, and takes its own.
+    """
 
     path: str
     help: str
-    write: Callable[[ExportRequest, Path], Written]
+    write: Callable[[RunningLaw, Path, Mapping[str, Any]], Written]
 
 
-def _write_c(asked: ExportRequest, folder: Path) -> Written:
+def _some(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: options[name] for name in ("staging", *names)}
+
+
+def _write_c(controller: RunningLaw, folder: Path, options: Mapping[str, Any]) -> Written:
     from deadtime.controller.export import export_c
 
-    own = asked.some("precision", "accuracy", "names", "rom_budget", "name", "prediction")
-    made = export_c(asked.controller, folder, **own)
+    own = _some(options, "precision", "accuracy", "names", "rom_budget", "name", "prediction")
+    made = export_c(controller, folder, **own)
     facts = record(made, "folder", "files", "form", "rom", "ram", "error")
     facts |= {"passed": made.check.passed, "check": made.check.message}
     lines = (
-        f"C, {asked.precision}: {made.folder}: {', '.join(made.files)}",
+        f"C, {own['precision']}: {made.folder}: {', '.join(made.files)}",
         f"  {made.form}\n  ROM {made.rom:,} bytes, RAM {made.ram:,} bytes",
         f"  self-check: {made.check.message}",
     )
     return Written(facts, [made.folder / name for name in made.files], lines, made.check.passed)
 
 
-def _write_fmu(asked: ExportRequest, path: Path) -> Written:
+def _write_fmu(controller: RunningLaw, path: Path, options: Mapping[str, Any]) -> Written:
     from deadtime.controller.export import export_fmu
 
-    own = asked.some("precision", "accuracy", "names", "u0")
-    return _fmu("controller", export_fmu(asked.controller, path, version=asked.fmi, **own))
+    own = _some(options, "precision", "accuracy", "names", "version", "u0")
+    return _fmu("controller", export_fmu(controller, path, **own))
 
 
-def _write_plant_fmu(asked: ExportRequest, path: Path) -> Written:
+def _write_plant_fmu(controller: RunningLaw, path: Path, options: Mapping[str, Any]) -> Written:
     from deadtime.controller.export import export_plant_fmu
 
-    periods = math.ceil(asked.plant.longest_delay / asked.controller.step)
-    made = export_plant_fmu(
-        asked.plant,
-        path,
-        version=asked.fmi,
-        changes=max(4096, 2 * periods),
-        names=asked.plant_names,
-        operating_point=asked.controller.operating_point,
-        **asked.some("x0", "u0"),
-    )
+    plant, point = options["plant"], controller.operating_point
+    changes = max(4096, 2 * math.ceil(plant.longest_delay / controller.step))
+    own = _some(options, "version", "x0", "u0") | {"names": options["plant_names"]}
+    made = export_plant_fmu(plant, path, changes=changes, operating_point=point, **own)
     return _fmu("plant", made)
 
 

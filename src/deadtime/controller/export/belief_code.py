@@ -75,11 +75,6 @@ def outputs_of(belief: ModeBelief | None) -> int:
     return 0 if belief is None or belief.bank is None else belief.bank.variance.size
 
 
-def rom_bytes(belief: ModeBelief) -> int:
-    """Of the filter's tables."""
-    return _BYTES * sum(array.size for array, _ in arrays(belief).values())
-
-
 def ram_bytes(belief: ModeBelief) -> int:
     """Of the belief, what goes with it and the inputs that the filter reads."""
     form = belief.form

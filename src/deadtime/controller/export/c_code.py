@@ -266,29 +266,23 @@ def _room(
 
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
     """The names and bytes of everything that is exported beside the law's table."""
-    found = _beside_a_law(controller, precision, prediction)
-    numbers = sum(array.size for array, _ in rest_code.arrays(controller, prediction).values())
-    if not numbers:
-        return found
-    name = f"{found.name} and the operating point" if found.rom else "the operating point"
-    single = None if found.single is None else found.single + BYTES["float"] * numbers
-    return TableExtra(name, found.rom + BYTES[precision] * numbers, found.ram, single)
-
-
-def _beside_a_law(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
-    if prediction:
-        ahead = PredictionForm.of(controller)
-        return prediction_code.added(_beside_a_law(controller, precision, False), ahead, precision)
+    parts, integers, ram = {}, 0, 0
     if controller.believing is not None:
-        belief = controller.believing
-        rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)
-        return TableExtra("the mode filter", rom, ram)
+        parts["the mode filter"] = belief_code.arrays(controller.believing)
+        ram = belief_code.ram_bytes(controller.believing)
     if controller.observing is not None:
         form = ObserverForm.of(controller.observing)
-        rom = observer_code.rom_bytes(form, precision)
-        ram = observer_code.ram_bytes(form, precision)
-        return TableExtra("the observer", rom, ram, observer_code.rom_bytes(form, "float"))
-    return TableExtra("nothing", 0, 0, 0)
+        parts["the observer"] = observer_code.arrays(form)
+        integers, ram = observer_code.integer_bytes(form), observer_code.ram_bytes(form, precision)
+    if prediction:
+        ahead = PredictionForm.of(controller)
+        parts["the prediction"] = prediction_code.arrays(ahead)
+        integers += 4 * ahead.of_input.size
+    if point := rest_code.arrays(controller, prediction):
+        parts["the operating point"] = point
+    numbers = sum(array.size for arrays in parts.values() for array, _ in arrays.values())
+    single = BYTES["float"] * numbers + integers if controller.believing is None else None
+    return TableExtra(" and ".join(parts), BYTES[precision] * numbers + integers, ram, single)
 
 
 def _magic(told: str) -> str:
@@ -298,10 +292,8 @@ def _magic(told: str) -> str:
 
 def _measured(controller: RunningLaw) -> tuple[int, int]:
     """How many outputs the law receives, and how many references it follows."""
-    if controller.observing is not None:
-        _, outputs, _, tracked = ObserverForm.of(controller.observing).sizes
-        return outputs, tracked
-    return belief_code.outputs_of(controller.believing), 0
+    tracked = 0 if controller.observing is None else controller.observing.memory.sizes.r
+    return (0 if controller.law.outputs is None else controller.measured), tracked
 
 
 def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:

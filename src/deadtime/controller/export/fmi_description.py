@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from xml.etree import ElementTree as xml
 
 import numpy as np
 
 from deadtime.base.version import __version__
 from deadtime.base.wording import one_line
-from deadtime.controller.controller_arguments import RestValues
 from deadtime.controller.export.c_text import Names
-from deadtime.controller.export.observer_code import ObserverForm
-from deadtime.plant import SwitchedSystem
+
+if TYPE_CHECKING:
+    from deadtime.controller.running import RunningLaw
 
 
 class Variable(NamedTuple):
@@ -31,30 +31,22 @@ class Variable(NamedTuple):
 _TIME = Variable("time", "Real", "independent", "time, s")
 
 
-def controller_variables(
-    plant: SwitchedSystem,
-    names: Names,
-    past: np.ndarray,
-    rest: RestValues,
-    belief: bool = False,
-    observer: ObserverForm | None = None,
-    measures_outputs: bool = False,
-) -> list[Variable]:
+def controller_variables(controller: RunningLaw, names: Names, past: np.ndarray) -> list[Variable]:
     """The variables that a controller reads and writes; `past` (m,) is the input before the start.
 
-    What it reads is at `rest` until something is connected.
-
-    With a `belief` it writes how likely each mode is in place of reading it. With an `observer` it
-    reads outputs and references, and writes the estimate.
+    What it reads is at rest until something is connected. On a belief it writes how likely each
+    mode is in place of reading it. With an observer it reads outputs and references, and writes the
+    estimate.
     """
-    n, m = plant.states, plant.inputs
-    p = rest.given.size
-    given = _read("y", _each("output at the sample", names.output, p), rest.given)
-    if observer is None and not measures_outputs:
-        given = _read("x", _each("state at the sample", names.state, n), rest.given)
+    plant, rest, observing = controller.law.plant, controller.rest, controller.observing
+    m, p, belief = plant.inputs, rest.given.size, controller.believing is not None
+    if controller.law.outputs is None:
+        given = _read("x", _each("state at the sample", names.state, p), rest.given)
+    else:
+        given = _read("y", _each("output at the sample", names.output, p), rest.given)
     referred, told_r, estimated = [], [], []
-    if observer is not None:
-        size, _, _, r = observer.sizes
+    if observing is not None:
+        size, r = observing.memory.sizes.n, observing.memory.sizes.r
         followed = _each("what a tracked output is to follow", names.followed, r)
         referred = _read("reference", followed, rest.reference)
         estimated = _estimated(names, size, plant.states)
