@@ -136,8 +136,9 @@ def c_sources(
     from deadtime.controller.export.vectors import vectors
 
     require_exportable(controller, precision, name)
-    names.require(controller.law.plant)
-    names.require_outputs(*_measured(controller))
+    plant, (outputs, tracked) = controller.law.plant, _measured(controller)
+    names.require(states=plant.states, modes=plant.modes, inputs=plant.inputs)
+    names.require(outputs=outputs, tracked=tracked)
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")

@@ -126,7 +126,7 @@ def export_plant_fmu(
     """
     instance("plant", plant, SwitchedSystem)
     n, m, name, names = plant.states, plant.inputs, "plant", names or Names()
-    names.require(plant)
+    names.require(states=n, modes=plant.modes, inputs=m)
     past = _finite(u0, m)
     start = (
         np.zeros(n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -262,7 +262,7 @@ def _filter_of(
     return OutputModeFilter(plant, model, step, C, **first, **options)
 
 
-def _deviations(R: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "*p"]:
+def _deviations(R: Float[np.ndarray, "p p"]) -> Any:
     """Standard deviations of outputs whose noise is independent; one number for one output."""
     variance = np.diagonal(R)
     if (np.diag(variance) != R).any() or (variance < 0.0).any():
