@@ -154,7 +154,7 @@ def test_any_bits_at_all_get_a_finite_input_a_status_and_probabilities(tmp_path)
     rng, count = np.random.default_rng(5), 3_000
     law = LAWS["ages"]()
     _, library = compiled(tmp_path, law)
-    ages = law.filter.bank(law.law.digital(STEP).ages).chain.start.shape[1]
+    ages = law.filter.form(law.law.digital(STEP).ages).chain.start.shape[1]
     bits = rng.integers(0, 2**64, (count, 4), np.uint64, endpoint=False).view(np.float64)
     bits[::3] = rng.normal(size=bits[::3].shape) * 10.0 ** rng.uniform(-200, 120, (1000, 1))
     told = [one if k % 2 else None for k, one in enumerate(bits[:, 2:])]

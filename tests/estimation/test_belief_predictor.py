@@ -7,6 +7,7 @@ from scipy import stats
 import deadtime as dt
 import plants
 from by_period import MODEL, PLANT, SIGNAL, require_same
+from deadtime.feedback.belief import BeliefFilter
 from deadtime.imperfections import (
     Dropout,
     ModeDelay,
@@ -113,3 +114,28 @@ def test_a_run_lays_its_belief_on_the_times_asked_for():
     assert (run.to_pandas()["belief[2]"].to_numpy() == run.belief[2]).all()
     assert (run.to_xarray()["belief"].to_numpy() == run.belief).all()
     assert dt.simulate(PLANT, LAWS["mode"], *args[2:]).belief is None
+
+
+class SlowToForget(BeliefFilter):
+    """A filter of one's own: another one with less forgetting."""
+
+    def __init__(self, filt):
+        own = {name: getattr(filt, name) for name in ("plant", "step", "disturbance", "outputs")}
+        vars(self).update(**own, filt=filt)
+
+    def form(self, ages=1):
+        form = self.filt.form(ages)
+        return form._replace(forgetting=1e-12)
+
+
+def test_a_filter_of_ones_own_runs_as_the_filter_that_has_its_data():
+    model = plants.markov(3)
+    law = dt.ExpectedPredictor(PLANT, plants.gains(PLANT), model)
+    own = {"disturbance": 0.1, "noise": 0.01}
+    same, other = (dt.ModeFilter(PLANT, model, 0.05, **own, forgetting=f) for f in (1e-12, 1e-3))
+    wanted, found = (
+        dt.Controller(dt.BeliefPredictor(law, filt), 0.05) for filt in (same, SlowToForget(other))
+    )
+    for x in np.random.default_rng(0).normal(size=(20, PLANT.states)):
+        assert np.array_equal(found.update(x), wanted.update(x))
+        assert np.array_equal(found.belief, wanted.belief)

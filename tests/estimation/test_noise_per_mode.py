@@ -88,10 +88,10 @@ def test_one_noise_given_mode_by_mode_is_that_noise():
         for W in (COUPLED, np.tile(COUPLED, (3, 1, 1)))
     )
     assert np.array_equal(one.disturbance, each.disturbance)
-    assert np.array_equal(one.belief().noise, each.belief().noise)
+    assert np.array_equal(one.form().noise, each.form().noise)
     own = dt.ModeFilter(PLANT, MODEL, STEP, disturbance=EACH)
     assert np.array_equal(own.disturbance, EACH)
-    assert own.belief().noise.shape == (3, 3, 3, 3)
+    assert own.form().noise.shape == (3, 3, 3, 3)
 
 
 def test_modes_are_as_far_apart_as_the_noise_of_each_says():

@@ -36,7 +36,7 @@ def test_inputs_are_the_rows_of_each_mode_on_its_estimate_weighed_by_the_belief(
     assert run.measured.shape == (2, 21)
     assert np.isnan(run.measured).any()
     table = law.digital(STEP)
-    running = dt.estimation.RunningOutputFilter(filt.bank(table.ages))
+    running = dt.estimation.RunningOutputFilter(filt.form(table.ages))
     past = np.zeros((table.taps + 30, 2))
     for k in range(21):
         plants.close(running.update(run.measured[:, k], past[-1]), run.belief[:, k], 1e-12)

@@ -197,7 +197,7 @@ def test_a_filter_from_outputs_takes_switches_to_be_where_the_model_has_them():
     for model, switches in ((CHAIN, "samples"), (plants.markov(3), "anywhere")):
         filt = dt.OutputModeFilter(plant, model, STEP, C, **options)
         assert filt.chain.switches == switches
-        assert filt.bank().chain.within == (switches == "anywhere")
+        assert filt.form().chain.within == (switches == "anywhere")
 
 
 def test_a_process_seen_at_samples_is_the_chain_of_its_exponential():

@@ -138,7 +138,7 @@ def test_laws_filters_and_batches_take_a_model_that_the_package_does_not_know():
     for one in (model, known):
         tables.append(dt.ExpectedPredictor(problem.plant, problem.gains, one).digital(0.05))
         options = {"disturbance": 1e-4, "switches": "samples"}
-        beliefs.append(dt.ModeFilter(problem.plant, one, 0.05, **options).belief())
+        beliefs.append(dt.ModeFilter(problem.plant, one, 0.05, **options).form())
     np.testing.assert_array_equal(tables[0].input_gain, tables[1].input_gain)
     np.testing.assert_array_equal(tables[0].state_gain, tables[1].state_gain)
     np.testing.assert_array_equal(beliefs[0].hazard, beliefs[1].hazard)

@@ -9,7 +9,6 @@ from scipy.stats import expon, gamma, kstest
 import deadtime as dt
 import plants
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.constraint import SwitchingConstraint
 
 RING = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
 SIGNAL = dt.SwitchingSignal([0.0, 0.5, 1.5, 1.75], [0, 1, 2, 0], end=3.0, initial_age=0.25)
@@ -42,7 +41,7 @@ SIGNAL = dt.SwitchingSignal([0.0, 0.5, 1.5, 1.75], [0, 1, 2, 0], end=3.0, initia
 )
 def test_a_malformed_class_of_signals_is_refused_by_name(given, message):
     with pytest.raises(dt.ArgumentError, match=message):
-        SwitchingConstraint.of(3, **given)
+        dt.SignalClass(**given).limits(3)
     with pytest.raises(dt.ArgumentError, match=message):
         dt.SwitchingSignal.random(3, 5.0, **{"dwell_time": 0.2} | given)
     plant = dt.SwitchedSystem(-np.eye(2)[None].repeat(3, 0), np.ones((3, 2, 1)), 0.1)
@@ -136,12 +135,12 @@ def test_models_hand_out_their_graph_and_a_fit_refuses_a_log_beside_it():
 
 
 def test_a_maximum_of_inf_is_none_for_one_mode_and_for_all():
-    free = SwitchingConstraint.of(3, 0.2)
+    free = dt.SignalClass(0.2).limits(3)
     for endless in (math.inf, np.inf, [math.inf] * 3):
-        assert SwitchingConstraint.of(3, 0.2, endless) == free
+        assert dt.SignalClass(0.2, endless).limits(3) == free
     plant = plants.generic()
     law = dt.AveragedPredictor(plant, np.zeros((3, 2, 3)), allow_unstable=True)
     with pytest.raises(ArgumentError, match="dwell_time must be"):
         dt.certify(plant, law, math.inf, 0.1, maximum_dwell=math.inf)
     with pytest.raises(ArgumentError, match="maximum_dwell must be"):
-        SwitchingConstraint.of(3, 0.2, -math.inf)
+        dt.SignalClass(0.2, -math.inf).limits(3)

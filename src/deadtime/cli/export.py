@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
 from cyclopts import Parameter
 
@@ -13,12 +12,19 @@ from deadtime.base.errors import ArgumentError
 from deadtime.cli import options
 from deadtime.cli.application import BUILD, app, lines
 from deadtime.cli.printing import print_json
+from deadtime.controller.targets import TARGETS
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
     from deadtime.problems import Problem
 
-_FMU = ("path", "version", "binary")
+    Paths = dict[str, Path]
+else:  # an option for every target
+    Paths = TypedDict(
+        "Paths",
+        {key: Annotated[Path, Parameter(help=one.help)] for key, one in TARGETS.items()},
+        total=False,
+    )
 
 
 @app.command(
@@ -32,9 +38,7 @@ _FMU = ("path", "version", "binary")
 def export(
     problem: options.ProblemFile,
     *,
-    c: Path | None = None,
-    fmu: Path | None = None,
-    plant_fmu: Path | None = None,
+    paths: Annotated[Paths | None, Parameter(name="*")] = None,
     law: options.FirstLaw = None,
     step: options.Step = None,
     single: Annotated[bool, Parameter(name="--float", negative="", show_default=False)] = False,
@@ -53,13 +57,6 @@ def export(
 
     Parameters
     ----------
-    c
-        Folder for the C: made if it is not there. Files in it that deadtime wrote are replaced;
-        one that lacks "Written by deadtime" is not, and nothing is written.
-    fmu
-        FMU of the controller, a path in .fmu; replaced if it is there.
-    plant_fmu
-        FMU of the plant with its delay, from the problem's x0 and u0; the same holds.
     single
         Single precision.
     accuracy
@@ -73,68 +70,56 @@ def export(
     fmi
         Version of FMI.
     """
-    if prediction and c is None:
+    paths = paths or {}
+    if prediction and "c" not in paths:
         raise ArgumentError("--prediction is for the C: give --c FOLDER, too.")
-    if c is None and fmu is None and plant_fmu is None:
-        raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
+    if not paths:
+        *some, last = (f"--{key.replace('_', '-')} {one.path}" for key, one in TARGETS.items())
+        raise ArgumentError(f"nothing to write: give {', '.join(some)} or {last}.")
     from deadtime.base.files import Staging
-    from deadtime.base.json_records import record
-    from deadtime.controller.export import Names, export_c, export_fmu, export_plant_fmu
+    from deadtime.controller.export import Names
     from deadtime.reports.verdict import observer_reads_mode
 
     chosen = options.problem_of(problem)
     controller = _controller(chosen, law, step)
-    precision = "float" if single else "double"
     called = next(iter(chosen.laws)) if law is None else law
     given = Names(called, chosen.states, chosen.modes, chosen.inputs)
     names = given
     if chosen.law(called).outputs is not None:
         names = replace(given, outputs=chosen.outputs, tracked=chosen.tracked)
-    shared: dict[str, Any] = {"precision": precision, "accuracy": accuracy, "names": names}
-    code = law_fmu = model = None
     with Staging() as staging:  # all that is asked for, or nothing
-        if c is not None:
-            own: dict[str, Any] = {"rom_budget": rom_budget, "name": name, "prediction": prediction}
-            code = export_c(controller, c, staging=staging, **own, **shared)
-        if fmu is not None:
-            law_fmu = export_fmu(
-                controller, fmu, version=fmi, u0=chosen.u0, staging=staging, **shared
-            )
-        if plant_fmu is not None:
-            model = export_plant_fmu(
-                chosen.plant,
-                plant_fmu,
-                x0=chosen.x0,
-                u0=chosen.u0,
-                version=fmi,
-                changes=max(4096, 2 * math.ceil(chosen.plant.longest_delay / controller.step)),
-                names=replace(given, title=f"Plant: {chosen.title}"),
-                operating_point=chosen.operating_point,
-                staging=staging,
-            )
+        shared = {
+            "precision": "float" if single else "double",
+            "accuracy": accuracy,
+            "names": names,
+            "rom_budget": rom_budget,
+            "name": name,
+            "prediction": prediction,
+            "version": fmi,
+            "plant": chosen.plant,
+            "plant_names": replace(given, title=f"Plant: {chosen.title}"),
+            "x0": chosen.x0,
+            "u0": chosen.u0,
+            "staging": staging,
+        }
+        made = {
+            key: one.write(controller, paths[key], shared)
+            for key, one in TARGETS.items()
+            if key in paths
+        }
     if json_output:
         point = chosen.operating_point
         told: dict[str, Any] = {"law": called, "step": controller.step}
         told["operating_point"] = None if point is None else {"x": point.x, "u": point.u}
-        if code is not None:
-            parts = record(code, "folder", "files", "form", "rom", "ram", "error")
-            told["c"] = parts | {"passed": code.check.passed, "check": code.check.message}
-        fmus = {"fmu": law_fmu, "plant_fmu": model}
-        told |= {key: record(one, *_FMU) for key, one in fmus.items() if one is not None}
-        written = [] if code is None else [Path(code.folder) / name for name in code.files]
-        print_json(told, [*written, *(Path(told[key]["path"]) for key in fmus if key in told)])
+        told |= {key: one.facts for key, one in made.items()}
+        print_json(told, [file for one in made.values() for file in one.files])
     else:
         print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}{_built_in(chosen)}")
         for sentence in observer_reads_mode(chosen, [called]):
             print(sentence)
-        if code is not None:
-            print(f"C, {precision}: {code.folder}: {', '.join(code.files)}")
-            print(f"  {code.form}\n  ROM {code.rom:,} bytes, RAM {code.ram:,} bytes")
-            print(f"  self-check: {code.check.message}")
-        for of, fmu_file in (("controller", law_fmu), ("plant", model)):
-            if fmu_file is not None:
-                print(f"FMU of the {of}: {fmu_file}")
-    return 1 if code is not None and code.check.passed is False else 0
+        for one in made.values():
+            print(*one.lines, sep="\n")
+    return 1 if any(one.passed is False for one in made.values()) else 0
 
 
 def _built_in(problem: Problem) -> str:

@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.controller.past_inputs import DensePast
 from deadtime.estimation.servo import Reference
 from deadtime.feedback import Feedback
-from deadtime.feedback.belief import BankForm, Belief
+from deadtime.feedback.belief import BeliefForm
 from deadtime.feedback.memory import Memory
 from deadtime.loop.running_belief import running_belief
 from deadtime.loop.running_observer import RunningObserver
@@ -119,7 +119,7 @@ class ModeBelief:
         The filter as data; `bank` where it receives outputs.
     """
 
-    def __init__(self, form: Belief | BankForm, table: Feedback) -> None:
+    def __init__(self, form: BeliefForm, table: Feedback) -> None:
         self.running = running_belief(form, len(table.state_gain))
         self._gains, (_, m, n) = table.state_gain, table.state_gain.shape
         self.form, self.bank = self.running.form, self.running.bank

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.controller.controller_arguments import Status
-from deadtime.estimation import OutputModeFilter
 from deadtime.estimation.mode_filter import intensities, intensity
 from deadtime.feedback.prediction_rows import PredictionTable
 from deadtime.feedback.table import Known
@@ -133,14 +132,12 @@ class _Source(Frozen):
     """The law, the tables and the estimate from which a prediction was computed."""
 
     def __init__(self, running: RunningLaw, known: Known) -> None:
-        filt = running.law.filter
-        chain = filt.chain if isinstance(filt, OutputModeFilter) else filt
-        n = known.x.shape[1]
+        filt, n = running.law.filter, known.x.shape[1]
         self.law, self.step, self.known = running.inner, running.step, known
         self.table = running.prediction_table
-        self.disturbance = np.zeros((n, n)) if chain is None else chain.disturbance
+        self.disturbance = np.zeros((n, n)) if filt is None else filt.disturbance
         self.refused = _without_covariance(running)
-        self.fixed = isinstance(filt, OutputModeFilter)
+        self.fixed = filt is not None and filt.outputs is not None
         self.__post_init__()
 
     def uncertain(self, estimate: ArrayLike | None) -> Known:

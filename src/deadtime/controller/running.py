@@ -58,7 +58,7 @@ class RunningLaw(Stateful):
         tables = law.tables_along(self.step, SwitchingSignal.constant(0), 1)
         assert tables is not None
         assert tables.feedback is not None
-        form, memory = tables.belief or tables.bank, tables.memory
+        form, memory = tables.bank or tables.belief, tables.memory
         self.table = tables.feedback
         self.observing = None if memory is None else Observing(memory, law.reference)
         self.believing = None if form is None else ModeBelief(form, self.table)

@@ -8,10 +8,8 @@ import numpy as np
 
 from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation.mode_filter import ModeFilter
-from deadtime.estimation.output_mode_filter import OutputModeFilter
 from deadtime.feedback import Feedback, Forecast, Law
-from deadtime.feedback.belief import BankForm, Belief, Believing
+from deadtime.feedback.belief import BeliefFilter, Believing
 from deadtime.feedback.law import Remembering, Update
 from deadtime.feedback.memory import Tables
 from deadtime.loop.running_belief import RunningBank, RunningBelief, running_belief
@@ -37,7 +35,7 @@ class BeliefPredictor(Law):
     ----------
     law : Law
         A law with a table by mode or by mode and age.
-    filter : ModeFilter or OutputModeFilter
+    filter : ModeFilter, OutputModeFilter or another BeliefFilter
         For a plant of the same sizes; it fixes the period. Its matrices and delays may differ from
         those of the law's model, but no delay may be longer than the law's longest.
 
@@ -60,13 +58,12 @@ class BeliefPredictor(Law):
     """
 
     law: Law
-    filter: ModeFilter | OutputModeFilter
+    filter: BeliefFilter
 
-    def __init__(self, law: Law, filter: ModeFilter | OutputModeFilter) -> None:
+    def __init__(self, law: Law, filter: BeliefFilter) -> None:
         instance("law", law, Law)
-        outputs = filter.C if isinstance(filter, OutputModeFilter) else None
-        if outputs is None:
-            instance("filter", filter, ModeFilter)
+        if not isinstance(filter, BeliefFilter):
+            raise ArgumentError(f"filter must be a ModeFilter, got {type(filter).__name__}.")
         kind = type(law).__name__
         if law.observer is not None or law.why_not_run:
             why = law.why_not_run or f"{kind} is no table"
@@ -92,7 +89,8 @@ class BeliefPredictor(Law):
                 f"filter must read inputs of the last {longest} periods, as the law does, got "
                 f"{filter.longest_lag}: give the law's model the longer delay, too."
             )
-        vars(self).update(plant=law.plant, gains=law.gains, outputs=outputs, law=law, filter=filter)
+        own = {"plant": law.plant, "gains": law.gains, "outputs": filter.outputs}
+        vars(self).update(**own, law=law, filter=filter)
 
     @property
     def row_law(self) -> Law:
@@ -126,28 +124,11 @@ class BeliefPredictor(Law):
                 "for the period of the loop."
             )
 
-    def belief_of(self, feedback: Feedback) -> Belief:
-        """The filter's chain as data, with as many ages as the table has, or more."""
-        chain = self.filter if isinstance(self.filter, ModeFilter) else self.filter.chain
-        return chain.belief(feedback.ages)
-
-    def _form(self, feedback: Feedback) -> Belief | BankForm:
-        """The data of the belief beside the table, from states or from outputs."""
-        if isinstance(self.filter, OutputModeFilter):
-            return self.filter.bank(feedback.ages)
-        return self.belief_of(feedback)
-
-    def running(self, feedback: Feedback) -> RunningBelief:
-        """The belief of a law with this table, ready to be told what is seen."""
-        return running_belief(self._form(feedback), len(feedback.state_gain))
-
     def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         self.require_step(step)
         feedback = self.law.digital(step)
-        form = self._form(feedback)
-        if isinstance(form, BankForm):
-            return Tables(feedback, bank=form)
-        return Tables(feedback, belief=form)
+        form = self.filter.form(feedback.ages)
+        return Tables(feedback, belief=form.chain, bank=form.bank)
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
@@ -155,7 +136,8 @@ class BeliefPredictor(Law):
         self.require_step(step)
         feedback = self.law.digital(step)
         kind = BeliefUpdate if self.outputs is None else OutputBeliefUpdate
-        return kind(feedback, self.running(feedback))
+        running = running_belief(self.filter.form(feedback.ages), len(feedback.state_gain))
+        return kind(feedback, running)
 
 
 class BeliefUpdate(Believing):

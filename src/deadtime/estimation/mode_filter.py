@@ -23,9 +23,8 @@ from deadtime.base.checks import (
     require_shape,
 )
 from deadtime.base.errors import ArgumentError
-from deadtime.base.frozen import Frozen
 from deadtime.estimation.running_filter import RunningFilter
-from deadtime.feedback.belief import Belief, frozen, held_noise
+from deadtime.feedback.belief import Belief, BeliefFilter, frozen, held_noise
 from deadtime.loop.running_belief import belief_of
 from deadtime.numerics.covariance import noise_covariances, switched_covariances
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -136,7 +135,7 @@ def first_belief(value: ArrayLike | None, modes: int, ages: int) -> Float[np.nda
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class ModeFilter(Frozen):
+class ModeFilter(BeliefFilter):
     r"""The belief over the modes of a plant of which x is measured and the mode is not (immutable).
 
     .. math::
@@ -207,10 +206,7 @@ class ModeFilter(Frozen):
     (array([0.5, 0.5]), array([0.995, 0.005]))
     """
 
-    plant: SwitchedSystem
     model: SwitchingModel
-    step: float
-    disturbance: Float[np.ndarray, "*mode n n"]
     noise: Float[np.ndarray, " n"]
     switches: str
     forgetting: float
@@ -255,6 +251,7 @@ class ModeFilter(Frozen):
             model=model,
             step=step,
             disturbance=intensities(disturbance, plant.modes, plant.states),
+            outputs=None,
             noise=deviation(noise, plant.states),
             switches=switches,
             forgetting=forgetting,
@@ -262,14 +259,7 @@ class ModeFilter(Frozen):
             ages=own,
         )
 
-    def belief(self, ages: int = 1) -> Belief:
-        """Its data for compiled loops, telling apart at least so many ages.
-
-        Parameters
-        ----------
-        ages : int
-            As many as a law's table has; those past the model's own repeat its last hazard.
-        """
+    def form(self, ages: int = 1) -> Belief:
         ages, modes = max(count("ages", ages), self.ages), self.plant.modes
         sampled = SampledPlant.of(self.plant, self.step)
         Phi, Gamma, lag = sampled.periods()
@@ -305,7 +295,7 @@ class ModeFilter(Frozen):
         u0 : array_like, shape (m, N), optional
             The inputs in flight at the first sample, oldest first, N = `longest_lag`; 0 by default.
         """
-        return RunningFilter(self.belief(), u0)
+        return RunningFilter(self.form(), u0)
 
     def separation(self, x: ArrayLike, inputs: ArrayLike | None = None) -> np.ndarray:
         """How many standard deviations apart the modes' predictions over a period are, from x on.
@@ -338,7 +328,7 @@ class ModeFilter(Frozen):
         u = require_shape("inputs", real_array("inputs", given, "(m,)", 1), (m,), "(m,)")
         from deadtime.loop.belief_steps import eliminate, factor
 
-        form = self.belief()
+        form = self.form()
         ahead = form.Phi @ x + form.Gamma.sum(axis=1) @ u
         size = (np.abs(form.Phi) @ np.abs(x) + np.abs(form.Gamma).sum(axis=1) @ np.abs(u)).max(0)
         result, root = np.zeros((len(ahead), len(ahead))), np.empty((n, n))
@@ -349,11 +339,6 @@ class ModeFilter(Frozen):
             eliminate.function(root, apart)
             result[i, j] = math.sqrt(apart @ (np.diagonal(root) * apart))
         return result
-
-    @property
-    def longest_lag(self) -> int:
-        """:math:`N`: no input older than :math:`u_{k-N}` acts in period k of the model."""
-        return SampledPlant.of(self.plant, self.step).longest_lag
 
     def __repr__(self) -> str:
         return (

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.base.frozen import Frozen
 from deadtime.estimation.mode_filter import (
     ModeFilter,
     deviation,
@@ -22,13 +21,13 @@ from deadtime.estimation.mode_filter import (
 )
 from deadtime.estimation.observer import Observer, output_matrices, require_detectable
 from deadtime.estimation.running_filter import RunningOutputFilter
-from deadtime.feedback.belief import BankForm, frozen_bank
+from deadtime.feedback.belief import BankForm, BeliefFilter, frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingModel
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class OutputModeFilter(Frozen):
+class OutputModeFilter(BeliefFilter):
     """The belief over the modes of a plant, and its state, from noisy outputs.
 
     An interacting-multiple-model filter: a Kalman filter per mode, corrected by every output and
@@ -90,7 +89,7 @@ class OutputModeFilter(Frozen):
     """
 
     chain: ModeFilter
-    C: Float[np.ndarray, "mode p n"]
+    outputs: Float[np.ndarray, "mode p n"]
     gain: Float[np.ndarray, "mode n p"] | None
     noise: Float[np.ndarray, " p"]
     estimate: Float[np.ndarray, " n"]
@@ -141,8 +140,11 @@ class OutputModeFilter(Frozen):
         n = plant.states
         first = real_array("estimate", np.zeros(n) if estimate is None else estimate, "(n,)", 1)
         vars(self).update(
+            plant=plant,
+            step=chain.step,
+            disturbance=chain.disturbance,
             chain=chain,
-            C=C,
+            outputs=C,
             gain=gain,
             noise=deviation(noise, C.shape[1], "p"),
             estimate=require_shape("estimate", first, (n,), "(n,)"),
@@ -150,26 +152,11 @@ class OutputModeFilter(Frozen):
         )
         self.__post_init__()
 
-    @property
-    def plant(self) -> SwitchedSystem:
-        """The filter's model of the plant."""
-        return self.chain.plant
-
-    @property
-    def step(self) -> float:
-        """Sampling period h, in seconds."""
-        return self.chain.step
-
-    @property
-    def longest_lag(self) -> int:
-        """:math:`N`: no input older than :math:`u_{k-N}` acts in period k of the model."""
-        return self.chain.longest_lag
-
-    def bank(self, ages: int = 1) -> BankForm:
-        """Its data for a bank, telling apart at least so many ages, as of `ModeFilter.belief`."""
-        gain = self.C[:, :0].swapaxes(1, 2) if self.gain is None else self.gain
-        parts = self.C, self.noise**2, gain, self.estimate, self.covariance
-        return frozen_bank(BankForm(self.chain.belief(ages), *parts))
+    def form(self, ages: int = 1) -> BankForm:
+        C = self.outputs
+        gain = C[:, :0].swapaxes(1, 2) if self.gain is None else self.gain
+        parts = C, self.noise**2, gain, self.estimate, self.covariance
+        return frozen(BankForm(self.chain.form(ages), *parts))
 
     def start(self, u0: ArrayLike | None = None) -> RunningOutputFilter:
         """The filter, ready to be called once a period.
@@ -179,12 +166,13 @@ class OutputModeFilter(Frozen):
         u0 : array_like, shape (m, N), optional
             The inputs in flight at the first sample, oldest first, N = `longest_lag`; 0 by default.
         """
-        return RunningOutputFilter(self.bank(), u0)
+        return RunningOutputFilter(self.form(), u0)
 
     def __repr__(self) -> str:
+        modes, p, n = self.outputs.shape
         return (
-            f"OutputModeFilter(modes={self.plant.modes}, states={self.plant.states}, "
-            f"outputs={self.C.shape[1]}, step={self.step:g}, switches={self.chain.switches!r})"
+            f"OutputModeFilter(modes={modes}, states={n}, outputs={p}, step={self.step:g}, "
+            f"switches={self.chain.switches!r})"
         )
 
 

@@ -8,19 +8,17 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_shape
 from deadtime.base.frozen import Stateful
-from deadtime.feedback.belief import BankForm, Belief
+from deadtime.feedback.belief import BeliefForm
 from deadtime.loop.running_belief import RunningBank, running_belief
 
 
 class _Running(Stateful):
     """A filter that runs, from states or from outputs."""
 
-    def __init__(self, form: Belief | BankForm, u0: ArrayLike | None = None) -> None:
-        chain = form.chain if isinstance(form, BankForm) else form
-        modes, _, n, m = chain.Gamma.shape
-        self._size = form.variance.size if isinstance(form, BankForm) else n
+    def __init__(self, form: BeliefForm, u0: ArrayLike | None = None) -> None:
+        modes, _, _, m = form.chain.Gamma.shape
         self._running = running_belief(form, modes)
-        self._line = _line_of(u0, m, int(chain.lag.max()))
+        self._line = _line_of(u0, m, int(form.chain.lag.max()))
 
     @property
     def belief(self) -> Float[np.ndarray, "mode age"]:
@@ -36,7 +34,7 @@ class _Running(Stateful):
         belief: ArrayLike | None,
     ) -> Float[np.ndarray, " mode"]:
         """One sample of what is called `name` and has this `form`."""
-        shape, m = (self._size,), self._line.shape[1]
+        shape, m = self._running.seen.shape, self._line.shape[1]
         given = require_shape(name, as_floats(name, seen, f"shape {shape}"), shape, form)
         sent = np.zeros(m) if u is None else real_array("u", u, "(m,)", 1)
         sent = require_shape("u", sent, (m,), "(m,)")

@@ -13,13 +13,16 @@ A Markov chain is the case of one age.
 
 from __future__ import annotations
 
-from abc import ABC
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
+from deadtime.base.frozen import Frozen
+from deadtime.plant import SampledPlant, SwitchedSystem
 
 
 class Belief(NamedTuple):
@@ -51,6 +54,15 @@ class Belief(NamedTuple):
     bend_x: Float[np.ndarray, "first second n n"]
     bend_u: Float[np.ndarray, "first second lag n m"]
 
+    @property
+    def chain(self) -> Belief:
+        """Itself, as a bank has one."""
+        return self
+
+    @property
+    def bank(self) -> None:
+        """None: it is updated by states."""
+
 
 class Believing(ABC):
     """An `Update` that keeps a belief over the modes in place of a reported mode.
@@ -69,12 +81,6 @@ def held_noise(belief: Belief) -> Float[np.ndarray, "mode n n"]:
     return np.stack([by_end[min(i, len(by_end) - 1)] for i, by_end in enumerate(belief.noise)])
 
 
-def frozen(belief: Belief) -> Belief:
-    """A belief with read-only arrays: one type for compiled loops."""
-    arrays = [read_only(part) if isinstance(part, np.ndarray) else part for part in belief]
-    return Belief(*arrays)  # pyright: ignore[reportArgumentType]
-
-
 class BankForm(NamedTuple):
     """How a bank moves: data that no run changes.
 
@@ -91,8 +97,53 @@ class BankForm(NamedTuple):
     estimate: Float[np.ndarray, " n"]
     covariance: Float[np.ndarray, "n n"]
 
+    @property
+    def bank(self) -> BankForm:
+        """Itself: it is updated by outputs."""
+        return self
 
-def frozen_bank(form: BankForm) -> BankForm:
-    """A filter bank with read-only arrays: one type for compiled loops."""
-    chain, *arrays = form
-    return BankForm(chain, *map(read_only, arrays))
+
+BeliefForm = Belief | BankForm
+_Form = TypeVar("_Form", Belief, BankForm)
+
+
+def frozen(form: _Form) -> _Form:
+    """A belief or a bank with read-only arrays: one type for compiled loops."""
+    return form._make(read_only(one) if isinstance(one, np.ndarray) else one for one in form)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BeliefFilter(Frozen, ABC):
+    """What keeps a belief over the modes at samples: all that laws and controllers ask of one.
+
+    Attributes
+    ----------
+    plant : SwitchedSystem
+        The filter's model of the plant.
+    step : float
+        Sampling period h, in seconds.
+    disturbance : (n, n) or (modes, n, n) array
+        W of the white noise that it counts with, x² per second.
+    outputs : (modes, p, n) array or None
+        C of what is measured; None for the whole state.
+    """
+
+    plant: SwitchedSystem
+    step: float
+    disturbance: Float[np.ndarray, "*mode n n"]
+    outputs: Float[np.ndarray, "mode p n"] | None
+
+    @abstractmethod
+    def form(self, ages: int = 1) -> BeliefForm:
+        """Its data for compiled loops, telling apart at least so many ages.
+
+        Parameters
+        ----------
+        ages : int
+            As many as a law's table has; those past the model's own repeat its last hazard.
+        """
+
+    @property
+    def longest_lag(self) -> int:
+        """N: no input older than u_{k−N} acts in period k of the model."""
+        return SampledPlant.of(self.plant, self.step).longest_lag

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from deadtime.base.checks import brief, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.feedback.belief import BeliefFilter
 from deadtime.feedback.ideal_form import Forecast, Functional
 from deadtime.feedback.memory import Tables
 from deadtime.feedback.preview import Foresight
@@ -78,7 +79,8 @@ def _require_fit(law: Law, table: Feedback) -> None:
     """Refuse a table that is none for the law's model: of other sizes or rows."""
     plant, (rows, m, n) = law.plant, table.state_gain.shape
     name, inputs = f"{type(law).__name__}.digital", m - table.memory
-    if isinstance(law, TableLaw) and (inputs, n) != (plant.inputs, plant.states):
+    alone = law.is_linear and law.observer is None
+    if alone and (inputs, n) != (plant.inputs, plant.states):
         raise ArgumentError(
             f"{name} must return gains of shape (rows, m, n) = (rows, {plant.inputs}, "
             f"{plant.states}), got {table.state_gain.shape}."
@@ -106,7 +108,7 @@ class Law(Frozen, ABC):
         :math:`C_i`, of a law that measures :math:`y = C_\sigma x`; None for the whole state.
     observer, servo, reference : Observer, Servo, Reference or None
         Of a law on estimates from outputs, and of one that tracks outputs; see `OutputFeedback`.
-    filter : ModeFilter, OutputModeFilter or None
+    filter : BeliefFilter or None
         Of a law that weighs its rows by a belief; see `BeliefPredictor`.
     """
 
@@ -128,7 +130,7 @@ class Law(Frozen, ABC):
     outputs: Float[np.ndarray, "mode p n"] | None = field(default=None, kw_only=True)
     observer: Any = field(default=None, init=False)
     servo: Any = field(default=None, init=False)
-    filter: Any = field(default=None, init=False)
+    filter: BeliefFilter | None = field(default=None, init=False)
     reference: Any = field(default=None, init=False)
 
     @property

@@ -94,8 +94,8 @@ class Tables(NamedTuple):
     """A law as tables: its rows, and what they are multiplied with where that is not x or y.
 
     A law that knows the signal has a preview in place of rows; one with a belief weighs its rows
-    by that in place of choosing one by the mode. One with a bank does so on outputs, and is a table
-    in batches alone.
+    by that in place of choosing one by the mode. With a bank around it the belief is one from
+    outputs, and the law is a table in batches and controllers alone.
     """
 
     feedback: Feedback | None

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_probabilities, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback.belief import BankForm, Belief
+from deadtime.feedback.belief import BankForm, Belief, BeliefForm
 from deadtime.loop.bank_steps import BankState, advance_bank, begin_bank, start_anew
 from deadtime.loop.belief_steps import BeliefState, advance_belief, begin_belief, share_rows
 
@@ -26,6 +26,8 @@ class RunningBelief:
         The belief at the last sample is `state.now`; a view that changes.
     begun : bool
         Whether there has been a sample.
+    seen : (n,) or (p,) array
+        The last measurement, in one array: a compiled step has one type to know.
     """
 
     bank: BankForm | None = None
@@ -34,7 +36,7 @@ class RunningBelief:
     def __init__(self, form: Belief, rows: int) -> None:
         self.form, self.state, self.begun = form, BeliefState.of(form, rows), False
         n = form.Phi.shape[1]
-        self.before, self._x = np.full((2, n), np.nan)
+        self.before, self.seen = np.full((2, n), np.nan)
 
     @property
     def now(self) -> Float[np.ndarray, "mode age"]:
@@ -52,10 +54,10 @@ class RunningBelief:
 
     def see(self, x: Float[np.ndarray, " n"], told: Float[np.ndarray, "past m"], row: int) -> None:
         """One sample: x_k, and the inputs, u_{k−1} in row `row`; what is not finite is missing."""
-        self._x[:] = x  # rows of one array: a compiled step has one type to know
+        self.seen[:] = x
         if self.begun:
-            advance_belief(self.form, self.state, self.before, self._x, told, row)
-        self.before[:], self.begun = self._x, True
+            advance_belief(self.form, self.state, self.before, self.seen, told, row)
+        self.before[:], self.begun = self.seen, True
 
     def share(self) -> Float[np.ndarray, " row"]:
         """The share of every row; a view that changes."""
@@ -102,7 +104,7 @@ class RunningBank(RunningBelief):
     def __init__(self, bank: BankForm, rows: int) -> None:
         super().__init__(bank.chain, rows)
         self.bank, self.all = bank, BankState.of(bank, rows)
-        self.state, self._y = self.all.chain, np.empty(bank.variance.size)
+        self.state, self.seen = self.all.chain, np.empty(bank.variance.size)
 
     @property
     def x(self) -> Float[np.ndarray, "mode n"]:
@@ -123,11 +125,11 @@ class RunningBank(RunningBelief):
 
     def see(self, x: Float[np.ndarray, " p"], told: Float[np.ndarray, "past m"], row: int) -> None:
         """One sample: y_k, and the inputs, u_{k−1} in row `row`; what is not finite is missing."""
-        self._y[:] = x
+        self.seen[:] = x
         if self.begun:
-            advance_bank(self.bank, self.all, self._y, told, row)
+            advance_bank(self.bank, self.all, self.seen, told, row)
         else:
-            begin_bank(self.bank, self.all, self._y)
+            begin_bank(self.bank, self.all, self.seen)
         self.begun = True
 
     def usable(self, x: np.ndarray) -> bool:
@@ -150,9 +152,9 @@ class RunningBank(RunningBelief):
         super().load(saved)
 
 
-def running_belief(form: Belief | BankForm, rows: int) -> RunningBelief:
+def running_belief(form: BeliefForm, rows: int) -> RunningBelief:
     """A belief that runs, from states or from outputs."""
-    return RunningBank(form, rows) if isinstance(form, BankForm) else RunningBelief(form, rows)
+    return RunningBelief(form.chain, rows) if form.bank is None else RunningBank(form.bank, rows)
 
 
 def belief_of(

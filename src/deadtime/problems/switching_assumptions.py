@@ -168,7 +168,8 @@ def random_model(allowed: SwitchingConstraint, mean_sojourn: float | None = None
     Examples
     --------
     >>> import numpy as np
-    >>> ring = SwitchingConstraint.of(3, [0.2, 0.2, 0.5], transitions=np.roll(np.eye(3), 1, 1))
+    >>> from deadtime.switching import SignalClass
+    >>> ring = SignalClass([0.2, 0.2, 0.5], transitions=np.roll(np.eye(3), 1, 1)).limits(3)
     >>> random_model(ring).sample(3.0, seed=1).dwell_time > 0.2
     True
     """

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive, real_array, require_shape
+from deadtime.base.checks import positive, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.numerics.kernels import kernel
 
@@ -98,7 +98,10 @@ class TimedModes(Protocol):
 
 @dataclass(frozen=True)
 class SwitchingConstraint:
-    """The admissible signals of some modes (immutable).
+    """The limits that a `SignalClass` sets to the signals of so many modes (immutable).
+
+    The class knows no number of modes, and says what somebody asked for; here every mode has its
+    times and its successors, which is what is computed with and compared.
 
     Attributes
     ----------
@@ -109,7 +112,8 @@ class SwitchingConstraint:
 
     Examples
     --------
-    >>> ring = SwitchingConstraint.of(3, 0.2, transitions=[[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    >>> from deadtime.switching import SignalClass
+    >>> ring = SignalClass(0.2, transitions=[[0, 1, 0], [0, 0, 1], [1, 0, 0]]).limits(3)
     >>> ring.following, ring.is_free
     (((1,), (2,), (0,)), False)
     """
@@ -117,40 +121,6 @@ class SwitchingConstraint:
     dwell_time: tuple[float, ...]
     maximum_dwell: tuple[float, ...]
     following: tuple[tuple[int, ...], ...]
-
-    @classmethod
-    def of(
-        cls,
-        modes: int,
-        dwell_time: PerMode | None = None,
-        maximum_dwell: PerMode | None = None,
-        transitions: ArrayLike | None = None,
-    ) -> SwitchingConstraint:
-        """From what users give, as `SignalClass` takes it; the diagonal says nothing.
-
-        Raises
-        ------
-        ArgumentError
-            If a shape is wrong, a time is not positive, a maximum is below its minimum, a mode
-            that has to be left leads nowhere, or one is neither entered nor left.
-        """
-        least = (0.0,) * modes
-        if dwell_time is not None:
-            least = _per_mode("dwell_time", dwell_time, modes)
-        most = (math.inf,) * modes
-        if maximum_dwell is not None:
-            most = _per_mode("maximum_dwell", maximum_dwell, modes, unbounded=True)
-        for i, (low, high) in enumerate(zip(least, most, strict=True)):
-            if high < low:
-                of = f"[{i}]" if np.iterable(dwell_time) or np.iterable(maximum_dwell) else ""
-                raise ArgumentError(
-                    f"maximum_dwell{of} must be at least dwell_time{of} = {low:g} s, got {high:g}."
-                )
-        allowed = _allowed(modes, transitions)
-        following = tuple(tuple(np.flatnonzero(row).tolist()) for row in allowed)
-        if modes > 1:
-            _require_ways(allowed, most)
-        return cls(least, most, following)
 
     @property
     def modes(self) -> int:
@@ -199,9 +169,10 @@ class SwitchingConstraint:
 
         Examples
         --------
-        >>> SwitchingConstraint.of(2, 0.3).in_words()
+        >>> from deadtime.switching import SignalClass
+        >>> SignalClass(0.3).limits(2).in_words()
         ('stays in each mode for at least 0.3 s', 'switches at any time')
-        >>> limits = SwitchingConstraint.of(2, [0.3, 0.5], [0.9, math.inf], [[0, 1], [0, 0]])
+        >>> limits = SignalClass([0.3, 0.5], [0.9, math.inf], [[0, 1], [0, 0]]).limits(2)
         >>> limits.in_words()[0]
         'stays for 0.3 to 0.9 s in mode 0, at least 0.5 s in mode 1'
         >>> limits.in_words()[1]
@@ -262,19 +233,6 @@ class SwitchingConstraint:
                 )
 
 
-def _per_mode(name: str, value: object, modes: int, unbounded: bool = False) -> tuple[float, ...]:
-    """A positive time for every mode, infinite where that has a meaning."""
-    times = time_or_each(name, value, unbounded)
-    if not isinstance(times, tuple):
-        return (times,) * modes
-    if len(times) != modes:
-        raise ArgumentError(
-            f"{name} must be a number of seconds, or one for each of the {modes} modes, got "
-            f"{len(times)} of them."
-        )
-    return times
-
-
 def time_or_each(name: str, value: object, unbounded: bool = False) -> float | tuple[float, ...]:
     """A positive time, or several; infinite where that has a meaning."""
     if not np.iterable(value) or isinstance(value, (str, bytes)):
@@ -286,16 +244,6 @@ def time_or_each(name: str, value: object, unbounded: bool = False) -> float | t
 def _time(name: str, value: object, unbounded: bool) -> float:
     endless = unbounded and isinstance(value, (float, np.floating)) and value == np.inf
     return math.inf if endless else positive(name, value)
-
-
-def _allowed(modes: int, transitions: ArrayLike | None) -> Bool[np.ndarray, "mode mode"]:
-    """The matrix of allowed switches, nothing on the diagonal."""
-    others = ~np.eye(modes, dtype=bool)
-    if transitions is None:
-        return others
-    table = switch_table(transitions)
-    require_shape("transitions", table, (modes, modes), "(modes, modes)")
-    return table & others
 
 
 def switch_table(
@@ -313,7 +261,7 @@ def switch_table(
     return table != 0
 
 
-def _require_ways(allowed: Bool[np.ndarray, "mode mode"], most: tuple[float, ...]) -> None:
+def require_ways(allowed: Bool[np.ndarray, "mode mode"], most: tuple[float, ...]) -> None:
     """Refuse modes that must be left and lead nowhere, and modes on their own."""
     for i in np.flatnonzero(~allowed.any(axis=1)).tolist():
         if most[i] < np.inf:

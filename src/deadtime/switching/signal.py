@@ -23,6 +23,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.switching.constraint import PerMode, SwitchingConstraint, least_slope
 from deadtime.switching.models.jump_process import JumpProcess, Quantiles, Switches, require_few
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential, truncate
+from deadtime.switching.signal_class import SignalClass
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -199,7 +200,7 @@ class SwitchingSignal(Frozen):
         """
         if modes is None:
             modes = len(transitions) if np.ndim(transitions) == 2 else int(self.modes.max()) + 1  # pyright: ignore
-        SwitchingConstraint.of(modes, dwell_time, maximum_dwell, transitions).require(self)
+        SignalClass(dwell_time, maximum_dwell, transitions).limits(modes).require(self)
         return self
 
     def require_modes(self, modes: int) -> SwitchingSignal:
@@ -384,7 +385,8 @@ def random_switches(
     """The one signal of `SwitchingSignal.random`, whose arguments these are."""
     if (dwell_time is None) == (average_dwell_time is None):
         raise ArgumentError("dwell_time or average_dwell_time: give exactly one of the two.")
-    allowed = SwitchingConstraint.of(count("modes", modes), dwell_time, maximum_dwell, transitions)
+    signals = SignalClass(dwell_time, maximum_dwell, transitions)
+    allowed = signals.limits(count("modes", modes))
     ways = allowed.transitions.astype(float)
     if dwell_time is not None:
         means = []

@@ -9,13 +9,14 @@ from typing import Literal, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import brief, count, number
+from deadtime.base.checks import brief, count, number, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.plant.discretisation import snap
 from deadtime.switching.constraint import (
     PerMode,
     SwitchingConstraint,
     one_or_each,
+    require_ways,
     switch_table,
     time_or_each,
 )
@@ -164,9 +165,31 @@ class SignalClass:
         return given
 
     def limits(self, modes: int) -> SwitchingConstraint:
-        """The sojourns and the switches of a plant with so many modes."""
-        ways = None if self.transitions is None else np.array(self.transitions)
-        return SwitchingConstraint.of(modes, self.dwell_time, self.maximum_dwell, ways)
+        """The sojourns and the switches of a plant with so many modes; 0 s where none is known.
+
+        Raises
+        ------
+        ArgumentError
+            If times or transitions are of another number of modes, a maximum is below its minimum,
+            a mode that has to be left leads nowhere, or one is neither entered nor left.
+        """
+        least, most = 0.0 if self.dwell_time is None else self.dwell_time, self.maximum_dwell
+        of = "[{}]" if isinstance(least, tuple) or isinstance(most, tuple) else ""
+        least, most = _each("dwell_time", least, modes), _each("maximum_dwell", most, modes)
+        for i, (low, high) in enumerate(zip(least, most, strict=True)):
+            if high < low:
+                raise ArgumentError(
+                    f"maximum_dwell{of.format(i)} must be at least dwell_time{of.format(i)} = "
+                    f"{low:g} s, got {high:g}."
+                )
+        allowed = ~np.eye(modes, dtype=bool)
+        if self.transitions is not None:
+            table = np.array(self.transitions)
+            allowed &= require_shape("transitions", table, (modes, modes), "(modes, modes)")
+        if modes > 1:
+            require_ways(allowed, most)
+        following = tuple(tuple(np.flatnonzero(row).tolist()) for row in allowed)
+        return SwitchingConstraint(least, most, following)
 
     def at_period(self, modes: int, step: float, laid_out: bool = True) -> SwitchingConstraint:
         """`limits`, none longer than proofs and searches lay out in periods of `step` seconds.
@@ -274,6 +297,17 @@ class SignalClass:
         least = min(self.limits(modes).dwell_time)
         often = f"switches at most {self.chatter} + T/({least:.4g} s) times in any T seconds"
         return often, f"{switches}, once in a period at most"
+
+
+def _each(name: str, times: float | tuple[float, ...], modes: int) -> tuple[float, ...]:
+    """A time for every mode."""
+    each = times if isinstance(times, tuple) else (times,) * modes
+    if len(each) != modes:
+        raise ArgumentError(
+            f"{name} must be a number of seconds, or one for each of the {modes} modes, got "
+            f"{len(each)} of them."
+        )
+    return each
 
 
 def _clock_off(tolerance: float, least: float) -> str:

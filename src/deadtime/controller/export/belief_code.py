@@ -19,31 +19,36 @@ _LARGEST = 2.0**190  # of predictions and of variances: their squares leave room
 _BYTES, _COUNTERS = 8, 8
 
 
+# By field of a filter's form: the name of its table in ROM and a comment.
+_TABLES = {
+    "Phi": ("MODEL_X", "the model over a period in each mode: what becomes of x"),
+    "Gamma": ("MODEL_U", "what becomes of inputs, by lag"),
+    "noise": ("MODEL_NOISE", "covariance of what a prediction misses"),
+    "hazard": ("HAZARD", "probability that a mode of that age ends within a period"),
+    "jump": ("JUMP", "probabilities of the next mode"),
+    "start": ("PRIOR", "the belief before anything is seen"),
+    "bend_x": ("BEND_X", "a change in the middle of a period less the mean of both"),
+    "bend_u": ("BEND_U", "the same of inputs, by lag"),
+    "C": ("OUTPUT_X", "what is measured in each mode"),
+    "variance": ("OUTPUT_NOISE", "variance of the noise of outputs"),
+    "gain": ("OBSERVER_GAIN", "gains of the observers"),
+    "estimate": ("FIRST_X", "the first estimate"),
+    "covariance": ("FIRST_P", "the covariance of the first state about it"),
+}
+
+
+def _parts(belief: ModeBelief) -> dict[str, Any]:
+    """The fields of a filter's form: of its chain, and of its bank where it has one."""
+    return belief.form._asdict() | ({} if belief.bank is None else belief.bank._asdict())
+
+
 def arrays(belief: ModeBelief) -> dict[str, tuple[np.ndarray, str]]:
-    """The constant arrays in ROM, with a comment each."""
-    form = belief.form
-    noise = form.noise if by_end(belief) else form.noise[:, 0]
-    found = {
-        "MODEL_X": (form.Phi, "the model over a period in each mode: what becomes of x"),
-        "MODEL_U": (form.Gamma, "what becomes of inputs, by lag"),
-        "MODEL_NOISE": (noise, "covariance of what a prediction misses"),
-        "HAZARD": (form.hazard, "probability that a mode of that age ends within a period"),
-        "JUMP": (form.jump, "probabilities of the next mode"),
-        "PRIOR": (form.start, "the belief before anything is seen"),
-    }
-    if form.within:
-        found["BEND_X"] = form.bend_x, "a change in the middle of a period less the mean of both"
-        found["BEND_U"] = form.bend_u, "the same of inputs, by lag"
-    bank = belief.bank
-    if bank is None:
-        return found
-    found["OUTPUT_X"] = bank.C, "what is measured in each mode"
-    found["OUTPUT_NOISE"] = bank.variance, "variance of the noise of outputs"
-    if bank.gain.size:
-        found["OBSERVER_GAIN"] = bank.gain, "gains of the observers"
-    found["FIRST_X"] = bank.estimate, "the first estimate"
-    found["FIRST_P"] = bank.covariance, "the covariance of the first state about it"
-    return found
+    """The constant arrays in ROM, with a comment each; those that are empty are left out."""
+    parts = _parts(belief)
+    if not by_end(belief):
+        parts["noise"] = parts["noise"][:, 0]
+    own = {field: table for field, table in _TABLES.items() if field in parts}
+    return {name: (parts[k], comment) for k, (name, comment) in own.items() if parts[k].size}
 
 
 def by_end(belief: ModeBelief) -> bool:
@@ -52,12 +57,12 @@ def by_end(belief: ModeBelief) -> bool:
 
 
 def values(belief: ModeBelief) -> dict[str, Any]:
-    """The values that fill the templates."""
-    form = belief.form
+    """The values that fill the templates: the numbers and switches of the form, and its sizes."""
+    form, parts = belief.form, _parts(belief)
     lags = form.lag.tolist()
     return {
-        "forgetting": literal(form.forgetting, "double"),
-        "within": form.within,
+        **{key: literal(one, "double") for key, one in parts.items() if isinstance(one, float)},
+        **{key: one for key, one in parts.items() if isinstance(one, bool)},
         "lags": lags,
         "ages": form.hazard.shape[1],
         "sent": max(lags) + 1,
@@ -68,11 +73,6 @@ def values(belief: ModeBelief) -> dict[str, Any]:
 def outputs_of(belief: ModeBelief | None) -> int:
     """How many outputs come in; 0 where the state does."""
     return 0 if belief is None or belief.bank is None else belief.bank.variance.size
-
-
-def rom_bytes(belief: ModeBelief) -> int:
-    """Of the filter's tables."""
-    return _BYTES * sum(array.size for array, _ in arrays(belief).values())
 
 
 def ram_bytes(belief: ModeBelief) -> int:

@@ -14,7 +14,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.files import Staging, unwritable
 from deadtime.base.version import __version__
 from deadtime.controller.export import belief_code, observer_code, prediction_code, rest_code
-from deadtime.controller.export.bounds import bounds, largest, require_exportable, require_limits
+from deadtime.controller.export.bounds import largest, require_exportable
 from deadtime.controller.export.c_text import (
     Names,
     brackets,
@@ -34,6 +34,7 @@ from deadtime.controller.export.forms import (
     require_budget,
     rom_bytes,
 )
+from deadtime.controller.export.law_record import LawRecord
 from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.controller.export.prediction_code import PredictionForm
 
@@ -135,8 +136,9 @@ def c_sources(
     from deadtime.controller.export.vectors import vectors
 
     require_exportable(controller, precision, name)
-    names.require(controller.law.plant)
-    names.require_outputs(*_measured(controller))
+    plant, (outputs, tracked) = controller.law.plant, _measured(controller)
+    names.require(states=plant.states, modes=plant.modes, inputs=plant.inputs)
+    names.require(outputs=outputs, tracked=tracked)
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
@@ -204,46 +206,21 @@ def _values(
     controller: RunningLaw, form: Form, precision: Precision, name: str, prediction: bool
 ) -> dict[str, Any]:
     """The values that fill the templates."""
-    import numpy as np
-
-    table, plant, belief = controller.table, controller.law.plant, controller.believing
-    observer = None if controller.observing is None else ObserverForm.of(controller.observing)
-    rows, more = len(table.state_gain) if belief else 1, 1.0
-    if observer is not None:
-        more = observer_code.gain(observer, largest(precision))
-    ahead = PredictionForm.of(controller) if prediction else None
-    if ahead is not None:
-        more = max(more, prediction_code.gain(ahead, rows))
-    limits = bounds(table, form, precision, rows, more)
-    require_limits(controller, limits["bound"])
-    if observer is not None:
-        observer_code.require_within(observer, limits["bound"])
-    low = np.clip(controller.low, -limits["bound"], limits["bound"])
-    high = np.clip(controller.high, -limits["bound"], limits["bound"])
-    arrays = {
-        "F": (table.state_gain, "gains of the state"),
-        **form.arrays,
-        "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
-        "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
-        **rest_code.arrays(controller, prediction),
-        **({} if belief is None else belief_code.arrays(belief)),
-        **({} if observer is None else observer_code.arrays(observer)),
-        **({} if ahead is None else prediction_code.arrays(ahead)),
-    }
+    table, plant, prefix = controller.table, controller.law.plant, name.upper()
+    arrays, sizes, limits, belief, observer, ahead = LawRecord.of(
+        controller, form, precision, prediction
+    )
     tables = [_table(key, *array, precision) for key, array in arrays.items()]
     rom, ram = _room(controller, form, precision, prediction)
     told = (tables, controller.step, table.ages, __version__)
-    belief_values = None if belief is None else belief_code.values(belief)
-    outputs = belief_code.outputs_of(belief)
-    observer_values = None if observer is None else observer_code.values(observer, precision)
-    beside = [values for values in (belief_values, observer_values) if values is not None]
+    beside = [values for values in (belief, observer) if values is not None]
     return {
         **{key: exact(value, precision) for key, value in limits.items()},
-        **form.sizes,
+        **sizes,
         "decimal": f"{limits['bound']:.0e}",
         "version": __version__,
         "p": name,
-        "P": name.upper(),
+        "P": prefix,
         "kind": form.kind,
         "form": description(form)[:1].upper() + description(form)[1:] + ".",
         "real": precision,
@@ -251,49 +228,26 @@ def _values(
         "step": literal(controller.step, "double"),
         "delay": literal(plant.longest_delay, "double"),
         "longest": "" if plant.has_one_delay else "longest ",
-        **_sizes(controller, form, name.upper()),
+        "length": ("{0}_PAST" if form.windows else "{0}_TAPS * {0}_INPUTS").format(prefix),
+        "count": "count" if form.windows else f"{prefix}_LENGTH",
         "rom": rom,
         "ram": ram,
         "unroll": 2 * form.state + 10 + (ram if beside else 0),
         "tables": tables,
-        "belief": belief_values,
-        "by_end": belief is not None and belief_code.by_end(belief),
-        "outputs": outputs,
-        "observer": observer_values,
-        "prediction": None if ahead is None else prediction_code.values(ahead),
-        **given_of(observer, outputs),
+        "belief": belief,
+        "observer": observer,
+        "prediction": ahead,
+        **given_of(controller),
         "magic": _magic(repr((*told, *beside))),
     }
 
 
-def _sizes(controller: RunningLaw, form: Form, prefix: str) -> dict[str, Any]:
-    """How many there are of everything, and what of it is read."""
-    import numpy as np
-
-    table, plant = controller.table, controller.law.plant
-    return {
-        "n": table.state_gain.shape[2],
-        "m": plant.inputs,
-        "modes": plant.modes,
-        "reads": int(controller.reads_mode),
-        "by_mode": table.context != "none" and controller.believing is None,
-        "ages": table.ages,
-        "rows": len(table.state_gain),
-        "taps": table.taps,
-        "windows": form.windows,
-        "starts": np.cumsum([0, *form.windows])[:-1].tolist(),
-        "length": ("{0}_PAST" if form.windows else "{0}_TAPS * {0}_INPUTS").format(prefix),
-        "count": "count" if form.windows else f"{prefix}_LENGTH",
-    }
-
-
-def given_of(observer: ObserverForm | None, outputs: int) -> dict[str, Any]:
+def given_of(controller: RunningLaw) -> dict[str, Any]:
     """The argument of `update`: x, or y with an observer or filters of outputs; tracked outputs."""
-    if observer is not None:
-        return {"given": "y", "size": "OUTPUTS", "tracked": observer.sizes[-1]}
-    if outputs:
-        return {"given": "y", "size": "OUTPUTS", "tracked": 0}
-    return {"given": "x", "size": "STATES", "tracked": 0}
+    tracked = _measured(controller)[1]
+    if controller.law.outputs is None:
+        return {"given": "x", "size": "STATES", "tracked": tracked}
+    return {"given": "y", "size": "OUTPUTS", "tracked": tracked}
 
 
 def _table(name: str, array: np.ndarray, comment: str, precision: Precision) -> dict[str, str]:
@@ -313,29 +267,23 @@ def _room(
 
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
     """The names and bytes of everything that is exported beside the law's table."""
-    found = _beside_a_law(controller, precision, prediction)
-    numbers = sum(array.size for array, _ in rest_code.arrays(controller, prediction).values())
-    if not numbers:
-        return found
-    name = f"{found.name} and the operating point" if found.rom else "the operating point"
-    single = None if found.single is None else found.single + BYTES["float"] * numbers
-    return TableExtra(name, found.rom + BYTES[precision] * numbers, found.ram, single)
-
-
-def _beside_a_law(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
-    if prediction:
-        ahead = PredictionForm.of(controller)
-        return prediction_code.added(_beside_a_law(controller, precision, False), ahead, precision)
+    parts, integers, ram = {}, 0, 0
     if controller.believing is not None:
-        belief = controller.believing
-        rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)
-        return TableExtra("the mode filter", rom, ram)
+        parts["the mode filter"] = belief_code.arrays(controller.believing)
+        ram = belief_code.ram_bytes(controller.believing)
     if controller.observing is not None:
         form = ObserverForm.of(controller.observing)
-        rom = observer_code.rom_bytes(form, precision)
-        ram = observer_code.ram_bytes(form, precision)
-        return TableExtra("the observer", rom, ram, observer_code.rom_bytes(form, "float"))
-    return TableExtra("nothing", 0, 0, 0)
+        parts["the observer"] = observer_code.arrays(form)
+        integers, ram = observer_code.integer_bytes(form), observer_code.ram_bytes(form, precision)
+    if prediction:
+        ahead = PredictionForm.of(controller)
+        parts["the prediction"] = prediction_code.arrays(ahead)
+        integers += 4 * ahead.of_input.size
+    if point := rest_code.arrays(controller, prediction):
+        parts["the operating point"] = point
+    numbers = sum(array.size for arrays in parts.values() for array, _ in arrays.values())
+    single = BYTES["float"] * numbers + integers if controller.believing is None else None
+    return TableExtra(" and ".join(parts), BYTES[precision] * numbers + integers, ram, single)
 
 
 def _magic(told: str) -> str:
@@ -345,10 +293,8 @@ def _magic(told: str) -> str:
 
 def _measured(controller: RunningLaw) -> tuple[int, int]:
     """How many outputs the law receives, and how many references it follows."""
-    if controller.observing is not None:
-        _, outputs, _, tracked = ObserverForm.of(controller.observing).sizes
-        return outputs, tracked
-    return belief_code.outputs_of(controller.believing), 0
+    tracked = 0 if controller.observing is None else controller.observing.memory.sizes.r
+    return (0 if controller.law.outputs is None else controller.measured), tracked
 
 
 def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
@@ -376,14 +322,3 @@ def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
 def _element_names(letter: str, names: Sequence[str]) -> str:
     """The elements of an array with their names, or nothing."""
     return ", ".join(f"{letter}[{i}]: {one}" for i, one in enumerate(names))
-
-
-def _inside(limit: np.ndarray, precision: Precision, towards: float) -> np.ndarray:
-    """The limit as the C holds it, rounded inwards."""
-    import numpy as np
-
-    if precision == "double":
-        return limit
-    single = limit.astype(np.float32)
-    outside = single < limit if towards > 0 else single > limit
-    return np.where(outside, np.nextafter(single, np.float32(towards)), single)

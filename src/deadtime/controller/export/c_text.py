@@ -26,8 +26,9 @@ class Names:
 
     Examples
     --------
-    >>> Names("my law", ("position (m)", "speed (m/s)")).state(1)
-    'speed (m/s)'
+    >>> names = Names("my law", ("position (m)", "speed (m/s)"))
+    >>> names.each("states", 2)[1], names.each("inputs", 1)
+    ('speed (m/s)', [''])
     """
 
     title: str = ""
@@ -37,40 +38,15 @@ class Names:
     outputs: Sequence[str] = ()
     tracked: Sequence[str] = ()
 
-    def require(self, plant: SwitchedSystem) -> None:
-        """Refuse another number of names than the plant has states, modes or inputs."""
-        for name, given, wanted in (
-            ("names.states", self.states, plant.states),
-            ("names.modes", self.modes, plant.modes),
-            ("names.inputs", self.inputs, plant.inputs),
-        ):
-            if given and len(given) != wanted:
-                raise ArgumentError(f"{name} must be {wanted} names, got {len(given)}.")
+    def require(self, **counts: int) -> None:
+        """Refuse another number of names than there are states, modes, …"""
+        for kind, wanted in counts.items():
+            if (given := len(getattr(self, kind))) not in (0, wanted):
+                raise ArgumentError(f"names.{kind} must be {wanted} names, got {given}.")
 
-    def require_outputs(self, outputs: int, tracked: int) -> None:
-        """Refuse another number of names than the law measures outputs, or follows references."""
-        for name, given, wanted in (
-            ("names.outputs", self.outputs, outputs),
-            ("names.tracked", self.tracked, tracked),
-        ):
-            if given and len(given) != wanted:
-                raise ArgumentError(f"{name} must be {wanted} names, got {len(given)}.")
-
-    def state(self, i: int) -> str:
-        """The name of a state; empty where states have none."""
-        return self.states[i] if self.states else ""
-
-    def input(self, i: int) -> str:
-        """The name of an input; empty where inputs have none."""
-        return self.inputs[i] if self.inputs else ""
-
-    def output(self, i: int) -> str:
-        """The name of an output; empty where outputs have none."""
-        return self.outputs[i] if self.outputs else ""
-
-    def followed(self, i: int) -> str:
-        """The name of what follows a reference; empty where that has none."""
-        return self.tracked[i] if self.tracked else ""
+    def each(self, kind: str, count: int) -> Sequence[str]:
+        """The names of all states, outputs, …; empty ones where they have none."""
+        return getattr(self, kind) or [""] * count
 
     def point_in_words(self, point: OperatingPoint, plant: SwitchedSystem) -> str:
         """Where the plant rests, by the names of its states and inputs."""
@@ -120,17 +96,19 @@ def _with_point(text: str) -> str:
     return text if set(text) & set(".eE") else text + ".0"
 
 
-def initializer(array: np.ndarray, precision: Precision, indent: int = 0) -> str:
-    """An array as nested braces."""
-    pad = " " * 4 * indent
+def initializer(
+    array: np.ndarray, precision: Precision, indent: int = 0, braces: str = "{}"
+) -> str:
+    """An array as nested braces, or between what a language other than C writes."""
+    (begin, end), pad = braces, " " * 4 * indent
     if array.ndim == 1:
         numbers = [literal(value, precision) for value in array.astype(DTYPE[precision])]
         lines = [
             ", ".join(numbers[start : start + _LINE]) for start in range(0, len(numbers), _LINE)
         ]
-        return pad + "{" + f",\n{pad} ".join(lines) + "}"
-    inner = ",\n".join(initializer(part, precision, indent + 1) for part in array)
-    return f"{pad}{{\n{inner}\n{pad}}}"
+        return pad + begin + f",\n{pad} ".join(lines) + end
+    inner = ",\n".join(initializer(part, precision, indent + 1, braces) for part in array)
+    return f"{pad}{begin}\n{inner}\n{pad}{end}"
 
 
 def brackets(array: np.ndarray) -> str:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from xml.etree import ElementTree as xml
 
 import numpy as np
 
 from deadtime.base.version import __version__
 from deadtime.base.wording import one_line
-from deadtime.controller.controller_arguments import RestValues
 from deadtime.controller.export.c_text import Names
-from deadtime.controller.export.observer_code import ObserverForm
-from deadtime.plant import SwitchedSystem
+
+if TYPE_CHECKING:
+    from deadtime.controller.running import RunningLaw
 
 
 class Variable(NamedTuple):
@@ -31,31 +31,24 @@ class Variable(NamedTuple):
 _TIME = Variable("time", "Real", "independent", "time, s")
 
 
-def controller_variables(
-    plant: SwitchedSystem,
-    names: Names,
-    past: np.ndarray,
-    rest: RestValues,
-    belief: bool = False,
-    observer: ObserverForm | None = None,
-    measures_outputs: bool = False,
-) -> list[Variable]:
+def controller_variables(controller: RunningLaw, names: Names, past: np.ndarray) -> list[Variable]:
     """The variables that a controller reads and writes; `past` (m,) is the input before the start.
 
-    What it reads is at `rest` until something is connected.
-
-    With a `belief` it writes how likely each mode is in place of reading it. With an `observer` it
-    reads outputs and references, and writes the estimate.
+    What it reads is at rest until something is connected. On a belief it writes how likely each
+    mode is in place of reading it. With an observer it reads outputs and references, and writes the
+    estimate.
     """
-    n, m = plant.states, plant.inputs
-    p = rest.given.size
-    given = _read("y", _each("output at the sample", names.output, p), rest.given)
-    if observer is None and not measures_outputs:
-        given = _read("x", _each("state at the sample", names.state, n), rest.given)
+    plant, rest, observing = controller.law.plant, controller.rest, controller.observing
+    inputs, p = names.each("inputs", plant.inputs), rest.given.size
+    belief = controller.believing is not None
+    if controller.law.outputs is None:
+        given = _read("x", _each("state at the sample", names.each("states", p)), rest.given)
+    else:
+        given = _read("y", _each("output at the sample", names.each("outputs", p)), rest.given)
     referred, told_r, estimated = [], [], []
-    if observer is not None:
-        size, _, _, r = observer.sizes
-        followed = _each("what a tracked output is to follow", names.followed, r)
+    if observing is not None:
+        size, r = observing.memory.sizes.n, observing.memory.sizes.r
+        followed = _each("what a tracked output is to follow", names.each("tracked", r))
         referred = _read("reference", followed, rest.reference)
         estimated = _estimated(names, size, plant.states)
         what = "whether reference is read, or the law's own followed"
@@ -71,9 +64,9 @@ def controller_variables(
     return [
         _TIME,
         *given,
-        *_read("applied", _each("what the actuator had", names.input, m), rest.u),
+        *_read("applied", _each("what the actuator had", inputs), rest.u),
         *referred,
-        *_written("u", _each("input, held", names.input, m)),
+        *_written("u", _each("input, held", inputs)),
         *_at_start("u", "input before the start", past),
         *(_believed(names, plant.modes) if belief else []),
         *estimated,
@@ -92,8 +85,8 @@ def plant_variables(
     """
     return [
         _TIME,
-        *_read("u", _each("input, held over a step", names.input, past.size), rest_u),
-        *_written("x", _each("state", names.state, start.size)),
+        *_read("u", _each("input, held over a step", names.each("inputs", past.size)), rest_u),
+        *_written("x", _each("state", names.each("states", start.size))),
         *_at_start("x", "state at the start", start),
         *_at_start("u", "input before the start", past),
         _mode("mode over a step, from 0", names),
@@ -121,7 +114,7 @@ def _believed(names: Names, modes: int) -> list[Variable]:
 
 
 def _estimated(names: Names, size: int, states: int) -> list[Variable]:
-    texts = [_with_name("estimate of the state", names.state(i)) for i in range(states)]
+    texts = _each("estimate of the state", names.each("states", states))
     texts += ["estimate of a disturbance"] * (size - states)
     return [Variable(f"estimate[{i}]", "Real", "output", text) for i, text in enumerate(texts, 1)]
 
@@ -137,8 +130,8 @@ def _mode(what: str, names: Names) -> Variable:
     return Variable("mode", "Integer", "input", _with_name(what, names.all_modes()), 0)
 
 
-def _each(what: str, name_of: Callable[[int], str], size: int) -> list[str]:
-    return [_with_name(what, name_of(i)) for i in range(size)]
+def _each(what: str, names: Iterable[str]) -> list[str]:
+    return [_with_name(what, name) for name in names]
 
 
 def _with_name(what: str, name: str) -> str:

@@ -34,7 +34,6 @@ from deadtime.controller.export.fmi_description import (
     plant_variables,
 )
 from deadtime.controller.export.forms import Precision
-from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.plant import OperatingPoint, SwitchedSystem
 
 if TYPE_CHECKING:
@@ -57,14 +56,12 @@ def export_fmu(
     past, names = _finite(u0, plant.inputs) + controller.rest.u, names or Names()
     texts, _ = c_sources(controller, precision, accuracy, None, name, names)
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
-    observer = None if controller.observing is None else ObserverForm.of(controller.observing)
-    outputs = outputs_of(controller.believing)
     values = {
         "p": name,
         "belief": controller.believing is not None,
-        "observer": observer is not None,
-        "outputs": outputs,
-        **given_of(observer, outputs),
+        "observer": controller.observing is not None,
+        "outputs": outputs_of(controller.believing),
+        **given_of(controller),
         "begun": initializer(past, "double"),
         "rest": {key: initializer(array, "double") for key, array in _at_rest(controller).items()},
         "slack": literal(1e-3 * controller.step, "double"),
@@ -77,10 +74,7 @@ def export_fmu(
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
     title += _about(controller.operating_point, names, plant)
-    believes = controller.believing is not None
-    variables = controller_variables(
-        plant, names, past, controller.rest, believes, observer, bool(outputs)
-    )
+    variables = controller_variables(controller, names, past)
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
     )
@@ -132,7 +126,7 @@ def export_plant_fmu(
     """
     instance("plant", plant, SwitchedSystem)
     n, m, name, names = plant.states, plant.inputs, "plant", names or Names()
-    names.require(plant)
+    names.require(states=n, modes=plant.modes, inputs=m)
     past = _finite(u0, m)
     start = (
         np.zeros(n)

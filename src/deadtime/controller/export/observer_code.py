@@ -118,12 +118,10 @@ def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
     }
 
 
-def rom_bytes(form: ObserverForm, precision: Precision) -> int:
-    """Of the observer's tables; integers take four bytes, samples eight."""
-    numbers = sum(array.size for array, _ in arrays(form).values())
-    integers = form.memory.lag.size
+def integer_bytes(form: ObserverForm) -> int:
+    """Of tables of integers, which take four bytes, and of samples, which take eight."""
     samples = len(form.changes) if len(form.changes) > 1 else 0
-    return BYTES[precision] * numbers + 4 * integers + 8 * samples
+    return 4 * form.memory.lag.size + 8 * samples
 
 
 def ram_bytes(form: ObserverForm, precision: Precision) -> int:

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.controller.export.forms import BYTES, Precision, TableExtra
-
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw
 
@@ -50,19 +48,6 @@ def arrays(form: PredictionForm) -> dict[str, tuple[np.ndarray, str]]:
 def values(form: PredictionForm) -> dict[str, Any]:
     """The values that fill the templates."""
     return {"horizons": form.state.shape[1], "of_input": form.of_input.tolist()}
-
-
-def rom_bytes(form: PredictionForm, precision: Precision) -> int:
-    """Of the tables; integers take four bytes."""
-    numbers = sum(array.size for array, _ in arrays(form).values())
-    return BYTES[precision] * numbers + 4 * form.of_input.size
-
-
-def added(beside: TableExtra, form: PredictionForm, precision: Precision) -> TableExtra:
-    """Add the name and the bytes of the prediction to the parts exported beside the table."""
-    name = "the prediction" if beside.rom == 0 else f"{beside.name} and the prediction"
-    single = None if beside.single is None else beside.single + rom_bytes(form, "float")
-    return TableExtra(name, beside.rom + rom_bytes(form, precision), beside.ram, single)
 
 
 def gain(form: PredictionForm, rows: int) -> float:

@@ -23,6 +23,7 @@ from deadtime.estimation import (
     luenberger,
 )
 from deadtime.feedback import Law
+from deadtime.feedback.belief import BeliefFilter
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.file.servo import FileServo, watching
 from deadtime.problems.toml import Shape
@@ -203,7 +204,7 @@ def build_mode_filter(
     model: SwitchingModel | None,
     step: float | None,
     observed: Observed | None,
-) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
+) -> Callable[[SwitchedSystem], BeliefFilter] | None:
     """A function from the plant of a law to its mode filter; tried on the file's own first.
 
     `observed` is the [observer] of the file and what makes it for a plant, where it has one.
@@ -222,77 +223,51 @@ def build_mode_filter(
                 raise ArgumentError(
                     f"{name} is for outputs: give an [observer], or leave out {name}."
                 )
-        filter_of = partial(_mode_filter, section, model, step)
-    else:
-        filter_of = partial(_output_filter, section, observed, model, step)
+    filter_of = partial(_filter_of, section, model, step, observed)
     filter_of(plant)
     return filter_of
 
 
-def _mode_filter(
-    section: ModeFilterSection, model: SwitchingModel, step: float, plant: SwitchedSystem
-) -> ModeFilter:
-    disturbance, noise = section.disturbance, section.noise
-    return ModeFilter(
-        plant,
-        model,
-        step,
-        disturbance=0.0 if disturbance is None else disturbance,
-        noise=0.0 if noise is None else noise,
-        **_options(section, plant),
-    )
-
-
-def _output_filter(
+def _filter_of(
     section: ModeFilterSection,
-    observed: Observed,
     model: SwitchingModel,
     step: float,
+    observed: Observed | None,
     plant: SwitchedSystem,
-) -> OutputModeFilter:
+) -> BeliefFilter:
+    """The filter of states, or with an [observer] that of outputs, with its noise by default."""
+    names = ("switches", "forgetting", "initial", "ages", "allow_alike")
+    options = {name: getattr(section, name) for name in names}
+    given = {"disturbance": section.disturbance, "noise": section.noise}
+    options |= {name: value for name, value in given.items() if value is not None}
+    if section.initial is not None and len(section.initial) != plant.modes:
+        raise ArgumentError(
+            f"initial must have {plant.modes} entries, one for each mode, got "
+            f"{len(section.initial)}."
+        )
+    if observed is None:
+        return ModeFilter(plant, model, step, **options)
     if section.covariance is None:
         raise ArgumentError(
             "covariance must be given beside an [observer]: how well its estimate of the first "
             "state is known, x²."
         )
-    observer, given = observed
-    disturbance, noise = _noise_of(given)
-    return OutputModeFilter(
-        plant,
-        model,
-        step,
-        observer(plant) if section.gains == "observer" else given.C,
-        covariance=section.covariance,
-        disturbance=disturbance if section.disturbance is None else section.disturbance,
-        noise=_deviations(noise) if section.noise is None else section.noise,
-        estimate=given.estimate,
-        **_options(section, plant),
-    )
-
-
-def _noise_of(given: ObserverSection) -> tuple[Any, Any]:
-    """Intensity of the process noise and covariance of the outputs' that an observer is for."""
-    if isinstance(given, KalmanObserver):
-        return given.process, np.array(given.measurement)
-    return 0.0, np.zeros((1, 1))
+    observer, told = observed
+    if isinstance(told, KalmanObserver):
+        options.setdefault("disturbance", told.process)
+        if section.noise is None:
+            options["noise"] = _deviations(np.array(told.measurement))
+    C = observer(plant) if section.gains == "observer" else told.C
+    first = {"covariance": section.covariance, "estimate": told.estimate}
+    return OutputModeFilter(plant, model, step, C, **first, **options)
 
 
 def _deviations(R: Float[np.ndarray, "p p"]) -> Any:
-    """Standard deviations of outputs whose noise is independent."""
+    """Standard deviations of outputs whose noise is independent; one number for one output."""
     variance = np.diagonal(R)
     if (np.diag(variance) != R).any() or (variance < 0.0).any():
         raise ArgumentError(
             "noise must be given: the measurement of [observer] is not diagonal, and a mode "
             "filter takes the noise of outputs to be independent."
         )
-    return np.sqrt(variance) if R.shape != (1, 1) else float(np.sqrt(variance[0]))
-
-
-def _options(section: ModeFilterSection, plant: SwitchedSystem) -> dict[str, Any]:
-    initial = section.initial
-    if initial is not None and len(initial) != plant.modes:
-        raise ArgumentError(
-            f"initial must have {plant.modes} entries, one for each mode, got {len(initial)}."
-        )
-    names = ("switches", "forgetting", "initial", "ages", "allow_alike")
-    return {name: getattr(section, name) for name in names}
+    return np.sqrt(variance) if R.shape != (1, 1) else np.sqrt(variance[0])

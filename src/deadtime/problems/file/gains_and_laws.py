@@ -13,8 +13,9 @@ from jaxtyping import Float
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import ModeFilter, OutputModeFilter, Servo
+from deadtime.estimation import Servo
 from deadtime.feedback import Law
+from deadtime.feedback.belief import BeliefFilter
 from deadtime.gains import lqr, place
 from deadtime.gains.state_feedback import check_gains
 from deadtime.laws import LowPassPredictor
@@ -154,7 +155,7 @@ class Laws:
             allow_unstable=file.gains.allow_unstable,
         )
 
-    def _mode_filter(self) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
+    def _mode_filter(self) -> Callable[[SwitchedSystem], BeliefFilter] | None:
         """A function from the plant of a law to its mode filter, where the file has one."""
         file, step = self.file, self.step
         with _section("mode_filter"):

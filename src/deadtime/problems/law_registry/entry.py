@@ -22,8 +22,8 @@ from jaxtyping import Float
 from pydantic import Field
 
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import ModeFilter, OutputModeFilter
 from deadtime.feedback import Law
+from deadtime.feedback.belief import BeliefFilter
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import Matrices, Matrix, Section, Vector
@@ -64,7 +64,7 @@ class LawSetting:
     model: SwitchingModel | None = None
     rule: Rule | None = None
     weight: Weight | None = None
-    mode_filter: Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None = None
+    mode_filter: Callable[[SwitchedSystem], BeliefFilter] | None = None
     allow_unstable: bool = False
 
     def has(self, need: Need) -> bool:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching.constraint import PerMode
 from deadtime.switching.models.sojourn_families import (
     EQUAL,
     FAMILIES,
@@ -31,6 +31,7 @@ from deadtime.switching.models.sojourn_families import (
 )
 from deadtime.switching.models.sojourns import Distribution, Fixed
 from deadtime.switching.signal import SwitchingSignal
+from deadtime.switching.signal_class import SignalClass
 
 if TYPE_CHECKING:
     Signals = SwitchingSignal | Sequence[SwitchingSignal]
@@ -99,7 +100,7 @@ def fit_model(
     logs = check_signals(signals)
     observed = sojourns_of(logs, first, modes)
     if transitions is not None:
-        allowed = SwitchingConstraint.of(len(observed), transitions=transitions)
+        allowed = SignalClass(transitions=transitions).limits(len(observed))
         for log in logs:
             allowed.require(log)
     names = _families(family, len(observed))
@@ -111,7 +112,7 @@ def fit_model(
             )
     known = None
     if dwell_time is not None or maximum_dwell is not None:
-        known = SwitchingConstraint.of(len(observed), dwell_time, maximum_dwell)
+        known = SignalClass(dwell_time, maximum_dwell).limits(len(observed))
     fits = []
     for i, pair in enumerate(zip(names, observed, strict=True)):
         ends = None if known is None else (known.dwell_time[i], known.maximum_dwell[i])

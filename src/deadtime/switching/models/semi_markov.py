@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, number, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.constraint import PerMode, SwitchingConstraint
+from deadtime.switching.constraint import PerMode
 from deadtime.switching.models.fit import Signals, fit_model
 from deadtime.switching.models.jump_process import JumpProcess, Quantiles, Switches
 from deadtime.switching.models.model import (
@@ -39,6 +39,7 @@ from deadtime.switching.models.sojourns import (
     toml_text,
     truncate,
 )
+from deadtime.switching.signal_class import SignalClass
 
 if TYPE_CHECKING:
     Sojourn = Distribution | float | Sequence[Distribution | float]
@@ -229,7 +230,7 @@ class SemiMarkov(SwitchingModel):
         sojourns = check_sojourns(sojourn, number)
         number = len(sojourns)
         if dwell_time is not None or maximum_dwell is not None:
-            bounds = SwitchingConstraint.of(number, dwell_time, maximum_dwell)
+            bounds = SignalClass(dwell_time, maximum_dwell).limits(number)
             ends = zip(sojourns, bounds.dwell_time, bounds.maximum_dwell, strict=True)
             sojourns = tuple(truncate(f"sojourn[{i}]", *each) for i, each in enumerate(ends))
         if table is None:

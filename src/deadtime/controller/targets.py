@@ -1,0 +1,96 @@
+"""The targets of `deadtime export`: an entry here is an option there, with its help and report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from deadtime.base.json_records import record
+
+if TYPE_CHECKING:
+    from deadtime.controller.export import ExportedFmu
+    from deadtime.controller.running import RunningLaw
+
+
+class Written(NamedTuple):
+    """What a target wrote: a record of it, its files, lines for readers, and its self-check."""
+
+    facts: Mapping[str, Any]
+    files: Sequence[Path]
+    lines: Sequence[str]
+    passed: bool | None = None
+
+
+class Target(NamedTuple):
+    """A target: what its path is, in a word and in a sentence, and what writes it there.
+
+    `write` is given the options of all targets by name, those of `export_c`, `export_fmu` and
+    `export_plant_fmu`, and takes its own.
+    """
+
+    path: str
+    help: str
+    write: Callable[[RunningLaw, Path, Mapping[str, Any]], Written]
+
+
+def _some(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: options[name] for name in ("staging", *names)}
+
+
+def _write_c(controller: RunningLaw, folder: Path, options: Mapping[str, Any]) -> Written:
+    from deadtime.controller.export import export_c
+
+    own = _some(options, "precision", "accuracy", "names", "rom_budget", "name", "prediction")
+    made = export_c(controller, folder, **own)
+    facts = record(made, "folder", "files", "form", "rom", "ram", "error")
+    facts |= {"passed": made.check.passed, "check": made.check.message}
+    lines = (
+        f"C, {own['precision']}: {made.folder}: {', '.join(made.files)}",
+        f"  {made.form}\n  ROM {made.rom:,} bytes, RAM {made.ram:,} bytes",
+        f"  self-check: {made.check.message}",
+    )
+    return Written(facts, [made.folder / name for name in made.files], lines, made.check.passed)
+
+
+def _write_fmu(controller: RunningLaw, path: Path, options: Mapping[str, Any]) -> Written:
+    from deadtime.controller.export import export_fmu
+
+    own = _some(options, "precision", "accuracy", "names", "version", "u0")
+    return _fmu("controller", export_fmu(controller, path, **own))
+
+
+def _write_plant_fmu(controller: RunningLaw, path: Path, options: Mapping[str, Any]) -> Written:
+    from deadtime.controller.export import export_plant_fmu
+
+    plant, point = options["plant"], controller.operating_point
+    changes = max(4096, 2 * math.ceil(plant.longest_delay / controller.step))
+    own = _some(options, "version", "x0", "u0") | {"names": options["plant_names"]}
+    made = export_plant_fmu(plant, path, changes=changes, operating_point=point, **own)
+    return _fmu("plant", made)
+
+
+def _fmu(of: str, made: ExportedFmu) -> Written:
+    facts = record(made, "path", "version", "binary")
+    return Written(facts, [made.path], [f"FMU of the {of}: {made}"])
+
+
+TARGETS: Mapping[str, Target] = {
+    "c": Target(
+        "FOLDER",
+        "Folder for the C: made if it is not there. Files in it that deadtime wrote are replaced; "
+        'one that lacks "Written by deadtime" is not, and nothing is written.',
+        _write_c,
+    ),
+    "fmu": Target(
+        "FILE",
+        "FMU of the controller, a path in .fmu; replaced if it is there.",
+        _write_fmu,
+    ),
+    "plant_fmu": Target(
+        "FILE",
+        "FMU of the plant with its delay, from the problem's x0 and u0; the same holds.",
+        _write_plant_fmu,
+    ),
+}
