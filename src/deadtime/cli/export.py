@@ -16,6 +16,7 @@ from deadtime.cli.printing import print_json
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
+    from deadtime.feedback import Law
     from deadtime.problems import Problem
 
 _FMU = ("path", "version", "binary")
@@ -83,12 +84,12 @@ def export(
     from deadtime.reports.verdict import observer_reads_mode
 
     chosen = options.problem_of(problem)
-    controller = _controller(chosen, law, step)
+    called, asked = options.law_of(chosen, law)
+    controller = _controller(chosen, asked, step)
     precision = "float" if single else "double"
-    called = next(iter(chosen.laws)) if law is None else law
     given = Names(called, chosen.states, chosen.modes, chosen.inputs)
     names = given
-    if chosen.law(called).outputs is not None:
+    if asked.outputs is not None:
         names = replace(given, outputs=chosen.outputs, tracked=chosen.tracked)
     shared: dict[str, Any] = {"precision": precision, "accuracy": accuracy, "names": names}
     code = law_fmu = model = None
@@ -148,7 +149,7 @@ def _built_in(problem: Problem) -> str:
     )
 
 
-def _controller(problem: Problem, law: str | None, step: float | None) -> Controller:
+def _controller(problem: Problem, law: Law, step: float | None) -> Controller:
     """The controller of a law of the problem, within the limits of its inputs."""
     import numpy as np
 
@@ -157,9 +158,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     from deadtime.problems.file.servo import absolute_limits
     from deadtime.problems.switching_assumptions import step_of
 
-    name = next(iter(problem.laws)) if law is None else law
-    chosen = problem.law(name)
-    period = step_of(problem) if step is None else step
+    period = step_of(problem, step)
     point = problem.operating_point
     rest = 0.0 if point is None else point.u  # of which the file's limits are deviations
     clips = absolute_limits(problem.imperfections, Sizes.of(problem.plant, period))
@@ -169,7 +168,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")
         limits = (low + rest, high + rest)
-    return Controller(chosen, period, limits=limits, operating_point=point)
+    return Controller(law, period, limits=limits, operating_point=point)
 
 
 def _limits_in_words(controller: Controller) -> str:
