@@ -10,6 +10,8 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import main
+from deadtime.problems.imperfection_registry import ENTRIES
+from deadtime.problems.toml.sections import kinds_of
 from shares import mostly_long
 
 
@@ -49,6 +51,16 @@ def test_init_never_replaces_a_file_unasked(folder, capsys):
     assert (folder / "problem.toml").read_text() == "mine"
     assert run(capsys, "init", "--force")[0] == 0
     assert (folder / "problem.toml").read_text().startswith("# A deadtime problem")
+
+
+def test_a_file_to_start_from_has_a_line_for_every_imperfection_with_its_keys(folder, capsys):
+    run(capsys, "init")
+    lines = [line.split() for line in (folder / "problem.toml").read_text("utf-8").splitlines()]
+    for entry in ENTRIES:
+        keys = {key: one for key, one in entry.model_fields.items() if key != "kind"}
+        told = [key if one.is_required() else f"({key})" for key, one in keys.items()]
+        wanted = ["#", *kinds_of(entry), "#", *", ".join(told).split()]
+        assert [*wanted[:-1], f"{wanted[-1]}:"] in [line[: len(wanted)] for line in lines]
 
 
 def test_simulate_json_equals_the_library(folder, capsys):

@@ -111,6 +111,15 @@ def test_certify_tabulates_every_law_and_says_why_one_has_no_answer(capsys, made
     assert {asked[1:3] for asked in made_up} == {(dt.SignalClass(0.2), 0.01)}
 
 
+def test_a_law_of_one_mode_has_one_name_that_of_the_mode(capsys, made_up, monkeypatch):
+    monkeypatch.setitem(ANSWERS, "mode 1 only", (False, None, "Held in mode 1 it grows.", WITNESS))
+    _, out, _ = run(capsys, "certify", "follower", "--law", "brake only")
+    text = " ".join(out.split())
+    assert "brake only no – witness" in text
+    assert "• brake only: Held in brake it grows." in text
+    assert list(dt.problems.follower().laws)[1:3] == ["throttle only", "brake only"]
+
+
 def test_certify_of_one_law_tells_what_is_proved_and_saves_it(capsys, made_up, tmp_path):
     numbers = ("--dwell-time", "0.5", "--step", "0.05", "--decay-rate", "0.1")
     arguments = ("--law", "mean", *numbers, "--out", "cert.json")

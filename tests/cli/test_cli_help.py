@@ -92,6 +92,8 @@ def test_help_is_found_by_whatever_name_it_is_called(capsys, other):
         (["bound", "papr"], "or a file that exists, got 'papr'. Did you mean paper?"),
         (["bound"], 'Command "bound" parameter --problem requires an argument. See deadtime bound'),
         (["design"], "requires an argument"),
+        (["certify", "paper", "--delays", "0.3"], "--delays [0.3,0.1] [0.32,0.12]. See deadtime"),
+        (["identify", "log.csv", "--delay"], "Such as: deadtime identify log.csv --one-mode --del"),
         (["bound", "paper", "mine"], "unexpected argument 'mine'. See deadtime bound --help."),
         (["bound", "paper", "--dwell-time", "long"], 'unable to convert "long" into float'),
         (["completion", "tcsh"], "tcsh"),

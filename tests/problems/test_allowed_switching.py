@@ -13,7 +13,9 @@ import deadtime as dt
 from deadtime.cli.application import main
 from deadtime.cli.options import with_step
 from deadtime.problems.file import load_problem
+from deadtime.problems.file.switching import drawn_as
 from deadtime.problems.switching_assumptions import random_model, signals_of
+from deadtime.scenarios.source import draw_signals
 
 PLANT = """\
 [plant]
@@ -221,16 +223,33 @@ def test_a_log_at_samples_is_checked_and_asked_about_such(load, tmp_path):
     assert signals_of(problem, problem.signal).signals.at == "samples"
 
 
-def test_monte_carlo_and_studies_draw_no_signals_at_samples(load, capsys):
-    load(SAMPLED)
-    with pytest.raises(SystemExit):
-        main(["monte-carlo", "p.toml", "--scenarios", "2"])
-    assert "change at samples only, and Monte Carlo draws instants" in capsys.readouterr().err
+def _whole(signals, step):
+    for signal in signals:
+        periods = signal.times / step
+        assert np.abs(periods - periods.round()).max() < 1e-9
+        yield signal
+
+
+def test_monte_carlo_and_studies_draw_signals_at_samples_within_the_limits(load, capsys):
+    problem = load(SAMPLED)
+    with pytest.raises(SystemExit) as end:
+        main(["monte-carlo", "p.toml", "--scenarios", "2", "--law", "averaged"])
+    assert end.value.code == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "switches at samples only, but only so" in out
+    assert "sojourns are rounded up to whole periods" in out
+    model = random_model(problem.limits, problem.mean_sojourn)
+    drawn = drawn_as(model, "samples", problem.limits.maximum_dwell, problem.step)
+    assert all(map(kept, _whole(draw_signals(drawn, 60.0, seed=2, count=20), problem.step)))
     Path("study.toml").write_text(
-        'problem = "p.toml"\nlaws = ["averaged"]\n[grid]\ndwell_time = [0.2]\n', encoding="utf-8"
+        'problem = "p.toml"\nlaws = ["averaged"]\n[grid]\ndwell_time = [0.15, 0.25]\n',
+        encoding="utf-8",
     )
-    with pytest.raises(dt.DeadtimeError, match="at samples only, and studies draw instants"):
-        dt.load_study("study.toml")
+    study = dt.load_study("study.toml")
+    for cell in study.cells():
+        signals = draw_signals(study.loop(cell).model, 9.0, count=5)
+        least = cell.values["dwell_time"]
+        assert all(one.dwell_time > least - 1e-9 for one in _whole(signals, problem.step))
 
 
 CHAIN = """\

@@ -1,5 +1,6 @@
 """The [servo] of a problem file: its laws are those that Python makes, and bad input is refused."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -7,9 +8,12 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.script import script_of
+from deadtime.base.wording import compact
 from deadtime.cli.application import main
+from deadtime.problems.comparison import ProblemRuns
 from deadtime.problems.file import load_problem
 from deadtime.problems.literature import template
+from deadtime.reports.metrics import tracking_of_runs
 
 PLANT = """\
 [plant]
@@ -197,6 +201,27 @@ def test_design_is_for_loops_that_come_to_zero(tmp_path, capsys):
         main(["design", str(path), "--delay-margin", "0.1"])
     assert stopped.value.code == 2
     assert "follows a reference" in capsys.readouterr().err
+
+
+def test_the_theorem_has_no_constants_for_loops_that_follow_a_reference(tmp_path, capsys):
+    path = write(tmp_path, SERVO, OBSERVER, LAWS, RUN)
+    with pytest.raises(SystemExit) as stopped:
+        main(["bound", str(path)])
+    assert stopped.value.code == 2
+    out, err = capsys.readouterr()
+    assert (out, "laws of a [servo] follow a reference" in err) == ("", True)
+
+
+def test_the_table_of_a_step_says_that_it_ends_at_the_next_switch(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(template("quadrotor"), encoding="utf-8")
+    whole = load_problem(path)
+    problem = dataclasses.replace(whole, laws={"averaged": whole.laws["averaged"]}, horizon=15.0)
+    run = problem.simulate("averaged")
+    ((heading, rows),) = tracking_of_runs(ProblemRuns(problem, {"averaged": run}, {}))
+    switch = next(t for t in run.signal.times if t > 12.0)
+    assert heading.endswith(f"at 12 s, until the next switch, at {switch:.4g} s")
+    assert rows[0][-1] == compact(run.step_info(0, until=switch)["SteadyStateError"])
 
 
 OFFSET = "[[offset]]\nmode = 1\nforce = [0.0, 0.6]\n"

@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 import deadtime as dt
 import plants
-from deadtime.base.wording import amount
+from deadtime.base.wording import amount, as_rate
 from deadtime.reports.audit import STEPS, Claim, audit, move_modes, stretch
 from deadtime.reports.audit_evidence import (
     LEAD,
@@ -191,6 +191,12 @@ def test_one_run_is_that_on_the_problem_s_signal(claims):
     assert amount(averaged["final_norm"]) in claims["averaged-stabilises"].one_run
     assert f"{averaged['settling_time']:.2f} s under (2)" in claims["faster"].one_run
     assert claims["faster"].holds_in_run is (averaged["settling_time"] < mean["settling_time"])
+
+
+def test_growth_with_a_mode_held_is_that_of_the_verdict(claims):
+    growth = [dt.growth_rate(PROBLEM.plant, PROBLEM.laws[LEAD], i, PROBLEM.step) for i in (0, 1)]
+    how = f"held in mode 0 it grows at {as_rate(growth[0])} /s, held in mode 1 at "
+    assert f"{how}{as_rate(growth[1])} /s." in claims["averaged-stabilises"].many
 
 
 def test_sweeps_hold_the_example_itself(claims):

@@ -154,10 +154,9 @@ def test_the_cheapest_law_is_that_of_the_table(cheap):
     }
     runs = {f"law {name}": result.runs["oracle"] for name in result.runs}
     outcomes = {f"law {name}": result.outcomes["oracle"] for name in result.runs}
-    made = dataclasses.replace(
-        result, problem=dataclasses.replace(result.problem, laws=laws), metrics=metrics,
-        runs=runs, outcomes=outcomes,
-    )  # fmt: skip
+    problem = dataclasses.replace(result.problem, laws=laws)
+    made = dataclasses.replace(result, problem=problem, runs=runs)
+    vars(made).update(metrics=metrics, outcomes=outcomes)
     (told,) = (text for text in verdict(made) if text.startswith("Compared with an oracle"))
     assert f"the law “{least}” is the cheapest of those that do not know the future." in told
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import panel as pn
 import panel_material_ui as pmui
 
-from deadtime.app.controls import WIDE, Controls
+from deadtime.app.controls import WIDE, Controls, download_button
 from deadtime.app.documents import Document
 from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
 from deadtime.app.page_outcome import ProblemOutcome, csv_of
@@ -18,7 +18,9 @@ from deadtime.app.page_panels import BOUNDS, KEY, Chart, ProblemPanels
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import GivenSignal
 from deadtime.base.wording import as_rate, file_name
+from deadtime.problems import Problem
 from deadtime.reports.figures.runs import plot_laws
+from deadtime.reports.verdict import held_in_words
 
 _LIMIT = 120.0  # seconds that a search may take
 _REST = 250  # milliseconds after which a hand that moved something rests
@@ -80,11 +82,15 @@ class Actions:
         self.switch.on_click(self._switch)
         self.law.param.watch(self._judge, "value")
         self._moves = self._round = 0
+        files: dict[str, tuple[str, Callable[[], bytes]]] = {
+            "Problem": (".toml", lambda: page.toml().encode()),
+            "Figure": (".png", self.figure),
+            "Data": (".csv", lambda: csv_of(page.outcome.runs).encode()),
+            "Script": (SCRIPT, self.script),
+        }
         self._downloads = [
-            self._download("Problem", ".toml", lambda: page.toml().encode()),
-            self._download("Figure", ".png", self.figure),
-            self._download("Data", ".csv", lambda: csv_of(page.outcome.runs).encode()),
-            self._download("Script", SCRIPT, self.script),
+            download_button(label, ending, make, size="small", tags=[ending])
+            for label, (ending, make) in files.items()
         ]
 
     # -- layout ----------------------------------------------------------------------------
@@ -108,14 +114,6 @@ class Actions:
     def downloads(self) -> list[Any]:
         """The problem, the figure, the data and the script, each as a file."""
         return [pmui.FlexBox(*self._downloads, margin=(5, 6))]
-
-    def _download(self, label: str, ending: str, make: Callable[[], bytes]) -> pmui.FileDownload:
-        button = pmui.FileDownload(
-            label=label, filename=ending, size="small",
-            callback=lambda: io.BytesIO(make()), margin=4, tags=[ending],
-        )  # fmt: skip
-        button.variant = "outlined"  # as an argument Panel warns of it
-        return button
 
     def figure(self) -> bytes:
         """The figure of what is shown, PNG."""
@@ -187,7 +185,7 @@ class Actions:
 
         def on_grown(rates: list[float]) -> None:
             if mine == self._moves:
-                self.verdict.object = verdict(law, problem.modes, rates)
+                self.verdict.object = verdict(law, problem, rates)
 
         def unknown(_: str) -> None:
             if mine == self._moves:
@@ -277,14 +275,14 @@ class Actions:
         return page.outcome.problem.plant.longest_delay
 
 
-def verdict(law: str, modes: Sequence[str], rates: Sequence[float]) -> str:
+def verdict(law: str, problem: Problem, rates: Sequence[float]) -> str:
     """A sentence on the growth of a law's loop if switching stops."""
     if not rates:
         return ""
-    said = ", ".join(
-        f"{html.escape(name)} {as_rate(rate)} /s" for name, rate in zip(modes, rates, strict=True)
-    )
-    judged = "stable" if max(rates) < 0.0 else "<b>unstable</b>"
+    judged, _ = held_in_words(problem, rates)
+    judged = judged if judged == "stable" else f"<b>{judged}</b>"
+    pairs = zip(problem.modes, map(as_rate, rates), strict=True)
+    said = html.escape(", ".join(f"{name} {rate} /s" for name, rate in pairs))
     return (
         f"<div class='verdict'>If switching stops, {html.escape(law)} is {judged}. "
         f"Growth: {said}.</div>"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -146,7 +147,7 @@ class Controls:
         chosen: tuple[str, ...],
         changed: Callable[[], None],
     ) -> None:
-        self._chosen, self._changed, self._quiet = chosen, changed, False
+        self._chosen, self._changed = chosen, changed
         self.signal: DrawnSignal | GivenSignal | None = None
         self._ruled = document.draft["signal"]["kind"] in RULES
         self.ranges = {one.name: one for one in ranges_of(document)}
@@ -166,11 +167,11 @@ class Controls:
         self.redraw = pmui.Button(label="Another signal", variant="outlined", **WIDE)
         self.original = pmui.Button(label="The file's signal", variant="outlined", **WIDE)
         for widget in [*self.sliders.values(), self.step, self.laws]:
-            widget.param.watch(self._on_moved, "value")
+            widget.param.watch(lambda _: self._changed(), "value")
         drawing = [self.sojourn, self.seed]
         drawing += [self.sliders["dwell_time"]] if "dwell_time" in self.sliders else []
         for widget in drawing:
-            widget.param.watch(self._on_drawn, "value")
+            widget.param.watch(lambda _: self._draw(), "value")
         self.redraw.on_click(self._next)
         self.original.on_click(lambda _: self.choose(None))
 
@@ -207,20 +208,25 @@ class Controls:
             return [*found, self.sojourn, self.seed, row]
         return [*found, self.step] if group == "Run" else found
 
-    def _on_moved(self, _: Any) -> None:
-        if not self._quiet:
-            self._changed()
-
-    def _on_drawn(self, _: Any) -> None:
-        """Draw the signal again, since its model was moved."""
-        if not self._quiet:
-            self.choose(DrawnSignal(int(self.seed.value or 0)))
+    def _draw(self) -> None:
+        self.choose(DrawnSignal(int(self.seed.value or 0)))
 
     def _next(self, _: Any) -> None:
         if isinstance(self.signal, DrawnSignal):
             self.seed.value = int(self.seed.value or 0) + 1
         else:
-            self.choose(DrawnSignal(int(self.seed.value or 0)))
+            self._draw()
+
+
+def download_button(
+    label: str, filename: str, make: Callable[[], bytes], **look: Any
+) -> pmui.FileDownload:
+    """A button that downloads what `make` gives when it is pressed."""
+    button = pmui.FileDownload(
+        label=label, filename=filename, callback=lambda: io.BytesIO(make()), margin=4, **look
+    )
+    button.variant = "outlined"  # as an argument Panel warns of it
+    return button
 
 
 def _slider(one: Range) -> pmui.EditableFloatSlider:

@@ -15,18 +15,17 @@ import numpy as np
 from deadtime.app.documents import Document, complaint, open_upload
 from deadtime.app.page_outcome import run_draft
 from deadtime.app.uploaded_log import Columns, LogRequest, Tell, look_at, open_log, report_of
-from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates import falsify
 from deadtime.feedback import Law
-from deadtime.feedback.recurrence import recurrence_of
 from deadtime.margins import stability_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
+from deadtime.problems.comparison import held_growth
 from deadtime.problems.file.load import build_what_can
 from deadtime.problems.toml import SectionError
 from deadtime.reports.identification_report import Picture
 from deadtime.scenarios.sweeps.axes import AXES
-from deadtime.spectrum import growth_rate
 from deadtime.switching import SignalClass
 
 RATIO = 1.02  # of the values between which a margin of the chart lies
@@ -109,13 +108,7 @@ def growth_rates(problem: Problem, law: str) -> list[float]:
     chosen = problem.laws.get(law)
     if chosen is None or problem.step is None:
         return []
-    modes = range(problem.plant.modes)
-    try:
-        if recurrence_of(chosen, problem.step) is None:
-            return []
-        return [growth_rate(problem.plant, chosen, i, step=problem.step) for i in modes]
-    except DeadtimeError:
-        return []
+    return list(held_growth(problem, chosen))
 
 
 def growth_elsewhere(draft: Mapping[str, Any], source: Path, law: str) -> list[float]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable
 from html import escape
 from typing import Any, Protocol
 
@@ -11,11 +9,11 @@ import panel as pn
 import panel_material_ui as pmui
 
 from deadtime.app.background_jobs import BackgroundJobs, ProgressBar
+from deadtime.app.controls import download_button
 from deadtime.app.documents import Document, file_stem
 from deadtime.app.jobs import look_at_log, try_log
 from deadtime.app.page_outcome import MOST_MODES
 from deadtime.app.uploaded_log import (
-    LOG_CSS,
     Columns,
     IdentifiedPlant,
     LogRequest,
@@ -26,6 +24,7 @@ from deadtime.app.uploaded_log import (
 from deadtime.app.workers import TooLongError, Workers
 from deadtime.base.errors import ArgumentError
 from deadtime.reports.identification_report import Picture
+from deadtime.reports.report_folder import render
 
 UNUSED, STATE, INPUT, MODE = "not used", "state", "input", "mode"
 ONE, HIDDEN = "the plant has one", "there are several, not logged"
@@ -140,7 +139,7 @@ class LogCard:
         self._report = b""
         self.form = LogForm()
         html: dict[str, Any] = {
-            "sizing_mode": "stretch_width", "margin": (0, 10), "stylesheets": [LOG_CSS]
+            "sizing_mode": "stretch_width", "margin": (0, 10), "stylesheets": [render("found.css")]
         }  # fmt: skip
         self.about = pn.pane.HTML("", **html)
         self.shown, self.likelihood, self.details = (pn.pane.HTML("", **html) for _ in range(3))
@@ -149,8 +148,8 @@ class LogCard:
         self.closing = pmui.Button(label="Close the log", variant="outlined", margin=4)
         self.progress = ProgressBar(LIMIT)
         self._downloads = [
-            self._download("Problem file", lambda: self._found and self._found.document.text),
-            self._download("Report", lambda: self._report.decode()),
+            download_button("Download problem file", "problem.toml", self._problem, visible=False),
+            download_button("Download report", "report.html", lambda: self._report, visible=False),
         ]
         self.begin.on_click(lambda _: self.identify())
         self.cancel.on_click(lambda _: self.stop())
@@ -174,13 +173,8 @@ class LogCard:
             sizing_mode="stretch_width", margin=(4, 10), visible=False, elevation=2,
         )  # fmt: skip
 
-    def _download(self, label: str, make: Callable[[], str | None]) -> pmui.FileDownload:
-        button = pmui.FileDownload(
-            label=f"Download {label.lower()}", filename=label, margin=4,
-            visible=False, callback=lambda: io.BytesIO((make() or "").encode()),
-        )  # fmt: skip
-        button.variant = "outlined"  # as an argument Panel warns of it
-        return button
+    def _problem(self) -> bytes:
+        return b"" if self._found is None else self._found.document.text.encode()
 
     # -- a log comes -----------------------------------------------------------------------
 

@@ -21,12 +21,13 @@ from deadtime.app.file_upload import FileUpload
 from deadtime.app.first_view import FirstView
 from deadtime.app.jobs import try_upload
 from deadtime.app.log_card import LogCard
-from deadtime.app.page_outcome import CSS, ProblemOutcome, run_draft, table_of
+from deadtime.app.page_outcome import ProblemOutcome, run_draft, table_of
 from deadtime.app.page_panels import MOST_PANELS, ProblemPanels
 from deadtime.app.settings import DrawnSignal, GivenSignal, draft_of, switch_at
 from deadtime.app.workers import Workers
 from deadtime.base.errors import DeadtimeError
 from deadtime.problems import NAMED
+from deadtime.reports.report_folder import render
 
 GROUPS = ("Plant", "Switching", "Run", "Imperfections")
 _TRIAL = 60.0  # seconds after which a trial of an uploaded problem is stopped
@@ -46,7 +47,9 @@ class Page:
     ) -> None:
         self.workers = workers
         self.message = pmui.Alert(object="", severity="info", visible=False, margin=(4, 10))
-        self.costs = pn.pane.HTML("", sizing_mode="stretch_width", stylesheets=[CSS])
+        self.costs = pn.pane.HTML(
+            "", sizing_mode="stretch_width", stylesheets=[render("costs.css")]
+        )
         self.about = pn.pane.HTML("", sizing_mode="stretch_width", margin=(0, 10))
         self.log = LogCard(self, workers)
         self.panels = pmui.Column(sizing_mode="stretch_width", margin=0)

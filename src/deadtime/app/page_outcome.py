@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +20,15 @@ from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.laws import ExactPredictor
 from deadtime.problems import Problem
-from deadtime.problems.comparison import ending
+from deadtime.problems.comparison import ProblemRuns
 from deadtime.problems.file.load import build_what_can
 from deadtime.problems.law_registry import QUICK
 from deadtime.problems.unit_checks import unit_checks_of
 from deadtime.reports.figures.colours import Look, looks_of
-from deadtime.reports.metrics import measure_title
+from deadtime.reports.metrics import SETTLES, measure_title, settling_text
+from deadtime.reports.report_folder import render
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import Outcome as Ending, why_untested
+from deadtime.simulation.outcome import why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR, measure_of
 from deadtime.simulation.trajectory import numbered_columns
 from deadtime.switching import SwitchingSignal
@@ -48,30 +48,17 @@ _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 
 @dataclass(frozen=True, eq=False)
-class ProblemOutcome:
+class ProblemOutcome(ProblemRuns):
     """The runs of a problem's laws, and the oracle's measure (immutable).
 
     Attributes
     ----------
-    problem : Problem
-    runs : mapping
-        A run per law, by name.
-    reasons : mapping
-        Why the other laws that were asked for could not run.
     oracle : float or None
         The measure of the law that knows the signal in advance, and measures what the
         others measure; None where no signal is known in advance.
     """
 
-    problem: Problem
-    runs: Mapping[str, Trajectory]
-    reasons: Mapping[str, str]
     oracle: float | None
-
-    @property
-    def signal(self) -> SwitchingSignal:
-        """The switching signal; what the first run made of it where a rule decides."""
-        return next(iter(self.runs.values())).signal
 
     @property
     def observed(self) -> bool:
@@ -79,25 +66,9 @@ class ProblemOutcome:
         return any(law.observer is not None for law in self.problem.laws.values())
 
     @cached_property
-    def metrics(self) -> dict[str, dict[str, float]]:
-        """`Trajectory.metrics` of every run, at the problem's cost."""
-        return {name: run.metrics(self.problem.weight) for name, run in self.runs.items()}
-
-    @property
-    def measure(self) -> str:
-        """The metric by which the laws are ranked."""
-        return measure_of(run.followed for run in self.runs.values())
-
-    @cached_property
-    def endings(self) -> dict[str, Ending]:
-        """How every run ends."""
-        return {name: ending(self.problem, name, run) for name, run in self.runs.items()}
-
-    @cached_property
     def notes(self) -> list[str]:
         """Sentences on a signal that tests nothing, and on numbers that do not fit each other."""
-        law, run = next(iter(self.runs.items()))
-        said = why_untested(run, self.endings[law])
+        said = why_untested(self.runs[self.lead], self.outcomes[self.lead])
         return [*([said] if said else []), *unit_checks_of(self.problem)]
 
     def ratio(self, law: str) -> float | None:
@@ -206,22 +177,7 @@ def _oracle(problem: Problem) -> Law:
     return OutputFeedback(law, first.observer, **begun, **followed)
 
 
-_HEAD = (
-    "<table class='costs'><caption>{caption}, and against the oracle{more}</caption>"
-    "<thead><tr><th scope='col'>law</th><th scope='col'>{word}</th><th scope='col'>× oracle</th>"
-    "<th scope='col'>settles (s)</th><th scope='col'>max |x|</th></tr></thead><tbody>"
-)
 _BORDERS = {"solid": "solid", "dashed": "dashed", "dashdot": "dashed", "dotted": "dotted"}
-CSS = """
-.costs { border-collapse: collapse; width: 100%; font-size: 0.9rem; color: inherit; }
-.costs caption { text-align: left; font-size: 0.85rem; padding-bottom: 4px; }
-.costs th, .costs td { text-align: right; padding: 3px 5px; white-space: nowrap; }
-.costs th:first-child, .costs td:first-child { text-align: left; white-space: normal; }
-.costs tbody tr { border-top: 1px solid rgba(128, 128, 128, 0.35); }
-.costs .swatch { display: inline-block; width: 18px; margin-right: 5px; vertical-align: middle;
-                 border-top-width: 3px; }
-.costs .why { text-align: left; white-space: normal; opacity: 0.85; }
-"""
 
 
 def table_of(outcome: ProblemOutcome, laws: Sequence[str]) -> str:
@@ -230,36 +186,32 @@ def table_of(outcome: ProblemOutcome, laws: Sequence[str]) -> str:
     Full figures are in the `data-` attributes of the rows.
     """
     looks = looks_of([*laws, *outcome.runs])
-    rows = [_row(outcome, law, looks[law]) for law in outcome.runs]
-    for law, why in outcome.reasons.items():
-        rows.append(
-            f"<tr><td>{escape(law)}</td><td class='why' colspan='4'>{escape(why)}</td></tr>"
-        )
+    title = measure_title(outcome.measure, outcome.problem.weight)
     more = ", on estimates of the same observer" if outcome.observed else ""
-    caption = measure_title(outcome.measure, outcome.problem.weight)
     word = TRACKING_ERROR if outcome.measure == "iae" else "cost"
-    head = _HEAD.format(caption=caption, word=word, more=more)
-    return f"{head}{''.join(rows)}</tbody></table>"
+    return render(
+        "costs.html.j2",
+        caption=f"{title}, and against the oracle{more}",
+        headings=("law", word, "× oracle", SETTLES, "max |x|"),
+        rows=[_row(outcome, law, looks[law]) for law in outcome.runs],
+        reasons=outcome.reasons,
+    )
 
 
-def _row(outcome: ProblemOutcome, law: str, look: Look) -> str:
+def _row(outcome: ProblemOutcome, law: str, look: Look) -> dict[str, Any]:
     metrics, ratio = outcome.metrics[law], outcome.ratio(law)
-    colour = look.colour
-    swatch = f"<span class='swatch' style='border-top-style: {_BORDERS[dash_of(look.dash)]}; " + (
-        f"border-top-color: {colour}'></span>"
-    )
     grows = outcome.runs[law].diverged or (ratio is not None and math.isinf(ratio))
-    bar = 0.0 if ratio is None else 100.0 if grows else _bar(ratio)
-    shade = f"background: linear-gradient(to right, {colour}55 {bar:.0f}%, transparent {bar:.0f}%)"
-    relative = "–" if ratio is None else "grows" if grows else f"{compact(ratio)}"
-    settling = outcome.endings[law].settling
-    settles = "no" if not math.isfinite(settling) else f"{settling:.2f}"
-    return (
-        f"<tr data-law='{escape(law, quote=True)}' data-cost='{metrics['cost']!r}' "
-        f"data-peak='{metrics['peak']!r}'><td>{swatch}{escape(law)}</td>"
-        f"<td>{compact(metrics[outcome.measure])}</td><td style='{shade}'>{relative}</td>"
-        f"<td>{settles}</td><td>{compact(metrics['peak'])}</td></tr>"
-    )
+    return {
+        "law": law,
+        "cost": metrics["cost"],
+        "peak": metrics["peak"],
+        "border": _BORDERS[dash_of(look.dash)],
+        "colour": look.colour,
+        "bar": 0.0 if ratio is None else 100.0 if grows else _bar(ratio),
+        "measure": compact(metrics[outcome.measure]),
+        "relative": "–" if ratio is None else "grows" if grows else compact(ratio),
+        "others": (settling_text(outcome.outcomes[law].settling), compact(metrics["peak"])),
+    }
 
 
 def _bar(ratio: float) -> float:

@@ -13,9 +13,10 @@ import traceback
 from collections.abc import Sequence
 from contextvars import ContextVar
 from io import TextIOWrapper
+from itertools import islice
 from typing import NoReturn
 
-from cyclopts import App, CycloptsError, Group, UnusedCliTokensError
+from cyclopts import App, CycloptsError, Group, MissingArgumentError, UnusedCliTokensError
 
 from deadtime.base import notices
 from deadtime.base.errors import DeadtimeError
@@ -163,8 +164,18 @@ def _unforeseen(error: Exception) -> str:
 def _where_to_look(error: BaseException) -> str:
     if not isinstance(error, CycloptsError):
         return ""
-    command = " ".join(("deadtime", *(error.command_chain or ()), "--help"))
-    return f" See {command}."
+    chain = error.command_chain or ()
+    command = " ".join(("deadtime", *chain, "--help"))
+    return f"{_example_of(error, chain)} See {command}."
+
+
+def _example_of(error: CycloptsError, chain: Sequence[str]) -> str:
+    """How the help of a command writes an option that lacks a value, where it has an example."""
+    if not isinstance(error, MissingArgumentError) or error.argument is None or not chain:
+        return ""
+    examples = str(app[chain[0]].help_epilogue).split("`")
+    found = (text for text in examples if f" {error.argument.name} " in text)
+    return "".join(f" Such as: {text}." for text in islice(found, 1))
 
 
 def _stop(code: int, message: str) -> NoReturn:

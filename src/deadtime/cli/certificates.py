@@ -323,8 +323,8 @@ def _print_judged(
     console.print()
     print_table(HEADINGS, certificate_rows(judged))
     console.print(f"{LEGEND}\n", style="dim", markup=False)
-    for sentence in certificate_sentences(judged):
-        console.print(f"• {with_names(sentence, problem.modes)}", markup=False)
+    for sentence in certificate_sentences(judged, problem.modes):
+        console.print(f"• {sentence}", markup=False)
     if not in_full:
         return
     for one in judged:
@@ -410,7 +410,7 @@ def least_dwell_times(
         record["mode"] = mode
     elif not isinstance(record["dwell_time"], tuple):
         del record["dwell_time"]
-    kept = (with_names(one, problem.modes) for one in _limits(signals, modes, mode))
+    kept = (with_names(one, problem.modes) for one in _kept(signals, modes, mode))
     said = [f"Sampling period {period:g} s.", *kept]
     table = ("law", "proved from", "refuted up to"), cells
     return _answer(problem, law, bracket, ("least_dwell_times", record), said, table, json_output)
@@ -479,7 +479,7 @@ def _answer(
     return 0 if law is None or found[law].certified is not None else 1
 
 
-def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
+def _kept(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
     """Sentences on what a search for dwell times keeps of the signals."""
     limits, found = signals.limits(modes), []
     if mode is not None:
@@ -488,16 +488,12 @@ def _limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
         times = ", ".join(f"{one:g}" for one in limits.dwell_time)
         found.append(f"Dwell times of the modes stay in proportion to {times} s.")
     if signals.chatter > 1:
-        found.append(
-            f"Dwell times τ are averages: {signals.chatter} + T/τ switches in any T seconds at "
-            "most, one in a period."
-        )
+        often = f"{signals.chatter} + T/τ switches in any T seconds at most"
+        found.append(f"Dwell times τ are averages: {often}.")
     if len(limits.lasting) < modes:
         found.append("No sojourn is longer than the maximum dwell time of its mode.")
-    if signals.at == "samples":
-        found.append("Modes change at samples only.")
-    if not limits.is_free:
-        found.append("Only those switches are taken to happen that the problem allows.")
+    if signals.at == "samples" or signals.chatter > 1 or not limits.is_free:
+        found.append(f"Every signal {signals.in_words(modes)[1]}.")
     return found
 
 

@@ -91,7 +91,7 @@ def design(
     out
         Where to write, without suffix.
     """
-    from deadtime.base.checks import index, positive
+    from deadtime.base.checks import index
     from deadtime.base.files import replacing
     from deadtime.problems.switching_assumptions import step_of
     from deadtime.reports.design import design_record, plot_designs, problem_sections
@@ -112,7 +112,7 @@ def design(
         one = slice(index("mode", mode, plant.modes), mode + 1)
         plant = plant.like(plant.A[one], plant.B[one], plant.delays[one])
         gains = gains[one]
-    period = step_of(chosen) if step is None else positive("step", step)
+    period = step_of(chosen, step)
     if noise and initial is not None:
         raise ArgumentError("--noise and --initial both say what moves the inputs: give one.")
     source = _noise(chosen, probability) if noise else None

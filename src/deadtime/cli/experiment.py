@@ -85,7 +85,7 @@ def experiment(
 
     out = output_file("out", out, kinds=(".csv",))
     chosen = options.problem_of(problem)
-    period = step_of(chosen) if step is None else positive("step", step)
+    period = step_of(chosen, step)
     length = chosen.horizon if horizon is None else positive("horizon", horizon)
     found = design_experiment(
         chosen.plant,

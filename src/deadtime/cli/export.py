@@ -16,6 +16,7 @@ from deadtime.controller.targets import TARGETS
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
+    from deadtime.feedback import Law
     from deadtime.problems import Problem
 
     Paths = dict[str, Path]
@@ -81,11 +82,11 @@ def export(
     from deadtime.reports.verdict import observer_reads_mode
 
     chosen = options.problem_of(problem)
-    controller = _controller(chosen, law, step)
-    called = next(iter(chosen.laws)) if law is None else law
+    called, asked = options.law_of(chosen, law)
+    controller = _controller(chosen, asked, step)
     given = Names(called, chosen.states, chosen.modes, chosen.inputs)
     names = given
-    if chosen.law(called).outputs is not None:
+    if asked.outputs is not None:
         names = replace(given, outputs=chosen.outputs, tracked=chosen.tracked)
     with Staging() as staging:  # all that is asked for, or nothing
         shared = {
@@ -133,7 +134,7 @@ def _built_in(problem: Problem) -> str:
     )
 
 
-def _controller(problem: Problem, law: str | None, step: float | None) -> Controller:
+def _controller(problem: Problem, law: Law, step: float | None) -> Controller:
     """The controller of a law of the problem, within the limits of its inputs."""
     import numpy as np
 
@@ -142,9 +143,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     from deadtime.problems.file.servo import absolute_limits
     from deadtime.problems.switching_assumptions import step_of
 
-    name = next(iter(problem.laws)) if law is None else law
-    chosen = problem.law(name)
-    period = step_of(problem) if step is None else step
+    period = step_of(problem, step)
     point = problem.operating_point
     rest = 0.0 if point is None else point.u  # of which the file's limits are deviations
     clips = absolute_limits(problem.imperfections, Sizes.of(problem.plant, period))
@@ -154,7 +153,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")
         limits = (low + rest, high + rest)
-    return Controller(chosen, period, limits=limits, operating_point=point)
+    return Controller(law, period, limits=limits, operating_point=point)
 
 
 def _limits_in_words(controller: Controller) -> str:

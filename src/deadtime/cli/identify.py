@@ -225,8 +225,7 @@ def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | N
     from deadtime.problems.switching_assumptions import step_of
 
     problem = options.problem_of(beside)
-    chosen = next(iter(problem.laws)) if name is None else name
-    return chosen, problem.law(chosen), step_of(problem)
+    return *options.law_of(problem, name), step_of(problem)
 
 
 def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:

@@ -67,8 +67,7 @@ def loop(
 
     chosen = options.problem_with(problem, step, None, None)
     path = output_file("out", out, f"{chosen.name}-loop")
-    name = next(iter(chosen.laws)) if law is None else law
-    asked = chosen.law(name)
+    name, asked = options.law_of(chosen, law)
     view, steps = loop_view(chosen.plant, asked, chosen.step, at), []
     shown, pushed = None, "the input"
     if chosen.step is not None:
@@ -177,7 +176,6 @@ def robustness(
     seed
         Of the first of them.
     """
-    from deadtime.base.checks import positive
     from deadtime.base.wording import with_names
     from deadtime.margins import robustness as assess
     from deadtime.margins.robustness import STEPS
@@ -187,13 +185,11 @@ def robustness(
 
     chosen = options.problem_of(problem)
     path = output_file("out", out, f"{chosen.name}-robustness")
-    name = next(iter(chosen.laws)) if law is None else law
-    chosen_law = chosen.law(name)
-    period = step_of(chosen) if step is None else positive("step", step)
+    (name, asked), period = options.law_of(chosen, law), step_of(chosen, step)
     with progress_bar(len(STEPS), quiet=json_output) as advance:
         result = assess(
             chosen.plant,
-            chosen_law,
+            asked,
             chosen.signal,
             chosen.x0,
             chosen.horizon,

@@ -45,6 +45,7 @@ _DATA = (".nc", ".csv")
 def monte_carlo(
     problem: options.ProblemFile,
     *,
+    law: options.AllLaws = None,
     scenarios: int = 10_000,
     dwell_time: float | None = None,
     mean_sojourn: float | None = None,
@@ -57,7 +58,7 @@ def monte_carlo(
     table: Path | None = None,
     json_output: options.AsJson = False,
 ) -> int:
-    """Run every law of a problem over many random switching signals, all on the same ones.
+    """Run the laws of a problem over many random switching signals, all on the same ones.
 
     They are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
     given here, sojourns are the dwell time plus an exponential time and the next mode is any
@@ -83,12 +84,13 @@ def monte_carlo(
     table
         A file for the table of the laws, with intervals, for LaTeX (.tex).
     """
+    from deadtime.problems.file.switching import drawn_as
     from deadtime.reports.figures.monte_carlo import plot_monte_carlo
     from deadtime.reports.scenario_tables import summary
     from deadtime.scenarios.batch_run import compare
     from deadtime.scenarios.dataset import dataset_of
 
-    chosen = options.problem_of(problem)
+    chosen = options.with_law(options.problem_of(problem), law)
     period = _period(chosen, step)
     _require_signals(chosen)
     asked = dwell_time is not None or mean_sojourn is not None
@@ -100,10 +102,11 @@ def monte_carlo(
     require_width(width)
     require_writable("data", data, _DATA)
     require_writable("table", table, TABLES)
+    drawn = drawn_as(model, chosen.signals.at, chosen.limits.maximum_dwell, period)
     result = compare(
         chosen.plant,
         chosen.laws,
-        model,
+        drawn,
         chosen.x0,
         chosen.horizon,
         period,
@@ -122,7 +125,7 @@ def monte_carlo(
     if json_output:
         print_json(_record(chosen, model, sojourn, result, outcome), written)
     else:
-        _print(chosen, model, sojourn, result, outcome)
+        _print(chosen, model, sojourn, result, outcome, rounded=drawn is not model)
     save_figure(plot_monte_carlo(result, chosen.title, width), picture)
     if data is not None:
         save_data(dataset_of(result), data)
@@ -202,14 +205,6 @@ def _require_signals(problem: Problem) -> None:
             f"the plant of the problem {problem.name!r} is switched by its state, not by random "
             "signals: use deadtime simulate, or give the file a [signal] instead of the rule."
         )
-    model, step = problem.switching, problem.step
-    drawn_so = model is not None and step is not None and model.at_samples(step)
-    if problem.signals.at == "samples" and not drawn_so:
-        raise ArgumentError(
-            f"the modes of the problem {problem.name!r} change at samples only, and Monte Carlo "
-            "draws instants between them: leave at out of its [signal], or give it a [switching] "
-            'of kind = "markov-chain", which is drawn at samples.'
-        )
     if np.any(problem.u0) or problem.predict != "applied":
         raise ArgumentError(
             f'the problem {problem.name!r} must have u0 = 0 and predict = "applied", as all Monte '
@@ -271,6 +266,7 @@ def _print(
     sojourn: Sojourn | None,
     data: Comparison,
     outcome: Summary,
+    rounded: bool,
 ) -> None:
     from deadtime.base.wording import with_names
     from deadtime.problems.unit_checks import unit_checks_of
@@ -287,9 +283,10 @@ def _print(
         what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
         about = [f"Dwell time {dwell:g} s: {shortest}. Mean sojourn {mean:g} s: {whole}."]
     if limited:
-        when = "at any time" if problem.signals.at == "anywhere" else "at samples only"
-        switches = with_names(problem.limits.in_words(when)[1], problem.modes)
+        switches = with_names(problem.signals.in_words(problem.plant.modes)[1], problem.modes)
         about = [f"Every signal {switches}."]
+    if rounded:
+        about.append("Modes change at samples: sojourns are rounded up to whole periods.")
     print(
         f"{outcome.scenarios:,} random signal{'s' * (outcome.scenarios != 1)}, {what}, "
         f"{problem.horizon:g} s each, sampled every {data.attributes['step']:g} s, seed "
@@ -297,8 +294,8 @@ def _print(
     )
     for sentence in (*about, *unit_checks_of(problem, data.attributes["step"])):
         print(f"• {sentence}")
-    if data.attributes["imperfections"]:
-        print(f"• Imperfect: {', '.join(data.attributes['imperfections'])}.")
+    if problem.imperfections:
+        print(f"• Imperfect: {', '.join(problem.imperfections_in_words)}.")
     if data.attributes["one_by_one"]:
         print(f"• Run one by one, which takes longer: {', '.join(data.attributes['one_by_one'])}.")
     if data.attributes["message"]:
@@ -314,7 +311,7 @@ def _print(
     print_table(outcome.headings[:4], outcome.rows_of(other))
     shown = [metrics.rows_of_many(data, i) for i in range(len(problem.tracked))]
     for i, rows in enumerate(shown):
-        print(f"\n{metrics.heading_of(problem, i)}, medians")
+        print(f"\n{metrics.heading_of(problem, i)}, to the end of the run, medians")
         print_table(metrics.HEADINGS, rows)
     print_never(shown)
 

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from deadtime.feedback import Law
     from deadtime.problems import Problem
     from deadtime.problems.switching_assumptions import AssumedSignals
     from deadtime.switching import SignalClass
@@ -84,6 +85,17 @@ def problem_with(
     run["x0"] = None if x0 is None else numbers_of("x0", x0)
     changes = {key: value for key, value in run.items() if value is not None}
     return problem_with_run(place, changes) if changes else problem_of(place)
+
+
+def law_of(problem: Problem, name: str | None) -> tuple[str, Law]:
+    """A law of the problem with its name; the first by default."""
+    chosen = next(iter(problem.laws)) if name is None else name
+    return chosen, problem.law(chosen)
+
+
+def with_law(problem: Problem, name: str | None) -> Problem:
+    """The problem with one of its laws; all by default."""
+    return problem if name is None else replace(problem, laws={name: problem.law(name)})
 
 
 def one_or_several(name: str, text: str) -> float | list[float]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,41 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Kind = Literal["heat", "bands", "wins", "regret", "all"]
-
-
-@dataclass(frozen=True, eq=False)
-class PlotPlan:
-    """The cells to draw, the laws of heat maps and regret, and what laws are held against.
-
-    `rivals` are the laws to choose the best of, `oracle` the law of the future; both are empty
-    where such maps are not asked for, or the sweep has none. `left_out` says why bands cannot be
-    drawn.
-    """
-
-    data: xr.Dataset
-    kind: Kind
-    metric: str
-    laws: tuple[str, ...]
-    sides: tuple[str | None, str | None]
-    rivals: tuple[str, ...]
-    oracle: str
-    left_out: str
-
-    @property
-    def against_oracle(self) -> tuple[str, ...]:
-        """The laws of regret; the oracle's own is 1 everywhere."""
-        return tuple(law for law in self.laws if law != self.oracle) if self.oracle else ()
-
-    @property
-    def bands(self) -> bool:
-        """Whether bands are drawn; with all kinds, only if they have not too many panels."""
-        return self.kind == "bands" or (self.kind == "all" and not self.left_out)
-
-    @property
-    def count(self) -> int:
-        """How many figures there will be."""
-        heat = len(self.laws) if self.kind in ("heat", "all") else 0
-        return heat + self.bands + bool(self.rivals) + len(self.against_oracle)
 
 
 @app.command(
@@ -107,12 +72,13 @@ def plot(
     from deadtime.scenarios.sweeps import open_sweep
 
     out = Path(f"{Path(store).stem}-plots") if out is None else out
-    plan = _plan(open_sweep(store), kind, metric, law, (x, y), _where(where or []))
+    held = _where(where or [])
+    reduced, drawings, left_out = _plan(open_sweep(store), kind, metric, law, (x, y), held)
     single = _is_figure(out)
-    if single and plan.count != 1:
+    if single and len(drawings) != 1:
         raise ArgumentError(
-            f"out {str(out)!r} is one file, but there are {plan.count} figures: give a folder, or "
-            "choose one of them with --kind and --law."
+            f"out {str(out)!r} is one file, but there are {len(drawings)} figures: give a folder, "
+            "or choose one of them with --kind and --law."
         )
     folder = output_folder("out", out.parent if single else out)
     try:
@@ -121,17 +87,18 @@ def plot(
         reason = error.strerror
         raise ArgumentError(f"out {str(folder)!r} cannot be written: {reason}.") from None
     paths = []
-    with progress_bar(plan.count, quiet=json_output) as advance:
-        for name, figure in _figures(plan):
+    with progress_bar(len(drawings), quiet=json_output) as advance:
+        found = reduced()
+        for name, draw in drawings.items():
             paths.append(out if single else out / f"{name}.png")
-            save_figure(figure, paths[-1])
+            save_figure(draw(found), paths[-1])
             advance(name)
     if json_output:
-        print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)
+        print_json({"store": store, "metric": metric, "left_out": left_out or None}, paths)
         return
     print("\n".join(map(str, paths)))
-    if plan.kind == "all" and plan.left_out:
-        print(plan.left_out)
+    if kind == "all" and left_out:
+        print(left_out)
 
 
 def _where(texts: Sequence[str]) -> dict[str, str]:
@@ -156,11 +123,15 @@ def _plan(
     law: str | None,
     sides: tuple[str | None, str | None],
     held: dict[str, str],
-) -> PlotPlan:
-    """The figures to draw; all that can be refused is refused here, before the store is read."""
+) -> tuple[Callable[[], xr.Dataset], dict[str, Callable[[xr.Dataset], Figure]], str]:
+    """What reads the store in one pass, what draws figures of that, and why bands are left out.
+
+    Figures go by the names of their files. All that can be refused is refused here.
+    """
     from deadtime.reports.figures.sweeps import selection
-    from deadtime.reports.figures.sweeps.bands import panes
-    from deadtime.reports.figures.sweeps.heat import grid_for
+    from deadtime.reports.figures.sweeps.bands import bands, panes
+    from deadtime.reports.figures.sweeps.heat import grid_for, heat, regret, wins
+    from deadtime.reports.figures.sweeps.reduction import reduce
 
     kept = selection.select(data, metric, held)
     laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
@@ -170,19 +141,32 @@ def _plan(
         raise ArgumentError(f"law must be another one than the oracle, got {law!r}.")
     if kind == "wins" and law is not None:
         raise ArgumentError("law is of heat and regret: wins compare all laws.")
-    if kind == "bands":
+    left_out = ""
+    try:
         panes(kept, sides[0])
+    except ArgumentError as error:
+        if kind == "bands":
+            raise
+        left_out = f"bands are left out: {error}"
     if kind != "bands":
         grid_for(kept, *sides)
     quotients = metric not in selection.RATES
     oracle = selection.oracle_of(kept) if quotients and kind in ("regret", "all") else ""
     rivals = selection.causal(kept) if quotients and kind in ("wins", "all") else []
-    left_out = ""
-    try:
-        panes(kept, sides[0])
-    except ArgumentError as error:
-        left_out = f"bands are left out: {error}"
-    return PlotPlan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle, left_out)
+    names, given = _file_names(laws), {"metric": metric, "x": sides[0], "y": sides[1]}
+    drawings: dict[str, Callable[[xr.Dataset], Figure]] = {}
+    if kind in ("heat", "all"):
+        drawings |= {f"heat-{metric}-{names[one]}": partial(heat, law=one, **given) for one in laws}
+    if kind == "bands" or (kind == "all" and not left_out):
+        drawings[f"bands-{metric}"] = partial(bands, metric=metric, x=sides[0])
+    if rivals:
+        drawings[f"wins-{metric}"] = partial(wins, rivals=rivals, **given)
+    drawings |= {
+        f"regret-{metric}-{names[one]}": partial(regret, law=one, **given)
+        for one in laws
+        if oracle and one != oracle  # its own is 1 everywhere
+    }
+    return partial(reduce, kept, metric, rivals, oracle), drawings, left_out
 
 
 def _is_figure(out: Path) -> bool:
@@ -191,25 +175,6 @@ def _is_figure(out: Path) -> bool:
 
     known = Figure().canvas.get_supported_filetypes()
     return out.suffix[1:].lower() in known and not out.is_dir()
-
-
-def _figures(plan: PlotPlan) -> Iterator[tuple[str, Figure]]:
-    """Figures with the names of their files, from one pass over the store."""
-    from deadtime.reports.figures.sweeps.bands import bands
-    from deadtime.reports.figures.sweeps.heat import heat, regret, wins
-    from deadtime.reports.figures.sweeps.reduction import reduce
-
-    metric, names = plan.metric, _file_names(plan.laws)
-    found = reduce(plan.data, metric, plan.rivals, plan.oracle)
-    if plan.kind in ("heat", "all"):
-        for law in plan.laws:
-            yield f"heat-{metric}-{names[law]}", heat(found, law, metric, *plan.sides)
-    if plan.bands:
-        yield f"bands-{metric}", bands(found, metric, plan.sides[0])
-    if plan.rivals:
-        yield f"wins-{metric}", wins(found, plan.rivals, metric, *plan.sides)
-    for law in plan.against_oracle:
-        yield f"regret-{metric}-{names[law]}", regret(found, law, metric, *plan.sides)
 
 
 def _file_names(laws: Sequence[str]) -> dict[str, str]:

@@ -59,10 +59,10 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
     print()
     print_table(headings_of(result), rows)
     shown: list[Sequence[Sequence[str]]] = [rows]
-    for i in range(len(problem.tracked)):
-        print(f"\n{metrics.heading_of_runs(problem, result.runs, i)}")
-        shown.append(metrics.rows_of_runs(problem, result.runs, i))
-        print_table(metrics.HEADINGS, shown[-1])
+    for heading, found in metrics.tracking_of_runs(result):
+        print(f"\n{heading}")
+        shown.append(found)
+        print_table(metrics.HEADINGS, found)
     print_never(shown)
 
 

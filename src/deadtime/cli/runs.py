@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -109,10 +108,8 @@ def simulate(
 
     require_width(width)
     log = None if csv is None else output_file("csv", csv, kinds=(".csv",))
-    chosen = options.problem_with(problem, step, horizon, x0)
+    chosen = options.with_law(options.problem_with(problem, step, horizon, x0), law)
     picture = output_file("out", out, chosen.name)
-    if law is not None:
-        chosen = replace(chosen, laws={law: chosen.law(law)})
     steps = len(chosen.laws) + chosen.plant.modes
     with progress_bar(steps, quiet=json_output) as advance:
         result = compare(chosen, advance)

@@ -6,10 +6,12 @@ A law that has no ideal loop is left out where the problem has no step, and the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Law
 from deadtime.problems.problem import Problem
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import Outcome, elsewhere, is_pushed, outcome_of
@@ -24,8 +26,8 @@ _MOST_WORK = 2e9  # of these, times those that a delay holds
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """Runs of a problem's laws with their outcomes, as `compare` measured them.
+class ProblemRuns:
+    """Runs of a problem's laws, and what was measured of them.
 
     Attributes
     ----------
@@ -33,34 +35,13 @@ class Comparison:
         The setting, with the laws that were run.
     runs : mapping
         One run per law, on the problem's signal.
-    metrics : mapping
-        `Trajectory.metrics` of each run, at the problem's cost.
-    held : tuple of Trajectory
-        The problem's first law with mode 0, 1, … held.
-    growth : tuple of float
-        Growth rate of each of these, 1/s: positive means unstable. That of the loop's spectrum;
-        where it has none, or it would take long, as `measured`.
-    measured : tuple of float
-        The slope of log|x| over the second half of each of these runs, 1/s.
-    outcomes : mapping
-        How each run ends.
-    refused : mapping
+    reasons : mapping
         Why each law that was left out has no run.
     """
 
     problem: Problem
     runs: Mapping[str, Trajectory]
-    metrics: Mapping[str, Mapping[str, float]]
-    held: tuple[Trajectory, ...]
-    growth: tuple[float, ...]
-    measured: tuple[float, ...]
-    outcomes: Mapping[str, Outcome]
-    refused: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def signal(self) -> SwitchingSignal:
-        """The switching signal of the problem; what the first law's run made of it for a rule."""
-        return self.runs[self.lead].signal
+    reasons: Mapping[str, str]
 
     @property
     def lead(self) -> str:
@@ -68,9 +49,44 @@ class Comparison:
         return next(iter(self.runs))
 
     @property
+    def signal(self) -> SwitchingSignal:
+        """The switching signal of the problem; what the first law's run made of it for a rule."""
+        return self.runs[self.lead].signal
+
+    @cached_property
+    def metrics(self) -> dict[str, dict[str, float]]:
+        """`Trajectory.metrics` of each run, at the problem's cost."""
+        return {name: run.metrics(self.problem.weight) for name, run in self.runs.items()}
+
+    @cached_property
+    def outcomes(self) -> dict[str, Outcome]:
+        """How each run ends."""
+        return {name: ending(self.problem, name, run) for name, run in self.runs.items()}
+
+    @property
     def measure(self) -> str:
         """The metric by which its laws are ranked."""
         return measure_of(run.followed for run in self.runs.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(ProblemRuns):
+    """Runs of a problem's laws, and of its first one with each mode held.
+
+    Attributes
+    ----------
+    held : tuple of Trajectory
+        The problem's first law with mode 0, 1, … held.
+    growth : tuple of float
+        Growth rate of each of these, 1/s: positive means unstable. That of the loop's spectrum;
+        where it has none, or it would take long, as `measured`.
+    measured : tuple of float
+        The slope of log|x| over the second half of each of these runs, 1/s.
+    """
+
+    held: tuple[Trajectory, ...]
+    growth: tuple[float, ...]
+    measured: tuple[float, ...]
 
 
 def compare(problem: Problem, progress: Progress | None = None) -> Comparison:
@@ -105,11 +121,9 @@ def compare(problem: Problem, progress: Progress | None = None) -> Comparison:
     for mode in range(problem.plant.modes):
         progress(f"simulating: {problem.modes[mode]} held")
         held.append(problem.hold(mode, horizon))
-    metrics = {name: run.metrics(problem.weight) for name, run in runs.items()}
     measured = tuple(-run.metrics()["decay_rate"] for run in held)
-    outcomes = {name: ending(problem, name, run) for name, run in runs.items()}
-    growth = _growth(problem) or measured
-    return Comparison(problem, runs, metrics, tuple(held), growth, measured, outcomes, refused)
+    growth = held_growth(problem, next(iter(problem.laws.values()))) or measured
+    return Comparison(problem, runs, refused, tuple(held), growth, measured)
 
 
 def _run(problem: Problem, progress: Progress) -> tuple[dict[str, Trajectory], dict[str, str]]:
@@ -138,12 +152,15 @@ def ending(problem: Problem, name: str, run: Trajectory) -> Outcome:
     return outcome_of(run, problem.horizon, lambda: other.run(law), problem.imperfections)
 
 
-def _growth(problem: Problem) -> tuple[float, ...]:
-    """Growth rates of the first law in every mode, from the spectrum; none where not asked."""
-    law, modes = next(iter(problem.laws.values())), range(problem.plant.modes)
-    if why_left_out("growth rate", problem.plant, law, problem.step):
+def held_growth(problem: Problem, law: Law) -> tuple[float, ...]:
+    """Growth rates of a law's loop in every mode, 1/s, from its spectrum.
+
+    None where that takes long, or the law has no such rates.
+    """
+    plant, step = problem.plant, problem.step
+    if why_left_out("growth rate", plant, law, step):
         return ()
     try:
-        return tuple(growth_rate(problem.plant, law, mode, problem.step) for mode in modes)
+        return tuple(growth_rate(plant, law, mode, step) for mode in range(plant.modes))
     except ArgumentError:
         return ()

@@ -12,7 +12,7 @@ A name stands for a commented problem file, too, which `deadtime init` writes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -31,6 +31,8 @@ from deadtime.laws import (
     SingleModePredictor,
 )
 from deadtime.plant import SwitchedSystem
+from deadtime.problems.imperfection_registry import in_comments
+from deadtime.problems.law_registry import name_of
 from deadtime.problems.problem import Problem, Published
 from deadtime.switching import SignalClass, SwitchingSignal
 
@@ -46,8 +48,12 @@ def comparison_laws(
     gains: Float[np.ndarray, "mode m n"],
     mean: MeanPredictor | None,
     allow_unstable: bool = False,
+    modes: Sequence[str] = (),
 ) -> dict[str, Law]:
-    """The paper's comparison: averaged, each single mode, mean, oracle, and the baseline."""
+    """The paper's comparison: averaged, each single mode, mean, oracle, and the baseline.
+
+    Laws of one mode are called by the names of `modes`, if given.
+    """
     laws: list[Law] = [AveragedPredictor(plant, gains, allow_unstable=allow_unstable)]
     if plant.modes > 1:
         laws += [
@@ -59,7 +65,7 @@ def comparison_laws(
         ExactPredictor(plant, gains, allow_unstable=allow_unstable),
         DelayedStateFeedback(plant, gains, allow_unstable=allow_unstable),
     ]
-    return {law.label: law for law in laws}
+    return {name_of(law, modes): law for law in laws}
 
 
 def _signal(modes: int, end: float, dwell: float, mean: float, seed: int) -> tuple:
@@ -176,6 +182,7 @@ def follower() -> Problem:
     poles = [-1.5, -2.0, -2.5]
     gains = place(plant, poles)
     mean = MeanPredictor(plant, place(plant.mean(), poles)[0], gains)
+    modes = ("throttle", "brake")
     signal, note = _signal(plant.modes, 15.0, dwell=1.0, mean=2.0, seed=140)
     return Problem(
         name="follower",
@@ -189,14 +196,14 @@ def follower() -> Problem:
         ),
         plant=plant,
         gains=gains,
-        laws=comparison_laws(plant, gains, mean),
+        laws=comparison_laws(plant, gains, mean, modes=modes),
         signal=signal,
         x0=np.array([1.0, -0.5, 0.0]),
         horizon=10.0,
         signals=SignalClass(1.0),
         mean_sojourn=2.0,
         states=("spacing error (m)", "relative speed (m/s)", "acceleration (m/s²)"),
-        modes=("throttle", "brake"),
+        modes=modes,
         notes=(
             note,
             "Which lag belongs to which actuator, unit actuator gains, the poles −1.5, −2, "
@@ -239,11 +246,12 @@ def is_named(place: Path) -> bool:
 
 
 def template(name: str) -> str:
-    """The commented file of a named problem.
+    """The commented file of a named problem, or of another example.
 
     Examples
     --------
     >>> "[plant]" in template("follower")
     True
     """
-    return files("deadtime.problems").joinpath("files", f"{name}.toml").read_text(encoding="utf-8")
+    place = files("deadtime.problems").joinpath("files", f"{name}.toml")
+    return place.read_text(encoding="utf-8").replace("#   (every kind)\n", in_comments())

@@ -11,13 +11,11 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.base.wording import input_names, numbered
+from deadtime.base.wording import input_names, numbered, with_names
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
 from deadtime.imperfections.disturbances import in_words
-from deadtime.laws import (
-    ExactPredictor,
-)
+from deadtime.laws import ExactPredictor
 from deadtime.plant import OperatingPoint, SwitchedSystem, Weight
 from deadtime.plant.plant_set import PlantUncertainty
 from deadtime.simulation import Trajectory, simulate
@@ -163,7 +161,7 @@ class Problem(Frozen):
 
     @property
     def imperfections_in_words(self) -> list[str]:
-        """The imperfections, as headings and sentences name them.
+        """The imperfections, as headings and sentences name them, with the names of modes.
 
         Examples
         --------
@@ -173,7 +171,7 @@ class Problem(Frozen):
         >>> problem.imperfections_in_words
         ['Noise(std=0.1)']
         """
-        return [in_words(each) for each in self.imperfections]
+        return [with_names(in_words(each), self.modes) for each in self.imperfections]
 
     @property
     def observer_alone_reads_mode(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from deadtime.base.checks import number
+from deadtime.base.checks import number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of, with_names
 from deadtime.problems.problem import Problem
@@ -59,9 +59,9 @@ switches at any time; sampling period 0.01 s; laws are told the mode 2 periods l
         )
 
 
-def step_of(problem: Problem) -> float:
-    """The sampling period of a problem, seconds; `STEP` where its loop is ideal."""
-    return problem.step or STEP
+def step_of(problem: Problem, wanted: float | None = None) -> float:
+    """What somebody wanted, or the period of a problem, seconds; `STEP` where its loop is ideal."""
+    return problem.step or STEP if wanted is None else positive("step", wanted)
 
 
 def dwell_time_of(

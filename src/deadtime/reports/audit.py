@@ -13,7 +13,7 @@ from deadtime.base.wording import amount, as_rate
 from deadtime.gains import place
 from deadtime.laws import AveragedPredictor, MeanPredictor
 from deadtime.problems import Problem
-from deadtime.problems.comparison import Progress
+from deadtime.problems.comparison import Progress, held_growth
 from deadtime.reports.audit_evidence import (
     BLOCKS,
     LEAD,
@@ -26,6 +26,7 @@ from deadtime.reports.audit_evidence import (
     is_stabilised,
     random_signals,
 )
+from deadtime.reports.verdict import held_in_words
 from deadtime.scenarios import monte_carlo
 from deadtime.scenarios.paired_statistics import Proportion
 from deadtime.switching import SwitchingSignal
@@ -68,10 +69,7 @@ def stabilises(evidence: AuditEvidence, name: str, where: str) -> Claim:
     problem, one, many = evidence.problem, evidence.one[name], evidence.many[name]
     good = is_stabilised(problem, many)
     start, end = np.linalg.norm(problem.x0), float(one["final_norm"][0])
-    rates = ", ".join(
-        f"{as_rate(rate)} /s in {mode}"
-        for mode, rate in zip(problem.modes, _constant_mode_growth(problem, name), strict=True)
-    )
+    judged, how = held_in_words(problem, held_growth(problem, problem.laws[name]))
     return Claim(
         key=f"{name}-stabilises",
         title=f"{NUMBER[name]} stabilises",
@@ -86,18 +84,9 @@ def stabilises(evidence: AuditEvidence, name: str, where: str) -> Claim:
         many=f"So on {Proportion.of(good)} signals; median |x| at the end "
         f"{amount(float(np.median(many['final_norm'])))}, largest "
         f"{amount(float(many['final_norm'].max()))}. A signal that stops switching keeps the "
-        f"dwell time, too; under constant switching signals |x| grows or decays at {rates}.",
+        f"dwell time, too; then the loop is {judged}: {how}.",
         proportion=Proportion.of(good),
     )
-
-
-def _constant_mode_growth(problem: Problem, name: str) -> list[float]:
-    """Growth rates with each mode held, 1/s."""
-    longer = replace(problem, horizon=4.0 * problem.horizon)
-    runs = [
-        longer.simulate(name, SwitchingSignal.constant(mode)) for mode in range(problem.plant.modes)
-    ]
-    return [-run.metrics()["decay_rate"] for run in runs]
 
 
 def single_is_worse(evidence: AuditEvidence, mode: int, name: str) -> Claim:

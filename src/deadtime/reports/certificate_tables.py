@@ -234,14 +234,12 @@ def left_out(problem: Problem) -> list[str]:
     return [said] * bool(named)
 
 
-def certificate_sentences(judged: Sequence[Judged]) -> list[str]:
+def certificate_sentences(judged: Sequence[Judged], modes: Sequence[str]) -> list[str]:
     """A sentence or two per law: the certificate's own words, or why there is none."""
     texts = []
     for one in judged:
-        said = one.reason if one.certificate is None else one.certificate.message
-        if one.certificate is not None and one.reason:
-            said += " " + one.reason
-        texts.append(f"{one.law}: {said}")
+        answer = "" if one.certificate is None else f"{one.certificate.message} "
+        texts.append(f"{one.law}: {with_names(f'{answer}{one.reason}'.rstrip(), modes)}")
     return texts
 
 
@@ -315,7 +313,7 @@ def delay_sentence(problem: Problem) -> list[str]:
     except ArgumentError:
         return []
     but = ", but for the imperfections," if problem.imperfections else ""
-    return [with_names(f"Under the law “{name}”{but} {margin.message}.", problem.modes)]
+    return [f"Under the law “{name}”{but} {with_names(margin.message, problem.modes)}."]
 
 
 def _decay(certificate: Certificate | None) -> str:
@@ -349,6 +347,11 @@ def bound_headings(
 
 def bounds_of(problem: Problem, dwell_time: float) -> dict[str, TheoremBound]:
     """The bound in those of its forms that the delays allow: printed, corrected, sharp."""
+    if problem.tracked:
+        raise ArgumentError(
+            "laws of a [servo] follow a reference, and the theorem is about those that bring the "
+            "state to 0: leave [servo] out, and give [gains] for the states alone."
+        )
     forms = stated_forms(problem.plant) or ("sharp",)
     return {
         form: theorem_bound(problem.plant, problem.gains, dwell_time, form=form) for form in forms

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from deadtime.base.wording import compact
 from deadtime.plant.discretisation import TOLERANCE
 from deadtime.plant.weight import Weight, record_of, text_of
 from deadtime.problems import Problem
-from deadtime.problems.comparison import Comparison
+from deadtime.problems.comparison import Comparison, ProblemRuns
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import events_of
 from deadtime.simulation.tracking import TRACKING, TRACKING_ERROR
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
-NEVER = "–"
-LEGEND = f"{NEVER}: not settled within the horizon"
+NEVER, SETTLES = "–", "settles, s"
+LEGEND = f"{NEVER}: not settled within the time shown"
 _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
 
 
@@ -34,6 +34,11 @@ def measure_title(measure: str, weight: Weight | None) -> str:
     if measure == "iae":
         return f"{TRACKING_ERROR} over the whole run"
     return f"Cost, {text_of(weight)}" if measure == "cost" else "∫|x|²"
+
+
+def settling_text(time: float) -> str:
+    """When a run settles, for tables; a dash where it does not."""
+    return f"{time:.2f}" if math.isfinite(time) else NEVER
 
 
 def heading_of(problem: Problem, output: int) -> str:
@@ -49,28 +54,26 @@ def heading_of(problem: Problem, output: int) -> str:
     return f"{problem.tracked[output]} after the last step of its reference"
 
 
-def heading_of_runs(problem: Problem, runs: Mapping[str, Trajectory], output: int) -> str:
-    """`heading_of` for one run of each law, with the event that ends what is shown."""
-    for run in runs.values():
-        if run.followed is not None:
+def tracking_of_runs(result: ProblemRuns) -> list[tuple[str, list[list[str]]]]:
+    """For every tracked output a heading and a row for each law, of its last step.
+
+    The window ends at the next event, which the heading of the first law's names.
+    """
+    problem, tables = result.problem, []
+    for output in range(len(problem.tracked)):
+        heading, rows = heading_of(problem, output), []
+        for name, run in result.runs.items():
+            if run.followed is None:
+                continue
             since = run.followed.changes(run.end, output)[-1]
             until = _next_event(problem, run, since)
-            to = (
-                "" if until is None else f", at {since:g} s, until the next event, at {until:.4g} s"
-            )
-            return heading_of(problem, output) + to
-    return heading_of(problem, output)
-
-
-def rows_of_runs(problem: Problem, runs: Mapping[str, Trajectory], output: int) -> list[list[str]]:
-    """A row for each run that follows a reference: from its last step to the next event."""
-    rows = []
-    for name, run in runs.items():
-        if run.followed is not None:
-            since = run.followed.changes(run.end, output)[-1]
-            info = run.step_info(output, until=_next_event(problem, run, since))
+            info = run.step_info(output, until=until)
+            if until is not None and not rows:
+                event = "switch" if until in run.signal.times else "event"
+                heading += f", at {since:g} s, until the next {event}, at {until:.4g} s"
             rows.append(_row(name, [info[key] for key in _NAMES]))
-    return rows
+        tables.append((heading, rows))
+    return tables
 
 
 def _next_event(problem: Problem, run: Trajectory, since: float) -> float | None:

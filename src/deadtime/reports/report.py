@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
-from deadtime.base.wording import file_name, with_names
+from deadtime.base.wording import file_name
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison, Progress, compare
@@ -57,10 +57,7 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     progress, problem = reporter("progress", progress), result.problem
     asked, step = signals_of(problem, result.signal), step_of(problem)
     judged = judge(problem, asked.signals, step, progress=progress)
-    sentences = [
-        *left_out(problem),
-        *(with_names(one, problem.modes) for one in certificate_sentences(judged)),
-    ]
+    sentences = [*left_out(problem), *certificate_sentences(judged, problem.modes)]
     figures = []
     reach = _tightness_figure(problem, asked.dwell.value, step, progress)
     if reach is not None:
@@ -251,13 +248,7 @@ def _write(
         picture=picture,
         headings=headings_of(result),
         rows=table(result),
-        tracking=[
-            (
-                metrics.heading_of_runs(problem, result.runs, i),
-                metrics.rows_of_runs(problem, result.runs, i),
-            )
-            for i in range(len(problem.tracked))
-        ],
+        tracking=metrics.tracking_of_runs(result),
         tracking_headings=metrics.HEADINGS,
         never=metrics.LEGEND,
         figures=images,
@@ -297,9 +288,6 @@ def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any]
 def _constants(result: Comparison) -> dict[str, Any]:
     """The theorem's constants in three forms, or why there are none."""
     problem = result.problem
-    if problem.tracked:
-        why = "The theorem is about laws that bring the state to 0; these follow a reference."
-        return {"rows": [], "sentence": why, "published": False}
     dwell_time, source = dwell_time_of(problem, result.signal)
     try:
         bounds = bounds_of(problem, dwell_time)

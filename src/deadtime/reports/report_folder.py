@@ -5,9 +5,10 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
@@ -15,6 +16,9 @@ from deadtime.base.errors import DeadtimeError
 from deadtime.base.files import Staging, unwritable
 from deadtime.base.json_records import json_text
 from deadtime.base.version import __version__
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 PAGE = "index.html"
 
@@ -67,13 +71,13 @@ def write_page(folder: Path, template: str, **parts: Any) -> None:
 
 
 def render(template: str, **parts: Any) -> str:
-    """A page by a template of `templates/`."""
+    """A page, or a part of one, by a template of `templates/`."""
+    return _environment().get_template(template).render(version=__version__, **parts)
+
+
+@cache
+def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader
 
-    environment = Environment(
-        loader=PackageLoader("deadtime.reports"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(version=__version__, **parts)
+    loader = PackageLoader("deadtime.reports")
+    return Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.law_registry import the_problem_law
 from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
-from deadtime.reports.metrics import NEVER
+from deadtime.reports.metrics import SETTLES, settling_text
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
@@ -45,7 +45,7 @@ def verdict(result: Comparison) -> list[str]:
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*result.problem.operating_sentences, *unit_checks_of(result.problem)]
     sentences += [_headline(result), *([lead] if lead else [])]
-    sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
+    sentences += [f"{name} was left out: {why}" for name, why in result.reasons.items()]
     sentences += _imperfections(result) + observer_reads_mode(result.problem, result.runs)
     sentences += _slow_observer(result) + _cost(result) + _best_follower(result)
     early = [name for name, run in result.runs.items() if _ends_early(result, run)]
@@ -182,38 +182,41 @@ def _best_follower(result: Comparison) -> list[str]:
 
 
 def _without_switching(result: Comparison) -> str:
-    names, growth = result.problem.modes, result.growth
     same = (
         "Without its imperfections the same loop"
         if result.problem.imperfections
         else "The same loop"
     )
-    least = least_growth(result.problem.plant)
+    judged, how = held_in_words(result.problem, result.growth)
+    if judged == "stable" or (judged == "unstable" and result.outcomes[result.lead].lost):
+        return f"{same} is {judged} without switching, too: {how}."
+    return f"Yet {same[0].lower()}{same[1:]} is {judged} if it stops switching: {how}."
+
+
+def held_in_words(problem: Problem, growth: Sequence[float]) -> tuple[str, str]:
+    """Whether a loop with these growth rates, 1/s, is stable with each mode held, and a clause why.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> held_in_words(dt.problems.follower(), [-0.5, 0.25])
+    ('unstable', 'held in brake it grows at +0.250 /s (in the other modes it decays)')
+    """
+    names, least = problem.modes, least_growth(problem.plant)
     unstable = [i for i, rate in enumerate(growth) if rate > least]
     still = [i for i, rate in enumerate(growth) if abs(rate) <= least]
     if still and not unstable:
         where = " and in ".join(names[i] for i in still)
-        return (
-            f"Yet {same[0].lower()}{same[1:]} does not come to 0 if it stops switching: held in "
-            f"{where} it neither grows nor decays."
-        )
+        return "not stable", f"held in {where} it neither grows nor decays"
     if not unstable:
         slowest = int(np.argmax(growth))
         rate = f" at {as_rate(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
-        return (
-            f"{same} is stable without switching, too: held in any one mode it decays, "
-            f"slowest in {names[slowest]}{rate}."
-        )
+        return "stable", f"held in any one mode it decays, slowest in {names[slowest]}{rate}"
     rates = [f"held in {names[i]} it grows at {_rate(growth[i])}" for i in unstable]
     rates[1:] = [text.replace("it grows ", "") for text in rates[1:]]
     calm = "does not grow" if still else "decays"
     others = "" if len(unstable) == len(growth) else f" (in the other modes it {calm})"
-    begin = (
-        f"{same} is unstable without switching, too: "
-        if result.outcomes[result.lead].lost
-        else f"Yet {same[0].lower()}{same[1:]} is unstable if it stops switching: "
-    )
-    return begin + ", ".join(rates) + others + "."
+    return "unstable", ", ".join(rates) + others
 
 
 def _rate(growth: float) -> str:
@@ -297,12 +300,11 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
             compact(row["energy"]),
             compact(row["cost"]),
             compact(row["peak"]),
-            f"{settling:.2f}" if math.isfinite(settling) else NEVER,
+            settling_text(result.outcomes[name].settling),
             *([] if followed else [as_rate(row["decay_rate"])]),
             compact(row["final_norm"]),
         )
         for name, row in result.metrics.items()
-        for settling in [result.outcomes[name].settling]
     ]
 
 
@@ -315,4 +317,4 @@ def headings_of(result: Comparison) -> tuple[str, ...]:
 
 
 DECAY = "decay, 1/s"  # of |x|, which a law with a reference does not bring to 0
-HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "peak |x|", "settles, s", DECAY, "|x(T)|")
+HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "peak |x|", SETTLES, DECAY, "|x(T)|")

@@ -56,8 +56,9 @@ class _Measured(Section):
     )
     model: Literal["modes", "mean"] | int = Field(
         "modes",
-        description='What it predicts with: "modes" the measured mode; "mean" the mean of all, or '
-        "a number that mode for ever, and then it reads no mode.",
+        description='The plant that it predicts with: "modes" the mode that is measured at each '
+        'sample; "mean" the mean of all modes, or the number of one of them, and then it reads no '
+        "mode.",
     )
 
 

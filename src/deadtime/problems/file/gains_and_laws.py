@@ -23,7 +23,7 @@ from deadtime.plant import SwitchedSystem, Weight
 from deadtime.problems.file import schema
 from deadtime.problems.file.estimators import build_mode_filter, observer_of
 from deadtime.problems.file.servo import FileServo
-from deadtime.problems.law_registry import LAWS, LawSetting, NamedLaw, build_law
+from deadtime.problems.law_registry import LAWS, LawSetting, NamedLaw, build_law, name_of
 from deadtime.problems.law_registry.entry import LawSection, ModelSection
 from deadtime.problems.toml import section as _section
 from deadtime.problems.toml.sections import kinds_of
@@ -131,7 +131,7 @@ class Laws:
                 law = build_law(section, own)
                 if section.low_pass is not None:
                     law = LowPassPredictor(law, section.low_pass)
-                name = section.name or _name_of(law)
+                name = section.name or name_of(law, self.file.plant.modes)
                 if name in laws:
                     raise ArgumentError(f"name {name!r} is used twice: give the law another name.")
                 laws[name] = law
@@ -214,7 +214,7 @@ class Laws:
         for known in usual:
             with _section("switching" if "model" in known.entry.needs else "gains"):
                 built = [known.build(setting, mode) for mode in known.modes(modes)]
-            laws |= {_name_of(law): law for law in built}
+            laws |= {name_of(law, self.file.plant.modes): law for law in built}
         return laws, {} if servo is None else dict.fromkeys(laws, servo)
 
     def _applies(self, known: NamedLaw, setting: LawSetting) -> bool:
@@ -235,11 +235,6 @@ def change_plant(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:
         array = mine if given is None else real_array(name, given, "(modes, n, n or m)", 3)
         parts[name] = require_shape(name, array, mine.shape, "that of [plant]")
     return SwitchedSystem(**parts, delay=plant.delays if own.delay is None else own.delay)
-
-
-def _name_of(law: Law) -> str:
-    """A law's name in a file, in which all are observed or none is."""
-    return law.label.removesuffix(", observed")
 
 
 def _period(file: schema.ProblemFile, plant: SwitchedSystem) -> float:

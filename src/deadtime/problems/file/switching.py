@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ from deadtime.switching import (
     SwitchingModel,
     SwitchingSignal,
 )
+from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import Instants
 
 
@@ -124,8 +127,47 @@ def _at_samples(
         step if least is None else least, section.maximum_dwell, section.transitions, "samples"
     )
     limits = asked.at_period(plant.modes, step)
-    drawn = _random(section, plant.modes, 2.0 * end)  # no sojourn is cut to less than half
-    most = np.floor(np.array(limits.maximum_dwell) / step + 1e-9)[drawn.modes[:-1]]
+    return whole_periods(
+        lambda reach: _random(section, plant.modes, reach), limits.maximum_dwell, step, end
+    )
+
+
+def whole_periods(
+    draw: Callable[[float], SwitchingSignal], longest: Sequence[float], step: float, end: float
+) -> SwitchingSignal:
+    """A drawn signal, its sojourns rounded up to whole periods, but to none beyond the longest.
+
+    `draw` takes how far the signal must reach, seconds; `longest` is that of every mode.
+    """
+    drawn = draw(2.0 * end)  # no sojourn is cut to less than half
+    most = np.floor(np.array(longest) / step + 1e-9)[drawn.modes[:-1]]
     counts = np.minimum(np.ceil(np.diff(drawn.times) / step - 1e-9), most)
     times = step * np.append(0.0, np.cumsum(counts))
     return SwitchingSignal(times[times < end], drawn.modes[times < end], end)
+
+
+@dataclass(frozen=True, eq=False)
+class WholePeriods:
+    """Signals of a model at samples: sojourns of `whole_periods`, one signal at a time."""
+
+    model: SwitchingModel
+    longest: tuple[float, ...]
+    step: float
+
+    def sample(self, horizon: float, seed: int = 0) -> SwitchingSignal:
+        return whole_periods(
+            lambda reach: self.model.sample(reach, seed), self.longest, self.step, horizon
+        )
+
+
+def drawn_as(
+    model: SwitchingModel, at: Instants, longest: PerMode | None, step: float
+) -> SwitchingModel | WholePeriods:
+    """What draws a model's signals for runs at a period: at samples only, where these are so.
+
+    `longest` is the longest sojourn, seconds, or one for every mode.
+    """
+    if at == "anywhere" or model.at_samples(step):
+        return model
+    limits = SignalClass(maximum_dwell=longest, at="samples").at_period(model.modes, step)
+    return WholePeriods(model, limits.maximum_dwell, step)

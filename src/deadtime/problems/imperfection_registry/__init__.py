@@ -46,6 +46,24 @@ def build_imperfection(section: ImperfectionSection) -> Imperfection:
     return section.made(**section.model_dump(exclude={"kind"}))
 
 
+def in_comments() -> str:
+    """Every kind with its keys, the optional ones in brackets, as comments of a problem file.
+
+    Examples
+    --------
+    >>> print(in_comments().splitlines()[3])
+    #   late-samples                   # periods, (probability): samples that come late
+    """
+    lines = []
+    for entry in ENTRIES:
+        keys = {key: field for key, field in entry.model_fields.items() if key != "kind"}
+        told = ", ".join(key if one.is_required() else f"({key})" for key, one in keys.items())
+        about = (entry.__doc__ or "").splitlines()[0].rstrip(".")
+        kind = f"#   {kinds_of(entry)[0]}"
+        lines.append(f"{kind:<35}# {told}: {about[:1].lower()}{about[1:]}\n")
+    return "".join(lines)
+
+
 def collect(modules: Iterable[ModuleType]) -> tuple[Entry, ...]:
     """The entries of some modules, in their order there; refused if one is not whole."""
     return entries_in("imperfection", ImperfectionSection, modules, _require_whole, _names)

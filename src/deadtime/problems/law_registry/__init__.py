@@ -5,11 +5,12 @@ A law is known everywhere once it has an entry: a file in `deadtime.problems.law
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from types import ModuleType
 from typing import Any, NamedTuple, cast
 
+from deadtime.base.wording import with_names
 from deadtime.feedback import Law
 from deadtime.problems.law_registry import entries
 from deadtime.problems.law_registry.entry import LEVELS, NEEDS, LawSection, LawSetting, Named
@@ -116,6 +117,22 @@ MODEL_KINDS = frozenset(kinds_of(entry)[0] for entry in ENTRIES if "model" in en
 QUICK: Mapping[str, int] = {
     kinds_of(entry)[0]: cast(int, entry.quick) for entry in ENTRIES if entry.quick is not None
 }
+
+
+def name_of(law: Law, modes: Sequence[str] = ()) -> str:
+    """The name of a law that is given none: its label, with the names of modes, if all differ.
+
+    All laws of a file are observed or none is, so that this is no part of a name.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.follower()
+    >>> name_of(dt.SingleModePredictor(problem.plant, problem.gains, 1), problem.modes)
+    'brake only'
+    """
+    told = modes if len(set(modes)) == len(modes) else ()
+    return with_names(law.label.removesuffix(", observed"), told)
 
 
 def the_law(name: str) -> str:

@@ -258,23 +258,37 @@ def plot_norms(
         figure = new_figure(WIDTH, height, width)
         columns = legend_columns(figure, runs, 3, beside=0.65)
         panels = figure.subplots(len(groups), sharex=True, sharey=True, squeeze=False)[:, 0]
-        looks = looks_of(list(runs))
         for panel, group in zip(panels, groups, strict=True):
-            for line, name in zip(LINES, group, strict=False):
-                time, norm = runs[name].time, visible(norms[name])
-                panel.semilogy(
-                    time, norm, linestyle=line, color=looks[name].colour, label=plain(name)
-                )
+            panel.set_yscale("log")
+            _add_laws(panel, group, runs, {name: visible(norms[name]) for name in group}, columns)
             panel.set_ylabel("|x|")
-            panel.legend(
-                loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6
-            )
         panels[0].set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
-        panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
-        panels[-1].set_xlabel("time (s)")
-        if title:
-            figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
+        _finish(figure, panels, runs, title)
     return figure
+
+
+def _add_laws(
+    panel: Axes,
+    group: Sequence[str],
+    runs: Mapping[str, Trajectory],
+    rows: Mapping[str, np.ndarray],
+    columns: int,
+) -> None:
+    """Curves of at most five laws, and a legend above them."""
+    looks = looks_of(list(runs))
+    for line, name in zip(LINES, group, strict=False):
+        look: Any = {"linestyle": line, "color": looks[name].colour, "label": plain(name)}
+        panel.plot(runs[name].time, rows[name], **look)
+    panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6)
+
+
+def _finish(
+    figure: Figure, panels: np.ndarray, runs: Mapping[str, Trajectory], title: str | None
+) -> None:
+    panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+    panels[-1].set_xlabel("time (s)")
+    if title:
+        figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
 
 
 def plot_tracking(
@@ -294,12 +308,12 @@ def plot_tracking(
     outputs : sequence of str, optional
         Names of what follows, with units; numbered by default.
     """
-    tracked = {name: run.tracked for name, run in runs.items()}
-    count = min(0 if y is None else len(y) for y in tracked.values())
+    tracked = {name: y for name, run in runs.items() if (y := run.tracked) is not None}
+    count = min(map(len, tracked.values())) if len(tracked) == len(runs) else 0
     if count == 0:
         raise ArgumentError("runs must all follow a reference: draw others by their norms.")
     named = list(map(plain, outputs or numbered("y", count)))
-    groups, looks = _shared_out(list(runs)), looks_of(list(runs))
+    groups = _shared_out(list(runs))
     rows = [(i, group) for i in range(count) for group in groups]
     with rc_context(style_of(width)):
         height = 0.9 + (2.4 if len(rows) == 1 else 1.8) * len(rows)
@@ -311,25 +325,10 @@ def plot_tracking(
             assert first.reference is not None
             look: Any = {"color": COLOURS[6], "drawstyle": "steps-post", "linewidth": 1.0}
             panel.plot(first.time, first.reference[i], linestyle=":", label="reference", **look)
-            for line, name in zip(LINES, group, strict=False):
-                y = tracked[name]
-                assert y is not None
-                panel.plot(
-                    runs[name].time,
-                    y[i],
-                    linestyle=line,
-                    color=looks[name].colour,
-                    label=plain(name),
-                )
+            _add_laws(panel, group, runs, {name: tracked[name][i] for name in group}, columns)
             panel.set_ylim(*_tracking_frame(runs, i))
             panel.set_ylabel(named[i])
-            panel.legend(
-                loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6
-            )
-        panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
-        panels[-1].set_xlabel("time (s)")
-        if title:
-            figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
+        _finish(figure, panels, runs, title)
     return figure
 
 

@@ -20,13 +20,14 @@ from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.estimators import build_mode_filter
 from deadtime.problems.file.gains_and_laws import as_numbers
 from deadtime.problems.file.load import build_what_can
-from deadtime.problems.file.switching import promise_of
+from deadtime.problems.file.switching import drawn_as, promise_of
 from deadtime.problems.law_registry import LawSetting
 from deadtime.problems.switching_assumptions import random_model
 from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, COARSE, INPUT_WEIGHT, Draft, axis_of, kinds_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SwitchingModel
+from deadtime.switching.signal_class import Instants
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
 
@@ -101,10 +102,14 @@ class FileStudy(Study):
             laws, reasons = self._place_laws(file, problem, model, cell.values.get("dwell_time"))
         if problem.step is None:
             raise ArgumentError('step = "ideal" has no samples: give the study a step.')
+        longest = getattr(file.signal, "maximum_dwell", None)
+        if file.switching is not None:
+            _, longest, _ = file.switching.promise(model)
+        at: Instants = getattr(file.signal, "at", "anywhere")
         return Loop(
             problem.plant,
             laws,
-            model,
+            drawn_as(model, at, longest, problem.step),
             problem.x0,
             problem.horizon,
             problem.step,
@@ -156,10 +161,6 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> SwitchingModel
             return file.switching.model(modes, folder)
     signal = file.signal
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
-        if signal.at == "samples":
-            raise ArgumentError(
-                "a study draws switches between samples: leave at out of the file's [signal]."
-            )
         own = promise_of(file, None, modes).limits(modes)
         return random_model(own, signal.mean_sojourn)
     raise ArgumentError(

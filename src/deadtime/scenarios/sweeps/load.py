@@ -159,11 +159,6 @@ def _require(file: StudyFile, base: _Base, grid: Mapping[str, tuple]) -> None:
         (problem.plant.modes < 2, "its plant has one mode: a study needs two."),
         (not problem.x0.any(), "its x0 is 0, from where every law stays at 0."),
         (signal in schema.RULES, "its state decides the mode: give it a signal."),
-        (
-            base.draft["signal"].get("at") == "samples",
-            "its modes change at samples only, and studies draw instants between them: leave at "
-            'out of its [signal], or draw it from a [switching] of kind = "markov-chain".',
-        ),
         (bool(np.any(problem.u0)), "its u0 must be 0, as all Monte Carlo runs have it."),
         (problem.predict != "applied", 'its predict must be "applied".'),
         (

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
-from deadtime.base.figure_files import Width, inches, new_figure, style_of
+from deadtime.base.figure_files import Width, inches, legend_columns, new_figure, style_of
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.reports.figures.colours import colours_of
 from deadtime.reports.figures.sweeps.maps import linear_ticks, log_ticks
@@ -204,8 +204,7 @@ def add_legend(figure: Figure, laws: Sequence[tuple[str, Mark]], joined: bool) -
         else:
             shade = {"color": "#555555", "alpha": 0.5 if width > 1.0 else 1.0}
             keys.append(Line2D([], [], linewidth=width, label=label, **shade))
-    longest = max(len(str(key.get_label())) for key in keys)
-    columns = max(1, min(len(keys), int(15.0 * figure.get_figwidth()) // (longest + 6)))
+    columns = legend_columns(figure, (str(key.get_label()) for key in keys), len(keys))
     figure.legend(handles=keys, loc="outside lower center", ncols=columns)
 
 

@@ -18,6 +18,7 @@ from matplotlib.colors import LogNorm, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from deadtime.base.figure_files import legend_columns
 from deadtime.base.figure_style import STYLE, plain
 from deadtime.reports.figures.sweeps.panels import (
     HATCH,
@@ -122,15 +123,9 @@ def winners(
         keys.append(Patch(facecolor="white", edgecolor=HATCH, hatch="////", lw=0.0, label="tied"))
         if waiting is not None:
             keys += keys_of(found["winner"] < 0, waiting)
-        longest = max(len(str(key.get_label())) for key in keys)
-        columns = 5 if waiting is None else _columns(float(figure.get_figwidth()), longest)
+        columns = legend_columns(figure, (str(key.get_label()) for key in keys), 5)
         figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=1.6)
     return figure
-
-
-def _columns(width: float, longest: int) -> int:
-    """How many legend columns fit a figure's width, in inches."""
-    return max(1, min(5, int(13.5 * width) // (longest + 6)))
 
 
 def keys_of(empty: xr.DataArray, waiting: xr.DataArray) -> list[Patch]:
