@@ -12,11 +12,12 @@ import numpy as np
 from deadtime.base.checks import read_only
 from deadtime.feedback import Law
 from deadtime.feedback.memory import Tables
-from deadtime.feedback.table import OLDEST, follow
+from deadtime.feedback.table import OLDEST
 from deadtime.imperfections import Disturbance, Sizes
 from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.loop.belief_steps import BeliefState
 from deadtime.loop.observer_steps import ObserverState
+from deadtime.loop.received_samples import rows_of_run
 from deadtime.plant.discretisation import snap
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.forcing import Forcing
@@ -142,11 +143,14 @@ def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) ->
     if feedback is None:
         none = read_only(np.zeros((1, 1, 0)))
         return Rows(none, none, read_only(np.zeros(modes.size, np.int64)), read_only(modes))
-    if arrays is None:
+    row = None
+    if arrays is not None:
+        reported = arrays.heard.modes(modes)
+        assumed = rows_of_run(reported, modes, age)
+        if feedback.context != "step":
+            row = rows_of_run(reported, modes, age, feedback.apart, feedback.ages)
+    if row is None:
         row = feedback.rows(modes, age)
-    else:
-        modes, ages = follow(arrays.heard.modes(modes), modes, age)
-        row, assumed = feedback.rows_at(modes, ages), np.maximum(modes, 0)
     F, G = feedback.state_gain, read_only(feedback.oldest_first)
     return Rows(F, G, row, read_only(assumed))
 

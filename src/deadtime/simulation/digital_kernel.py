@@ -16,6 +16,7 @@ from deadtime.imperfections.sensors_and_actuators import limit_input
 from deadtime.loop.belief_steps import believe
 from deadtime.loop.observer_steps import observe
 from deadtime.loop.preview_steps import answer_ahead, enter_piece, move_window, predict_ahead
+from deadtime.loop.received_samples import is_held
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.pieces import PieceTable, up_to
@@ -168,15 +169,6 @@ def _within_limit(path, q):
     return square <= 1.0
 
 
-@kernel
-def _finite(a):
-    """Whether all are finite."""
-    finite = True
-    for i in range(a.size):
-        finite &= np.isfinite(a[i])
-    return finite
-
-
 # A call that hands over a tuple of arrays, or many of them, costs as much as 50 terms.
 @kernel(forceinline=True)
 def _apply(answer, held, at, asked, inputs, low, high, relative):
@@ -307,9 +299,7 @@ def closed_loop(
                 # Before the limits: the sums of errors must see what those refuse.
                 for i in range(m):
                     observer.asked[i] = answer[i]
-            # An observer or a filter has an answer to a lost sample: then nothing is held.
-            held = not (_finite(seen) or _finite(answer))
-            _apply(answer, held, at, asked, inputs, low, high, relative)
+            _apply(answer, is_held(seen, answer), at, asked, inputs, low, high, relative)
         for q in range(first[k], first[k + 1]):
             e = entry[q]
             for i in range(m):

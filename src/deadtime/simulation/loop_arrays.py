@@ -26,13 +26,11 @@ from deadtime.imperfections import (
 )
 from deadtime.imperfections.received import is_known, relayed
 from deadtime.imperfections.sensors_and_actuators import InputLimits
-from deadtime.loop.preview_steps import (
-    PreviewSizes,
-    PreviewState,
-)
+from deadtime.loop.preview_steps import PreviewSizes, PreviewState
+from deadtime.loop.received_samples import MeasurementLags, lags_of, lags_of_run
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.discretisation import Cuts, snap, snap_all
+from deadtime.plant.discretisation import Cuts, snap
 from deadtime.plant.pieces import PieceTable, up_to
 from deadtime.simulation.initial_input import InitialInput, held_samples
 from deadtime.switching import SwitchingSignal
@@ -41,53 +39,14 @@ from deadtime.switching.grid import cuts_of
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
 
 
-class MeasurementLags(NamedTuple):
-    """How long before its sample each state is measured, seconds.
-
-    missing : (samples,), of which what was before time 0 is missing
-    early : (samples,), of which time 0 is taken instead
-
-    Of many runs there is an axis of these in front; an axis of length 1 is the same for all.
-    """
-
-    missing: Float[np.ndarray, "*runs sample"]
-    early: Float[np.ndarray, "*runs sample"]
-
-    def instants(self, h: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """The period, −1 before time 0, and the seconds into it at which each state is measured."""
-        k = np.arange(samples)
-        ratio = np.maximum(0.0, snap_all(k - (self.missing + self.early) / h))
-        whole = np.floor(ratio)
-        step = np.where(snap_all(k - self.missing / h) < 0.0, -1, whole.astype(np.int64))
-        return step, (ratio - whole) * h
-
-    @classmethod
-    def of(cls, pairs: Pairs, sizes: Sizes, samples: int) -> MeasurementLags | None:
-        """The lags of a run, None where every state is measured at its sample."""
-        timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
-        if not timings:
-            return None
-        sums = cls(np.zeros(samples), np.zeros(samples))
-        for each, rng in timings:
-            sums[0 if each.waits else 1][:] += lags_of(each, sizes, samples, rng)
-        return sums
-
-
-def lags_of(
-    each: TimingImperfection, sizes: Sizes, samples: int, rng: np.random.Generator
-) -> Float[np.ndarray, " sample"]:
-    """Its lags; refused where they do not fit, as compiled loops look back by them."""
-    name, found = f"{type(each).__name__}.lags", np.asarray(each.lags(sizes, samples, rng))
-    if found.dtype.kind not in "fiu" or found.shape != (samples,):
-        raise ArgumentError(
-            f"{name} must return seconds of shape (samples,) = {(samples,)}, got {found.dtype} of "
-            f"shape {found.shape}."
-        )
-    wrong = ~((found >= 0.0) & (found < np.inf))
-    if wrong.any():
-        k = int(wrong.argmax())
-        raise ArgumentError(f"{name} must return finite seconds ≥ 0, got {found[k]} at sample {k}.")
-    return found.astype(float)
+def lags_among(pairs: Pairs, sizes: Sizes, samples: int) -> MeasurementLags | None:
+    """The measurement lags of a run, None where every state is measured at its sample."""
+    timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
+    if not timings:
+        return None
+    return MeasurementLags.of(
+        (each, lags_of(each, sizes, samples, rng)[None]) for each, rng in timings
+    )
 
 
 class Arrays(NamedTuple):
@@ -108,7 +67,7 @@ class Arrays(NamedTuple):
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> Arrays:
         """The arrays of a run; everything random is drawn from the streams."""
         commanded, heard = tells_commands(predict), heard_of(pairs, sizes, samples)
-        lags = MeasurementLags.of(pairs, sizes, samples)
+        lags = lags_among(pairs, sizes, samples)
         return cls(heard, lags, InputLimits.of([each for each, _ in pairs], sizes), commanded)
 
 
@@ -270,17 +229,17 @@ class Sight(NamedTuple):
         C = np.empty((1, 0, n)) if outputs is None else outputs
         force = np.zeros((table.entry.size, 0)) if forces is None else forces
         heard, noise = np.arange(modes.size), np.empty((0, 0))
-        piece = table.first[: modes.size]
+        step, piece = heard, table.first[: modes.size]
+        ways = np.full(heard.size, -1), np.empty((0, n, n)), np.empty((0, n, m))
         if arrays is not None:
             heard, noise = arrays.heard.sample, arrays.heard.noise
-            piece = np.where(heard < 0, -1, table.first[heard])
-        if arrays is not None and arrays.lags is not None:
-            place = _within(arrays.lags, heard, sampled, table, cuts, through)
-        else:
-            ways = np.full(heard.size, -1), np.empty((0, n, n)), np.empty((0, n, m))
-            place = piece, heard, *ways
+            lag, offset = lags_of_run(heard, arrays.lags, sampled.step)
+            step = np.where(lag < 0, -1, np.arange(heard.size) - lag)
+            piece = np.where(lag < 0, -1, table.first[step])
+            if offset.any():
+                piece, *ways = _within(piece, step, offset, sampled, table, cuts, through)
         mode = np.zeros(heard.size, np.int64) if outputs is None else modes[heard]
-        return cls(*map(read_only, (*place, force, noise, C, mode)))
+        return cls(*map(read_only, (piece, step, *ways, force, noise, C, mode)))
 
 
 @kernel
@@ -299,19 +258,17 @@ def ways(A, B, table, cut_offset, cut_mode, entry, offset):
 
 
 def _within(
-    lags: MeasurementLags,
-    heard: np.ndarray,
+    piece: Int[np.ndarray, " sample"],
+    step: Int[np.ndarray, " sample"],
+    offset: Float[np.ndarray, " sample"],
     sampled: SampledPlant,
     table: PieceTable,
     cuts: Cuts,
     through: np.ndarray | None,
 ) -> tuple[np.ndarray, ...]:
-    """`piece`, `step`, `way`, `Phi` and `Gamma` of measurements that may lie within periods."""
+    """`piece`, `way`, `Phi` and `Gamma` of measurements that may lie within periods."""
     A, B = sampled.plant.A, sampled.plant.B
-    measured, offset = lags.instants(sampled.step, heard.size)
-    step = np.where(heard < 0, -1, measured[heard])
-    offset = np.where(step < 0, 0.0, offset[heard])
-    piece, way, inside = table.first[step], np.full(step.size, -1), np.flatnonzero(offset > 0.0)
+    way, inside = np.full(step.size, -1), np.flatnonzero(offset > 0.0)
     first, stop = table.first[step[inside]], table.first[step[inside] + 1]
     for more in range(1, int((stop - first).max(initial=0))):
         q = np.minimum(first + more, stop - 1)
@@ -322,8 +279,7 @@ def _within(
     if through is not None:
         B = read_only(np.concatenate((B, through), axis=2))
     entry, at = distinct.real.astype(np.int64), distinct.imag.copy()
-    Phi, Gamma = ways(A, B, table, cuts.offset, cuts.mode, entry, at)
-    return np.where(step < 0, -1, piece), step, way, Phi, Gamma
+    return piece, way, *ways(A, B, table, cuts.offset, cuts.mode, entry, at)
 
 
 class Along(NamedTuple):

@@ -27,10 +27,11 @@ from deadtime.imperfections import (
     SensorImperfection,
     Sizes,
 )
+from deadtime.loop.received_samples import MeasurementLags, is_held, lags_of_run
 from deadtime.plant.discretisation import snap
 from deadtime.simulation.digital import Drawn, RunOutcome, Told, initial_age
 from deadtime.simulation.digital_record import DigitalRecord, slides_in_words
-from deadtime.simulation.loop_arrays import LIMIT, Grid, MeasurementLags, tells_commands
+from deadtime.simulation.loop_arrays import LIMIT, Grid, lags_among, tells_commands
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.grid import modes_at
@@ -48,7 +49,7 @@ class ImperfectLaw:
     ----------
     update : Update
         The law.
-    lags : Lags or None
+    lags : MeasurementLags or None
         How long before each sample its state is to be measured.
     measured : (samples, n) or (samples, p)
         The measurements of x or y that the law received, NaN where nothing arrived.
@@ -73,7 +74,7 @@ class ImperfectLaw:
         self._actuators = [
             each.actuator(sizes) for each, _ in pairs if isinstance(each, ActuatorImperfection)
         ]
-        self.lags = MeasurementLags.of(pairs, sizes, samples)
+        self.lags = lags_among(pairs, sizes, samples)
         self.update = update
         self._line: np.ndarray | None = None
         self._mode, self._age = -1, 0
@@ -115,9 +116,9 @@ class ImperfectLaw:
     def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
         asked = self.update(x, past, max(self._mode, 0), self._age)
         asked = require_input(asked, past.shape[1])
-        if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
-            return asked
-        return self.commanded[-1] if self.commanded else past[-1].copy()
+        if is_held(x, asked):
+            return self.commanded[-1] if self.commanded else past[-1].copy()
+        return asked
 
 
 class _Stop(NamedTuple):
@@ -204,7 +205,9 @@ def _run(
     """Run over the samples and on until an input is missing, as `kernel.closed_loop` does."""
     h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
     path, first = [x0], [0]
-    measured = None if lags is None else [part.tolist() for part in lags.instants(h, kept)]
+    measured = None
+    if lags is not None:
+        measured = [part.tolist() for part in lags_of_run(np.arange(kept), lags, h)]
     stop, last = None, None
     for k in range(grid.periods):
         x, now = path[-1], past + k
@@ -219,8 +222,8 @@ def _run(
                 last = truth.mode
                 seen = x
                 if measured is not None:
-                    j, offset = measured[0][k], measured[1][k]
-                    seen = _measured(truth, j, offset, path, first, grid)
+                    lag, offset = measured[0][k], measured[1][k]
+                    seen = _measured(truth, k, lag, offset, path, first, grid)
                 try:
                     asked = update(seen, inputs[:now], last, age)
                     inputs[now] = require_input(asked, inputs.shape[1])
@@ -237,11 +240,18 @@ def _run(
 
 
 def _measured(
-    truth: Truth, j: int, offset: float, path: list[np.ndarray], first: list[int], grid: Grid
+    truth: Truth,
+    k: int,
+    lag: int,
+    offset: float,
+    path: list[np.ndarray],
+    first: list[int],
+    grid: Grid,
 ) -> np.ndarray:
-    """x at t_j + offset; NaN where j is −1, as nothing has arrived."""
-    if j < 0:
+    """x at t_k − lag·h + offset; NaN where the lag is −1, as nothing has arrived."""
+    if lag < 0:
         return np.full(path[0].size, np.nan)
+    j = k - lag
     return path[first[j]] if offset == 0.0 else truth.within(j, offset, path, grid.acting)
 
 
