@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,9 @@ from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback.table import age_after, row_at
-from deadtime.imperfections import Sizes, TimingImperfection
+from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes, TimingImperfection
+from deadtime.imperfections.received import is_known, relayed
+from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.discretisation import snap
 
@@ -50,6 +52,9 @@ class Received(NamedTuple):
     mode: np.ndarray
 
 
+Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
+
+
 class MeasurementLags(NamedTuple):
     """How long before its sample each state is measured, seconds, (run, sample).
 
@@ -69,6 +74,13 @@ class MeasurementLags(NamedTuple):
             sums[place] = sums[place] + more
         return cls(*sums)
 
+    @classmethod
+    def of_run(cls, pairs: Pairs, sizes: Sizes, samples: int) -> MeasurementLags | None:
+        """Those of a run, None where every state is measured at its sample."""
+        timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
+        lags = [(each, lags_of(each, sizes, samples, rng)[None]) for each, rng in timings]
+        return cls.of(lags) if lags else None
+
 
 def lags_of(
     each: TimingImperfection, sizes: Sizes, samples: int, rng: np.random.Generator
@@ -85,6 +97,54 @@ def lags_of(
         k = int(wrong.argmax())
         raise ArgumentError(f"{name} must return finite seconds ≥ 0, got {found[k]} at sample {k}.")
     return found.astype(float)
+
+
+class DrawnImperfections(NamedTuple):
+    """The imperfections of a run as arrays, all draws made; independent of plant and signal.
+
+    Attributes
+    ----------
+    commanded : bool
+        Whether the law takes the inputs that it asked for to be those applied.
+    """
+
+    heard: Heard
+    lags: MeasurementLags | None
+    limits: InputLimits
+    commanded: bool
+
+    @classmethod
+    def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> DrawnImperfections:
+        """The arrays of a run; everything random is drawn from the streams."""
+        commanded, heard = tells_commands(predict), Heard.perfect(samples, sizes)
+        for each, rng in pairs:
+            if isinstance(each, Relaying):
+                heard = relayed(each, heard, sizes, rng)
+        lags = MeasurementLags.of_run(pairs, sizes, samples)
+        return cls(heard, lags, InputLimits.of([each for each, _ in pairs], sizes), commanded)
+
+
+def tells_commands(predict: str) -> bool:
+    """Whether the law's past inputs are those asked for."""
+    if predict not in ("applied", "commanded"):
+        raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
+    return predict == "commanded"
+
+
+def takes(pairs: Pairs) -> bool:
+    """Whether the compiled loop takes them all.
+
+    Examples
+    --------
+    >>> from deadtime.imperfections import Dropout, Noise, SensorImperfection
+    >>> class Own(SensorImperfection):
+    ...     def sensor(self, sizes, rng):
+    ...         return lambda seen: seen
+    >>> rng = np.random.default_rng(0)
+    >>> takes([(Noise(0.1), rng), (Dropout(0.1), rng)]), takes([(Noise(0.1), rng), (Own(), rng)])
+    (True, False)
+    """
+    return all(is_known(each) for each, _ in pairs)
 
 
 @kernel(nogil=True)
