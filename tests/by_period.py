@@ -6,8 +6,8 @@ import deadtime as dt
 import plants
 from by_sample import by_sample
 from deadtime.imperfections import Disturbance, Noise, RateLimit, Saturation, Sizes, streams
-from deadtime.simulation.loop_arrays import Grid
 from deadtime.simulation.online import ImperfectLaw, run_online
+from deadtime.simulation.truth import Grid, KnownTruth
 
 MODEL = plants.generic()
 # Not what the law believes: N = 3, φ = 0.051 and other matrices.
@@ -29,7 +29,7 @@ def by_periods(plant, law, signal, x0, horizon, step, kinds, predict, u0):
     sizes = Sizes(plant.modes, measured, plant.inputs, step)
     others = [(by_sample(kind), rng) for kind, rng in others]
     imperfect = ImperfectLaw(update, sizes, others, predict, grid.samples, law.outputs)
-    return run_online(law, signal, x0, horizon, grid, imperfect, forces)
+    return run_online(imperfect, KnownTruth(grid, signal, forces), x0, horizon)
 
 
 def same(value, reference):

@@ -220,12 +220,12 @@ def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(monkeypat
     from deadtime.laws.tables import along_signal as rows
     from deadtime.numerics import exponential, kernels
     from deadtime.plant import pieces
-    from deadtime.simulation import digital_kernel
+    from deadtime.simulation import digital_kernel, record_kernel
 
     monkeypatch.setattr(kernels, "WISH", "always")
     compiled = [
         function.dispatcher
-        for module in (digital_kernel, rows, pieces, exponential)
+        for module in (digital_kernel, record_kernel, rows, pieces, exponential)
         for function in vars(module).values()
         if isinstance(function, kernels.Kernel)
     ]

@@ -22,10 +22,10 @@ from deadtime.imperfections import (
     StepDisturbance,
     TimingImperfection,
 )
+from deadtime.loop.received_samples import DrawnImperfections
 from deadtime.scenarios import scenario_seed
 from deadtime.scenarios.sweeps.blocks import _ALONE, _of_law
 from deadtime.scenarios.sweeps.study import Loop
-from deadtime.simulation.loop_arrays import Arrays
 from shares import mostly_long
 
 LAW = plants.LAWS["averaged"](MODEL)
@@ -138,7 +138,7 @@ WRONG = [
 @pytest.mark.parametrize(("own", "message"), WRONG)
 def test_an_answer_that_does_not_fit_is_refused_by_its_name(own, message):
     with pytest.raises(ArgumentError, match=message):
-        Arrays.of([(own, np.random.default_rng(0))], SIZES, 21, "applied")
+        DrawnImperfections.of([(own, np.random.default_rng(0))], SIZES, 21, "applied")
 
 
 @pytest.mark.parametrize("own", [own for own, _ in WRONG[:-6]])
@@ -157,7 +157,7 @@ def test_small_and_unsigned_integers_fit():
     own = Own(sample=lambda a: a.astype(np.uint64), mode_of=lambda a: a.astype(np.int32))
     run = require_same(LAW, [own])
     assert (run.measured == run.states[:, : run.measured.shape[1]]).all()
-    heard = Arrays.of([(own, np.random.default_rng(0))], SIZES, 5, "applied").heard
+    heard = DrawnImperfections.of([(own, np.random.default_rng(0))], SIZES, 5, "applied").heard
     assert {part.dtype.str[1:] for part in heard} == {"i8", "f8"}
 
 

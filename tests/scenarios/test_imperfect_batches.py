@@ -6,7 +6,6 @@ import pytest
 import deadtime as dt
 import plants
 from batches import require_single_runs
-from deadtime.feedback.table import follow
 from deadtime.imperfections import (
     Dropout,
     Jitter,
@@ -21,6 +20,7 @@ from deadtime.imperfections import (
     WhiteDisturbance,
     WrongMode,
 )
+from deadtime.loop.received_samples import fill_rows, rows_of_run
 from deadtime.plant import SampledPlant
 from deadtime.scenarios import draw_signals
 from deadtime.scenarios.batch_loop import Loop
@@ -147,9 +147,9 @@ def test_blocks_in_which_all_that_is_heard_is_kept_are_smaller():
     assert _block(loop, [*limits, Noise(0.1)]) == 24
 
 
-def plain_follow(told, sampled, age):
-    """`follow` by a loop over the samples."""
-    mode, modes, ages, last, before = -1, [], [], None, None
+def plain_rows(told, sampled, age, apart, ages):
+    """The rows of one run by a loop over the samples."""
+    mode, rows, last, before = -1, [], None, None
     for now, true in zip(told, sampled, strict=True):
         if mode < 0:
             age = age if last is None else age + 1 if true == before else 0
@@ -158,22 +158,22 @@ def plain_follow(told, sampled, age):
             age = 0 if now not in (-1, mode) else age + 1
             mode = mode if now < 0 else now
         last, before = mode, true
-        modes.append(mode)
-        ages.append(age)
-    return modes, ages
+        rows.append(max(mode, 0) * apart + min(age, ages - 1))
+    return rows
 
 
-def test_a_law_follows_the_modes_that_it_is_told_in_many_runs_at_once():
+@pytest.mark.parametrize(("apart", "ages"), [(30, 30), (9, 9), (1, 1), (0, 1)])
+def test_a_law_follows_the_modes_that_it_is_told_in_many_runs_as_in_one(apart, ages):
     rng = np.random.default_rng(0)
     sampled = np.repeat(rng.integers(0, 3, (40, 12)), 4, axis=1)
     told = np.where(rng.random(sampled.shape) < 0.5, -1, sampled)
     told[0], told[1, :20] = -1, -1
     age = rng.integers(0, 7, 40)
-    modes, ages = follow(told, sampled, age)
+    row = np.empty(sampled.size, np.int32)
+    fill_rows(row, told, sampled, age, apart, ages, (0.0,) * 8)
+    together = row.reshape(5, -1, 8).swapaxes(1, 2).reshape(40, -1)
     for i in range(40):
-        wanted = plain_follow(told[i], sampled[i], int(age[i]))
-        np.testing.assert_array_equal(modes[i], wanted[0])
-        np.testing.assert_array_equal(ages[i], wanted[1])
-        alone = follow(told[i], sampled[i], int(age[i]))
-        np.testing.assert_array_equal(alone[0], modes[i])
-        np.testing.assert_array_equal(alone[1], ages[i])
+        wanted = plain_rows(told[i], sampled[i], int(age[i]), apart, ages)
+        np.testing.assert_array_equal(together[i], wanted)
+        alone = rows_of_run(told[i], sampled[i], int(age[i]), apart, ages)
+        np.testing.assert_array_equal(alone, wanted)

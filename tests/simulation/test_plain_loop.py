@@ -6,7 +6,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.imperfections import Noise, Saturation
-from deadtime.simulation import digital_kernel
+from deadtime.simulation import digital_kernel, record_kernel
 
 SIGNAL = dt.SwitchingSignal([0.0, 0.33, 0.71, 1.4], [0, 1, 0, 1])
 
@@ -67,7 +67,7 @@ def test_a_run_of_which_more_is_asked_goes_by_arrays(monkeypatch, imperfection):
 
 
 def test_integrals_have_the_bits_of_the_kernel():
-    form = digital_kernel.form_integral
+    form = record_kernel.form_integral
     rng = np.random.default_rng(4)
     for n, m in ((1, 1), (2, 1), (3, 2), (5, 4)):
         M, entry = rng.normal(size=(6, n + m, n + m)), rng.integers(0, 6, 50)

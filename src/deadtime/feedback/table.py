@@ -109,31 +109,6 @@ def age_after(before: int, age: int, now: int) -> int:
     return age if before < 0 else 0
 
 
-def follow(
-    told: np.ndarray, sampled: np.ndarray, initial_age: ArrayLike
-) -> tuple[np.ndarray, np.ndarray]:
-    """The mode that a law uses at each sample, and its age, from the reported modes.
-
-    Where none is reported (−1) the last goes on; before the first it is −1, at the age of the
-    `sampled` mode, and the first is taken to be as old as that. Samples come last, runs before.
-
-    Examples
-    --------
-    >>> follow(np.array([-1, 0, -1, 1, 1]), np.array([0, 0, 1, 1, 1]), 3)
-    (array([-1,  0,  0,  1,  1]), array([3, 4, 5, 0, 1]))
-    """
-    samples, known = np.arange(told.shape[-1]), told >= 0
-    last = np.maximum.accumulate(np.where(known, samples, 0), axis=-1)
-    mode, age = np.take_along_axis(told, last, -1), ages_along(sampled, initial_age)
-    # The age at the first that is known is as if its mode had begun so long before.
-    first = known.argmax(axis=-1, keepdims=True)
-    first = np.where(known.any(axis=-1, keepdims=True), first, samples.size)
-    at_first = np.take_along_axis(age, np.minimum(first, samples.size - 1), -1)
-    changed = (np.diff(mode, prepend=mode[..., :1]) != 0) & (samples > first)
-    began = np.maximum.accumulate(np.where(changed, samples, first - at_first), axis=-1)
-    return mode, np.where(samples >= first, samples - began, age)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Feedback(Frozen):
     r"""A digital feedback law as a table (immutable).
@@ -243,22 +218,13 @@ class Feedback(Frozen):
         >>> table.rows(np.array([0, 0, 0, 0, 1, 1]))
         array([0, 1, 2, 2, 3, 4])
         """
-        ages = modes  # which only tables with ages read
-        if self.context == "mode_age":
-            ages = ages_along(modes, min(initial_age, self.ages))
-        return self.rows_at(modes, ages)
-
-    def rows_at(self, modes: np.ndarray, ages: np.ndarray) -> np.ndarray:
-        """The row that applies at each sample of a run, from the modes and their ages.
-
-        Before any mode is known (−1) the first is assumed, as a law with a memory does.
-        """
         if self.context == "none":
             return np.zeros(modes.size, np.int64)
         if self.context == "step":
             return np.arange(modes.size)
-        rows = np.maximum(modes, 0)
+        rows = modes
         if self.context == "mode_age":
+            ages = ages_along(modes, min(initial_age, self.ages))
             rows = rows * self.ages + np.minimum(ages, self.ages - 1)
         return rows.astype(np.int64)
 

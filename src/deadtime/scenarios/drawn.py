@@ -26,9 +26,9 @@ from deadtime.imperfections import (
 from deadtime.imperfections.base import Drawing, DrawnTiming
 from deadtime.imperfections.disturbances import DrawnDisturbance
 from deadtime.imperfections.received import DrawnRelaying, relayed
+from deadtime.loop.received_samples import lags_of
 from deadtime.numerics.generators import Streams
 from deadtime.scenarios.source import scenario_seeds
-from deadtime.simulation.loop_arrays import lags_of
 
 
 class Rooms(threading.local):

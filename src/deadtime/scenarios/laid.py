@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deadtime.loop.received_samples import snap_number
 from deadtime.numerics.kernels import kernel
 from deadtime.numerics.lanes import LANES, load, same, store, times
 from deadtime.scenarios.periods import Acting, Records
@@ -16,26 +17,17 @@ from deadtime.scenarios.periods import Acting, Records
 # pyright: reportCallIssue=false
 
 
-TOLERANCE = 1e-9
-
-
-@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _snap(ratio):
-    nearest = np.floor(ratio + 0.5)
-    return nearest if abs(ratio - nearest) <= TOLERANCE else ratio
-
-
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _place(time, step, arrival, arriving, rate):
     """The period that a switch falls in, and when in it; `rate` is 1/step."""
-    ratio = _snap(time * rate)
+    ratio = snap_number(time * rate)
     k = np.floor(ratio)
     if ratio == k:
         return np.int64(k), 0.0
     for a in range(arrival.size):
         # A switch at an arriving input is put exactly there, or a piece as short as round-off would
         # be left between them.
-        late = _snap((time - arriving[a] * step - arrival[a]) * rate)
+        late = snap_number((time - arriving[a] * step - arrival[a]) * rate)
         if late == np.floor(late):
             return np.int64(late) + arriving[a], arrival[a]
     return np.int64(k), time - k * step
@@ -256,50 +248,6 @@ def compose_cuts(
     fill_composed(maps, which, *given)
 
 
-# Intrinsics take one argument less than the functions that declare them.
-# pyright: reportCallIssue=false
-
-
-@kernel(eager=True, nogil=True)
-def find_instants(missing, early, step, period, offset):
-    """Fill in the period, −1 before time 0, and the seconds into it at which x is measured.
-
-    As `simulation.loop_arrays.MeasurementLags.instants`: missing, early (runs or 1,
-    samples or 1), the others (runs, samples).
-    """
-    runs, samples = period.shape
-    for s in range(runs):
-        a, b = min(s, missing.shape[0] - 1), min(s, early.shape[0] - 1)
-        for k in range(samples):
-            lost = missing[a, min(k, missing.shape[1] - 1)]
-            ratio = _snap(k - (lost + early[b, min(k, early.shape[1] - 1)]) / step)
-            ratio = ratio if ratio > 0.0 else 0.0
-            whole = np.floor(ratio)
-            period[s, k] = -1 if _snap(k - lost / step) < 0.0 else np.int64(whole)
-            offset[s, k] = (ratio - whole) * step
-
-
-@kernel(eager=True, nogil=True)
-def lay_periods(lag, reach, heard, period, begin, few):
-    """Fill `lag` of scenarios from `begin` on; the longest, `reach` at least.
-
-    heard : (few or 1, sample), whose measurement is received, −1 for none;  period : as above, when
-        that is taken
-    """
-    samples = heard.shape[1]
-    at = begin * samples
-    for first in range(0, few, LANES):
-        for k in range(samples):
-            for lane in range(LANES):
-                s = min(first + lane, few - 1)
-                j = heard[min(s, heard.shape[0] - 1), k]
-                now = -1 if j < 0 else period[min(s, period.shape[0] - 1), j]
-                lag[at] = -1 if now < 0 else k - now
-                reach = max(reach, lag[at])
-                at += 1
-    return reach
-
-
 @kernel(eager=True, nogil=True)
 def lay_places(
     row, place, news, lag, heard, offset, begin, few, records, modes, edges, cells, count, cut,
@@ -308,8 +256,9 @@ def lay_places(
     """Fill rows and places of scenarios from `begin` on; how many measurements lie in cut periods.
 
     These have the rows count, count + 1, …, and are noted: cut period `cut` at `when`.
-    lag, row, place : (group, sample, lane), flat;  news : (group, sample), flat, set where a row
-        is another one than before;  heard : as in `lay_periods`
+    row, place : (group, sample, lane), flat;  news : (group, sample), flat, set where a row is
+        another one than before;  lag : of scenarios from `begin` on, and heard : (few or 1,
+        sample), whose measurement is received, as in `fill_lags`
     offset : (few or 1, sample), of all samples
     """
     samples, parts, noted = heard.shape[1], edges.size - 1, 0
@@ -319,14 +268,14 @@ def lay_places(
         cell_of[part] = (edges[part + 1] - edges[part]) / cells
     for f in range(few + -few % LANES):
         s = min(f, few - 1)
-        times, told = offset[min(s, offset.shape[0] - 1)], heard[min(s, heard.shape[0] - 1)]
         first, last = records.first[begin + s], records.first[begin + s + 1] - 1
-        at = (begin + f) // LANES * samples * LANES + f % LANES
-        group = (begin + f) // LANES * samples
+        times, told = offset[min(s, offset.shape[0] - 1)], heard[min(s, heard.shape[0] - 1)]
+        own = f // LANES * samples * LANES + f % LANES
+        at, group = begin * samples + own, (begin + f) // LANES * samples
         r, known, time, now_row, part = first, -1, -1.0, 0, 0
         e, since, until = map_of[r], np.int64(step_of[r]), _until(step_of, r, last)
         for k in range(samples):
-            late, delta, before = lag[at], 0.0, now_row
+            late, delta, before = lag[own], 0.0, now_row
             if late >= 0:
                 t, now = times[told[k]], k - late
                 if now >= until or now < since:
@@ -351,6 +300,7 @@ def lay_places(
             if k == 0 or now_row != before:
                 news[group + k] = True
             at += LANES
+            own += LANES
     return noted
 
 

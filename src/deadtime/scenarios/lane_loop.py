@@ -262,7 +262,7 @@ def run_scenarios(
             if memory is not None:
                 told = work.mode
                 if relayed is not None:  # noqa: SIM102
-                    if relayed.told.size > 0:
+                    if relayed.mode.size > 0:
                         hear_modes(relayed, kept.told, at)
                         told = kept.told
                 heard = first_of(seen, seen, seen, shape.output)

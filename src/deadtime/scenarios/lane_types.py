@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadtime.loop.received_samples import Received
+
 
 @dataclass(frozen=True)
 class LoopSizes:
@@ -109,25 +111,6 @@ class RunLanes(NamedTuple):
     root: np.ndarray
 
 
-class Relayed(NamedTuple):
-    """Sensor data that reach a law in every scenario, in flat groups of eight side by side.
-
-    lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
-        was begun, −1 for nothing: the last command is held; empty where every sample arrives at
-        once
-    reach : the longest of them
-    noise : (group, sample, n, lane), what was added to it; empty for nothing
-    row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
-    told : (group, sample, lane), the mode reported to an observer; empty where that is the plant's
-    """
-
-    lag: np.ndarray
-    reach: int
-    noise: np.ndarray
-    row: np.ndarray
-    told: np.ndarray
-
-
 class SightLanes(NamedTuple):
     """Measurements within periods: from z, x and what acts in a period, to what is measured there.
 
@@ -147,5 +130,5 @@ class SightLanes(NamedTuple):
 class Hearing(NamedTuple):
     """The received data of a law, None for all; `sight` is None with measurements at samples."""
 
-    relayed: Relayed | None = None
+    relayed: Received | None = None
     sight: SightLanes | None = None

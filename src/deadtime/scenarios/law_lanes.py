@@ -20,6 +20,7 @@ from deadtime.loop.preview_steps import (
     move_window,
     predict_ahead,
 )
+from deadtime.loop.received_samples import row_of_mode
 from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import (
     LANES,
@@ -35,7 +36,6 @@ from deadtime.numerics.lanes import (
 )
 from deadtime.numerics.numbers import arrays_of
 from deadtime.scenarios.lane_types import LoopSizes
-from deadtime.scenarios.side_by_side import row_of_mode
 
 # Intrinsics take one argument less than the functions that declare them.
 # pyright: reportCallIssue=false

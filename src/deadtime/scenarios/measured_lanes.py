@@ -1,6 +1,6 @@
 """Measurements and modes as they reach the laws of eight scenarios: late, lost, noisy or wrong.
 
-`lane_types.Relayed` has them, drawn before the run.
+`loop.received_samples.Received` has them, drawn before the run.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def hear_rows(relayed, recent, at):
 def hear_modes(relayed, mode, at):
     """Note the mode that is reported in every scenario."""
     for lane in range(LANES):
-        mode[lane] = relayed.told[at + lane]
+        mode[lane] = relayed.mode[at + lane]
 
 
 @inner_kernel

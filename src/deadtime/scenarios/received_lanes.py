@@ -22,11 +22,20 @@ from numpy.typing import DTypeLike
 
 from deadtime.feedback import Feedback
 from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes, TimingImperfection
+from deadtime.loop.received_samples import (
+    AT_SAMPLES,
+    MeasurementLags,
+    Received,
+    fill_lags,
+    fill_rows,
+    find_instants,
+    lags_of_run,
+)
 from deadtime.numerics.lanes.code import LANES
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.drawn import InManyRuns, Rooms, in_many_runs
-from deadtime.scenarios.lane_types import Hearing, Relayed, SightLanes
+from deadtime.scenarios.lane_types import Hearing, SightLanes
 from deadtime.scenarios.periods import (
     Laid,
     Records,
@@ -37,8 +46,7 @@ from deadtime.scenarios.periods import (
     series_through,
     stack,
 )
-from deadtime.scenarios.side_by_side import from_scenario, groups, lay_lags, lay_numbers, lay_rows
-from deadtime.simulation.loop_arrays import MeasurementLags
+from deadtime.scenarios.side_by_side import from_scenario, groups, lay_numbers
 from deadtime.switching import SignalBatch
 
 
@@ -75,9 +83,8 @@ class Sights:
         samples, nobody = loop.whole + 1, np.empty((1, 0))
         sizes, step = Sizes.of(loop.plant, loop.step), loop.step
         if all(each.is_fixed(sizes, samples) for each in kinds):
-            fixed = [each.lags(0, nobody, sizes, samples) for each in kinds]
-            _, offset = _sum(kinds, fixed).instants(step, samples)
-            if not offset.any():
+            fixed = _sum(kinds, [each.lags(0, nobody, sizes, samples) for each in kinds])
+            if not lags_of_run(np.arange(samples), fixed, step)[1].any():
                 return cls(loop, kinds, None, None, None, rooms)
         periods = groups(count) * samples
         size, news = (periods * LANES,), rooms.of("news", (periods,), np.bool_)
@@ -99,9 +106,9 @@ class Sights:
         """Place the measurements of scenarios begin, …, begin + few − 1 of the block on periods.
 
         `heard` (scenario or 1, sample) is whose measurement arrives; `lag`, which is filled for
-        these scenarios, and `reach`, which is returned, are as `Relayed` has them.
+        these scenarios, and `reach`, which is returned, are as `Received` has them.
         """
-        from deadtime.scenarios.laid import find_instants, lay_periods, lay_places
+        from deadtime.scenarios.laid import lay_places
 
         loop, samples = self.loop, self.loop.whole + 1
         sizes, edges = Sizes.of(loop.plant, loop.step), loop.acting.edges
@@ -112,18 +119,18 @@ class Sights:
                 for each in self.kinds
             ],
         )
-        runs = max(map(len, lags))
-        shape, rooms = (runs, samples), self.rooms
+        size, rooms = (few + -few % LANES) * samples, self.rooms
+        shape = max(map(len, lags)), samples
         period, offset = rooms.of("period", shape, np.int64), rooms.of("offset", shape)
         find_instants(*lags, loop.step, period, offset)
-        reach = lay_periods(lag, reach, heard, period, begin, few)
+        lag = lag[begin * samples :]
+        reach = fill_lags(lag, reach, heard, period, few, _LANES)
         if self.row is not None:
-            modes, most = loop.plant.modes, (few + -few % LANES) * samples
-            cut, when = rooms.of("cut", (most,), np.int32), rooms.of("when", (most,))
-            series = modes * (edges.size - 1) * loop.cells
+            cut, when = rooms.of("cut", (size,), np.int32), rooms.of("when", (size,))
+            series = loop.plant.modes * (edges.size - 1) * loop.cells
             noted = lay_places(
-                self.row, self.place, self.news, lag, heard, offset, begin, few, records, modes,
-                edges, loop.cells, series + sum(map(len, self.cuts)), cut, when,
+                self.row, self.place, self.news, lag, heard, offset, begin, few, records,
+                loop.plant.modes, edges, loop.cells, series + sum(map(len, self.cuts)), cut, when,
             )  # fmt: skip
             self.cuts.append(loop.moves(records, signals.modes, cut[:noted], when[:noted]))
         return reach
@@ -162,20 +169,17 @@ def sight_series(
 
 
 def _sum(kinds: Sequence[InManyRuns], lags: Sequence[np.ndarray]) -> MeasurementLags:
-    """The lags of several, those that wait apart from the others."""
-    sums = [np.zeros((1, 1)), np.zeros((1, 1))]
-    for each, more in zip(kinds, lags, strict=True):
-        assert isinstance(each.one, TimingImperfection)
-        place = 0 if each.one.waits else 1
-        sums[place] = sums[place] + more
-    return MeasurementLags(*sums)
+    """The lags of several."""
+    timings = [each.one for each in kinds if isinstance(each.one, TimingImperfection)]
+    return MeasurementLags.of(zip(timings, lags, strict=True))
 
 
+_LANES = (0.0,) * LANES
 _FEW = 32  # scenarios that are gone through at a time, so that they stay in the caches
 
 
 class _Stack(NamedTuple):
-    """The received data of all scenarios, as in `Relayed`, and the modes.
+    """The received data of all scenarios, as in `Received`, and the modes.
 
     sight : as `Hearing` has it
     modes : (scenario, sample), the reported modes, or None where they are the plant's
@@ -233,14 +237,14 @@ class HeardBlock:
             sight = SightLanes(
                 *sight[:2], *(from_scenario(part, begin, all_of) for part in sight[2:])
             )
-        return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
+        return Hearing(Received(lag, heard.reach, noise, row, told_mode), sight)
 
     def _rows(self, told: np.ndarray, begin: int, count: int, apart: int, ages: int) -> np.ndarray:
         """The rows of a table in scenarios to which these modes are reported, by samples."""
         part = slice(begin, begin + count)
         size = groups(count) * told.shape[1] * LANES
         row = self._room(("rows", apart, ages), size, np.int32)
-        lay_rows(told[part], self._sampled[part], self.laid.age[part], apart, ages, row)
+        fill_rows(row, told[part], self._sampled[part], self.laid.age[part], apart, ages, _LANES)
         return row
 
     @cached_property
@@ -268,7 +272,8 @@ class HeardBlock:
                 given = self.signals, self.laid.records, begin, few, sample
                 reach = sights.lay(*given, lag, reach)
             elif sample is not nothing.sample:
-                reach = lay_lags(sample, few, begin // LANES, lag, reach)
+                own = lag[begin * samples :]
+                reach = fill_lags(own, reach, sample, AT_SAMPLES, few, _LANES)
             if heard.noise is not nothing.noise:
                 if noise.size == 0:
                     noise = self._room("noise", size * self.measured)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,21 +10,17 @@ import numpy as np
 from deadtime.base.checks import read_only
 from deadtime.feedback import Law
 from deadtime.feedback.memory import Tables
-from deadtime.feedback.table import OLDEST, follow
-from deadtime.imperfections import Disturbance, Sizes
+from deadtime.imperfections import Sizes
 from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.loop.belief_steps import BeliefState
 from deadtime.loop.observer_steps import ObserverState
-from deadtime.plant.discretisation import snap
+from deadtime.loop.received_samples import DrawnImperfections, rows_of_run
+from deadtime.simulation.digital_kernel import closed_loop
 from deadtime.simulation.digital_record import DigitalRecord
-from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.ideal_run import IdealRecord
-from deadtime.simulation.loop_arrays import Along, Arrays, DelayLine, Grid, PreviewLaw, Rows, Sight
+from deadtime.simulation.loop_arrays import DelayLine, PreviewLaw, Rows, Sight
+from deadtime.simulation.truth import KnownTruth
 from deadtime.switching import SwitchingSignal
-from deadtime.switching.grid import cuts_of, modes_at
-
-ModeAt = Callable[[np.ndarray], np.ndarray]
-Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and their streams
 
 
 class Told(NamedTuple):
@@ -48,8 +42,6 @@ class RunOutcome:
 
     Attributes
     ----------
-    mode_at : callable
-        σ with switches snapped to the instants that they are within round-off of.
     end : float or None
         Where the run ended before its horizon, seconds.
     diverged : bool
@@ -64,7 +56,6 @@ class RunOutcome:
 
     record: DigitalRecord | IdealRecord
     signal: SwitchingSignal
-    mode_at: ModeAt
     end: float | None
     diverged: bool = False
     note: str = ""
@@ -75,38 +66,21 @@ class RunOutcome:
 def run_table(
     law: Law,
     tables: Tables,
-    signal: SwitchingSignal,
+    truth: KnownTruth,
     x0: np.ndarray,
-    grid: Grid,
-    arrays: Arrays | None = None,
-    disturbances: Drawn = (),
+    drawn: DrawnImperfections | None = None,
 ) -> RunOutcome:
     """Run a law by its tables, or what imperfections make of it, along a signal."""
-    from deadtime.simulation.digital_kernel import closed_loop
-
-    sampled, samples, past = grid.sampled, grid.samples, grid.past
-    step, memory, belief = sampled.step, tables.memory, tables.belief
-    cuts = cuts_of(signal, sampled)
-    table = sampled.along(cuts, grid.periods)
-    shift, forces, through = np.zeros((0, x0.size)), None, None
-    if disturbances:
-        forcing = Forcing(sampled, grid.periods, disturbances)
-        shift, forces = forcing.along(table, cuts)
-        through = forcing.through
-
-    def mode_at(time: np.ndarray) -> np.ndarray:
-        return modes_at(signal, time, step)
-
-    modes = mode_at(np.arange(samples) * step)
-    rows = _rows(tables, modes, initial_age(signal, step), arrays)
-    sight = Sight.of(arrays, sampled, table, cuts, forces, through, law.outputs, modes)
+    grid, memory, belief = truth.grid, tables.memory, tables.belief
+    past, plant, step = grid.past, grid.sampled.plant, grid.sampled.step
+    rows = _rows(tables, truth, drawn)
+    sight = Sight.of(drawn, truth, law.outputs)
     measured = x0.size if law.outputs is None else law.outputs.shape[1]
     remembered = 0 if memory is None else memory.start.size
     believed = 0 if belief is None else len(belief.start)
-    line = DelayLine.of(grid, arrays, measured, remembered, believed)
-    limits = arrays.limits if arrays else InputLimits.of((), Sizes.of(sampled.plant, step))
-    along = Along(sampled, signal, table)
-    preview = PreviewLaw.of(tables.foresight, samples, along) if tables.foresight else None
+    line = DelayLine.of(grid, drawn, measured, remembered, believed)
+    limits = drawn.limits if drawn else InputLimits.of((), Sizes.of(plant, step))
+    preview = PreviewLaw.of(tables.foresight, truth) if tables.foresight else None
     state = observer = None
     if memory is not None:
         observer = ObserverState.of(memory)
@@ -114,43 +88,35 @@ def run_table(
     if belief is not None:
         state = BeliefState.of(belief, rows.F.shape[0])
     known = memory, observer, belief, state, preview
-    kept, path = closed_loop(table, rows, *known, line, sight, limits, shift, x0)
-    record = DigitalRecord(
-        sampled,
-        cuts,
-        table,
-        read_only(path),
-        read_only(grid.inputs[: past + kept]),
-        past,
-        kept,
-        forces,
-        through=through,
-    )
-    diverged = kept < samples
-    end = (kept - 1) * step if diverged else None
-    told = None
-    if arrays is not None or law.outputs is not None:
+    kept, path = closed_loop(truth.table, rows, *known, line, sight, limits, truth.shift, x0)
+    diverged, told = kept < grid.samples, None
+    if drawn is not None or law.outputs is not None:
         estimates = None if memory is None else line.estimates[:kept]
         told = Told(line.measured[:kept], line.asked[past : past + kept], estimates)
-    trace = None if state is None else line.beliefs[:kept]
-    return RunOutcome(record, signal, mode_at, end, diverged, told=told, belief=trace)
+    return RunOutcome(
+        truth.record(path, kept),
+        truth.switching,
+        (kept - 1) * step if diverged else None,
+        diverged,
+        told=told,
+        belief=None if state is None else line.beliefs[:kept],
+    )
 
 
-def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) -> Rows:
-    """The rows of a run in which the plant has these modes at the samples."""
+def _rows(tables: Tables, truth: KnownTruth, drawn: DrawnImperfections | None) -> Rows:
+    """The rows of a run."""
+    age, modes = truth.age, truth.modes[: truth.grid.samples]
     feedback, assumed = tables.feedback, modes
     if feedback is None:
         none = read_only(np.zeros((1, 1, 0)))
         return Rows(none, none, read_only(np.zeros(modes.size, np.int64)), read_only(modes))
-    if arrays is None:
+    row = None
+    if drawn is not None:
+        reported = drawn.heard.modes(modes)
+        assumed = rows_of_run(reported, modes, age)
+        if feedback.context != "step":
+            row = rows_of_run(reported, modes, age, feedback.apart, feedback.ages)
+    if row is None:
         row = feedback.rows(modes, age)
-    else:
-        modes, ages = follow(arrays.heard.modes(modes), modes, age)
-        row, assumed = feedback.rows_at(modes, ages), np.maximum(modes, 0)
     F, G = feedback.state_gain, read_only(feedback.oldest_first)
     return Rows(F, G, row, read_only(assumed))
-
-
-def initial_age(signal: SwitchingSignal, step: float) -> int:
-    """The age of the first mode at time 0, in samples; no table tells apart older than OLDEST."""
-    return math.floor(snap(min(signal.initial_age / step, OLDEST)))

@@ -8,22 +8,18 @@ added in the same order, so the bits are those of the kernel.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from deadtime.imperfections.sensors_and_actuators import limit_input
+from deadtime.imperfections.sensors_and_actuators import InputLimits, limit_input
 from deadtime.loop.belief_steps import believe
 from deadtime.loop.observer_steps import observe
 from deadtime.loop.preview_steps import answer_ahead, enter_piece, move_window, predict_ahead
+from deadtime.loop.received_samples import is_held
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
-from deadtime.plant.pieces import PieceTable, up_to
-from deadtime.simulation.loop_arrays import LIMIT, DelayLine, Rows
-
-if TYPE_CHECKING:
-    from deadtime.imperfections.sensors_and_actuators import InputLimits
-    from deadtime.simulation.loop_arrays import Sight
+from deadtime.plant.pieces import PieceTable
+from deadtime.simulation.loop_arrays import LIMIT, DelayLine, Rows, Sight
+from deadtime.simulation.record_kernel import LONG, dot
 
 
 def is_bare(
@@ -88,7 +84,7 @@ def _moved(rows: list[list[float]], z: list[float]) -> list[float]:
 
 
 def _dot_lists(a: list[float], b: list[float]) -> float:
-    """Σ a_i b_i in the four sums of the kernel's `_dot`."""
+    """Σ a_i b_i in the four sums of the kernel's `dot`."""
     first = second = third = fourth = 0.0
     whole = len(a) - len(a) % 4
     for i in range(0, whole, 4):
@@ -110,30 +106,9 @@ def _is_within_limit(x: list[float]) -> bool:
     return square <= 1.0
 
 
-_LONG = (
-    400_000  # numbers of a run, some 14 a period, that Python's loop takes about two seconds for
-)
-
-
-@kernel
-def _dot(a, b):
-    """Σ a_i b_i in four sums, so that it vectorises, in one order wherever it is run."""
-    first = second = third = fourth = 0.0
-    whole = a.size - a.size % 4
-    for i in range(0, whole, 4):
-        first += a[i] * b[i]
-        second += a[i + 1] * b[i + 1]
-        third += a[i + 2] * b[i + 2]
-        fourth += a[i + 3] * b[i + 3]
-    total = (first + second) + (third + fourth)
-    for i in range(whole, a.size):
-        total += a[i] * b[i]
-    return total
-
-
 @kernel
 def _row_dot(A, c, i, b):
-    """`_dot` of A[c, i] and b, for short rows: a slice costs as much as 20 terms."""
+    """`dot` of A[c, i] and b, for short rows: a slice costs as much as 20 terms."""
     first = second = third = fourth = 0.0
     whole = b.size - b.size % 4
     for j in range(0, whole, 4):
@@ -156,7 +131,7 @@ def _mean_row(rows, weight, recent, known, answer):
         if weight[c] > 0.0:
             for i in range(answer.size):
                 own = _row_dot(rows.F, c, i, known)
-                answer[i] += weight[c] * (_dot(rows.G[c, i], recent) + own)
+                answer[i] += weight[c] * (dot(rows.G[c, i], recent) + own)
 
 
 @kernel
@@ -166,15 +141,6 @@ def _within_limit(path, q):
     for i in range(path.shape[1]):
         square += (path[q, i] / LIMIT) ** 2
     return square <= 1.0
-
-
-@kernel
-def _finite(a):
-    """Whether all are finite."""
-    finite = True
-    for i in range(a.size):
-        finite &= np.isfinite(a[i])
-    return finite
 
 
 # A call that hands over a tuple of arrays, or many of them, costs as much as 50 terms.
@@ -251,7 +217,7 @@ def _in_python(table, rows, memory, observer, belief, state, preview, *run):
     return closed_loop.function(table, rows, *known, *run)
 
 
-@kernel(plain=_in_python, large=_LONG)
+@kernel(plain=_in_python, large=LONG)
 def closed_loop(
     table, rows, memory, observer, belief, state, preview, line, sight, limits, shift, x0
 ):
@@ -302,14 +268,12 @@ def closed_loop(
             else:
                 for i in range(m):
                     own = _row_dot(F, row[k], i, known)
-                    answer[i] = _dot(G[row[k], i], recent) + own
+                    answer[i] = dot(G[row[k], i], recent) + own
             if memory is not None:
                 # Before the limits: the sums of errors must see what those refuse.
                 for i in range(m):
                     observer.asked[i] = answer[i]
-            # An observer or a filter has an answer to a lost sample: then nothing is held.
-            held = not (_finite(seen) or _finite(answer))
-            _apply(answer, held, at, asked, inputs, low, high, relative)
+            _apply(answer, is_held(seen, answer), at, asked, inputs, low, high, relative)
         for q in range(first[k], first[k + 1]):
             e = entry[q]
             for i in range(m):
@@ -322,51 +286,3 @@ def closed_loop(
                 for i in range(n):
                     path[q + 1, i] += shift[q, i]
     return samples, path
-
-
-@kernel
-def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
-    """x at the instants t_k + offset, k = `step`; acting[q] is held over piece q."""
-    result = np.empty((step.size, A.shape[1]))
-    for i in range(step.size):
-        q = table.first[step[i]]
-        # A run may have ended within the period: its path has fewer pieces than the table.
-        last = min(table.first[step[i] + 1], path.shape[0]) - 1
-        while q < last and table.start[table.entry[q + 1]] <= offset[i]:
-            q += 1
-        Phi, Gamma = up_to(A, B, table, cut_offset, cut_mode, table.entry[q], offset[i])
-        advance(Phi, Gamma, path[q], acting[q], result[i])
-    return result
-
-
-def _forms_at_once(
-    M: np.ndarray, entry: np.ndarray, pieces: int, path: np.ndarray, acting: np.ndarray
-) -> float:
-    """`form_integral` by NumPy: the sums of `_dot` for all pieces, then one after the other."""
-    z = np.hstack((path[:pieces], acting[:pieces]))
-    forms, size = M[entry[:pieces]], z.shape[1]
-    whole = size - size % 4
-    sums = np.zeros((4, pieces, size))
-    for i in range(whole):
-        sums[i % 4] += forms[:, :, i] * z[:, i, None]
-    total = (sums[0] + sums[1]) + (sums[2] + sums[3])
-    for i in range(whole, size):
-        total += forms[:, :, i] * z[:, i, None]
-    return np.add.accumulate(np.append(0.0, z * total))[-1]
-
-
-@kernel(plain=_forms_at_once, large=_LONG)
-def form_integral(M, entry, pieces, path, acting):
-    """The sum of the forms M of the entries over the first pieces."""
-    n, m = path.shape[1], acting.shape[1]
-    total = 0.0
-    z = np.empty(n + m)
-    for q in range(pieces):
-        for i in range(n):
-            z[i] = path[q, i]
-        for i in range(m):
-            z[n + i] = acting[q, i]
-        form = M[entry[q]]
-        for i in range(n + m):
-            total += z[i] * _dot(form[i], z)
-    return total

@@ -20,6 +20,7 @@ from deadtime.numerics.polynomials import gauss
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.plant.discretisation import TOLERANCE, Cuts, snap_all
 from deadtime.plant.pieces import PieceTable, gramian_up_to, gramians
+from deadtime.simulation.record_kernel import form_integral, states_at
 from deadtime.switching.rules.motion import Leg, Motion
 
 _NODES = 10
@@ -235,8 +236,6 @@ class DigitalRecord(Frozen):
         )
 
     def _propagate(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
-        from deadtime.simulation.digital_kernel import states_at
-
         step, offset = self.locate(times)
         B, acting = self.driving_inputs
         result = states_at(
@@ -280,8 +279,6 @@ class DigitalRecord(Frozen):
 
     def _whole_steps(self, steps: int, Q: np.ndarray) -> float:
         """∫xᵀQx over the steps 0, …, steps − 1."""
-        from deadtime.simulation.digital_kernel import form_integral
-
         table, (B, acting) = self.table, self.driving_inputs
         if self.forces is None:
             M = self.sampled.gramians_along(self.cuts, table.first.size - 1, Q)

@@ -8,6 +8,7 @@ record evaluates between the ends of pieces: an input beside u.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +21,7 @@ from deadtime.plant import SampledPlant
 from deadtime.plant.discretisation import Cuts
 from deadtime.plant.pieces import PieceTable
 
+Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and their streams
 _SINGULAR = 1e-8  # of a piece
 
 
@@ -38,7 +40,7 @@ class Forcing:
         self,
         sampled: SampledPlant,
         steps: int,
-        disturbances: Sequence[tuple[Disturbance, np.random.Generator]],
+        disturbances: Drawn,
     ) -> None:
         plant = self._plant = sampled.plant
         self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
@@ -58,7 +60,11 @@ class Forcing:
         self._held = [
             [(mode, part.stop - part.start)] for mode, parts in enumerate(held) for part in parts
         ]
-        self._of_held = self._maps(self._held)
+
+    @cached_property
+    def _of_held(self) -> tuple[list[np.ndarray], np.ndarray]:
+        """The maps of modes held."""
+        return self._maps(self._held)
 
     def along(
         self, table: PieceTable, cuts: Cuts

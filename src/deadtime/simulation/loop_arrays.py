@@ -1,148 +1,24 @@
 """Arrays that the digital loop reads and fills.
 
-Its grid and its delay line, the rows of its law or the pieces that a law with a preview predicts
-over, and what imperfections make of measurements, modes and inputs, all that is random drawn.
+Its delay line, the rows of its law or the pieces that a law with a preview predicts over, and what
+imperfections make of measurements, modes and inputs, all that is random drawn.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Foresight, Law
-from deadtime.imperfections import (
-    Heard,
-    Imperfection,
-    Relaying,
-    Sizes,
-    TimingImperfection,
-)
-from deadtime.imperfections.received import is_known, relayed
-from deadtime.imperfections.sensors_and_actuators import InputLimits
-from deadtime.loop.preview_steps import (
-    PreviewSizes,
-    PreviewState,
-)
+from deadtime.feedback import Foresight
+from deadtime.loop.preview_steps import PreviewSizes, PreviewState
+from deadtime.loop.received_samples import DrawnImperfections, lags_of_run
 from deadtime.numerics.kernels import kernel
-from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.discretisation import Cuts, snap, snap_all
-from deadtime.plant.pieces import PieceTable, up_to
-from deadtime.simulation.initial_input import InitialInput, held_samples
-from deadtime.switching import SwitchingSignal
+from deadtime.plant.pieces import up_to
+from deadtime.simulation.truth import Grid, KnownTruth
 from deadtime.switching.grid import cuts_of
-
-Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
-
-
-class MeasurementLags(NamedTuple):
-    """How long before its sample each state is measured, seconds.
-
-    missing : (samples,), of which what was before time 0 is missing
-    early : (samples,), of which time 0 is taken instead
-
-    Of many runs there is an axis of these in front; an axis of length 1 is the same for all.
-    """
-
-    missing: Float[np.ndarray, "*runs sample"]
-    early: Float[np.ndarray, "*runs sample"]
-
-    def instants(self, h: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """The period, −1 before time 0, and the seconds into it at which each state is measured."""
-        k = np.arange(samples)
-        ratio = np.maximum(0.0, snap_all(k - (self.missing + self.early) / h))
-        whole = np.floor(ratio)
-        step = np.where(snap_all(k - self.missing / h) < 0.0, -1, whole.astype(np.int64))
-        return step, (ratio - whole) * h
-
-    @classmethod
-    def of(cls, pairs: Pairs, sizes: Sizes, samples: int) -> MeasurementLags | None:
-        """The lags of a run, None where every state is measured at its sample."""
-        timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
-        if not timings:
-            return None
-        sums = cls(np.zeros(samples), np.zeros(samples))
-        for each, rng in timings:
-            sums[0 if each.waits else 1][:] += lags_of(each, sizes, samples, rng)
-        return sums
-
-
-def lags_of(
-    each: TimingImperfection, sizes: Sizes, samples: int, rng: np.random.Generator
-) -> Float[np.ndarray, " sample"]:
-    """Its lags; refused where they do not fit, as compiled loops look back by them."""
-    name, found = f"{type(each).__name__}.lags", np.asarray(each.lags(sizes, samples, rng))
-    if found.dtype.kind not in "fiu" or found.shape != (samples,):
-        raise ArgumentError(
-            f"{name} must return seconds of shape (samples,) = {(samples,)}, got {found.dtype} of "
-            f"shape {found.shape}."
-        )
-    wrong = ~((found >= 0.0) & (found < np.inf))
-    if wrong.any():
-        k = int(wrong.argmax())
-        raise ArgumentError(f"{name} must return finite seconds ≥ 0, got {found[k]} at sample {k}.")
-    return found.astype(float)
-
-
-class Arrays(NamedTuple):
-    """The imperfections of a run as arrays, all draws made; independent of plant and signal.
-
-    Attributes
-    ----------
-    commanded : bool
-        Whether the law takes the inputs that it asked for to be those applied.
-    """
-
-    heard: Heard
-    lags: MeasurementLags | None
-    limits: InputLimits
-    commanded: bool
-
-    @classmethod
-    def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> Arrays:
-        """The arrays of a run; everything random is drawn from the streams."""
-        commanded, heard = tells_commands(predict), heard_of(pairs, sizes, samples)
-        lags = MeasurementLags.of(pairs, sizes, samples)
-        return cls(heard, lags, InputLimits.of([each for each, _ in pairs], sizes), commanded)
-
-
-def heard_of(pairs: Pairs, sizes: Sizes, samples: int) -> Heard:
-    """The measurements received through all sensors among them, one after the other."""
-    heard = Heard.perfect(samples, sizes)
-    for each, rng in pairs:
-        if isinstance(each, Relaying):
-            heard = relayed(each, heard, sizes, rng)
-    return heard
-
-
-def tells_commands(predict: str) -> bool:
-    """Whether the law's past inputs are those asked for."""
-    if predict not in ("applied", "commanded"):
-        raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
-    return predict == "commanded"
-
-
-def takes(pairs: Pairs) -> bool:
-    """Whether the compiled loop takes them all.
-
-    Examples
-    --------
-    >>> from deadtime.imperfections import Dropout, Noise, SensorImperfection
-    >>> class Own(SensorImperfection):
-    ...     def sensor(self, sizes, rng):
-    ...         return lambda seen: seen
-    >>> rng = np.random.default_rng(0)
-    >>> takes([(Noise(0.1), rng), (Dropout(0.1), rng)]), takes([(Noise(0.1), rng), (Own(), rng)])
-    (True, False)
-    """
-    return all(is_known(each) for each, _ in pairs)
-
 
 LIMIT = 1e100  # of |x|, beyond which a run has diverged
 
@@ -177,56 +53,20 @@ class DelayLine(NamedTuple):
 
     @classmethod
     def of(
-        cls, grid: Grid, arrays: Arrays | None, measured: int, remembered: int, believed: int
+        cls,
+        grid: Grid,
+        drawn: DrawnImperfections | None,
+        measured: int,
+        remembered: int,
+        believed: int,
     ) -> DelayLine:
         """A line before its run, for states or outputs, a memory and a belief of these sizes."""
         inputs, samples = grid.inputs, grid.samples
-        limited = arrays is not None and arrays.limits.relative.size
+        limited = drawn is not None and drawn.limits.relative.size
         asked = inputs.copy() if limited else inputs
-        told = asked if arrays is not None and arrays.commanded else inputs
+        told = asked if drawn is not None and drawn.commanded else inputs
         sizes = (samples, measured), (samples if remembered else 0, remembered), (samples, believed)
         return cls(grid.past, inputs, asked, told, *map(np.empty, sizes))
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """The samples of a run: how many, the plant at its period, and the inputs, history first.
-
-    Attributes
-    ----------
-    inputs : (past + samples, m)
-        u_k is inputs[past + k]; filled by the run from row `past` on.
-    """
-
-    sampled: SampledPlant
-    samples: int
-    past: int
-    inputs: np.ndarray
-
-    @classmethod
-    def of(
-        cls, plant: SwitchedSystem, law: Law, horizon: float, step: float, u0: InitialInput
-    ) -> Grid:
-        """The grid of a run on [0, horizon], its history read from `simulate`'s u0."""
-        sampled = SampledPlant.of(plant, step)
-        samples = math.floor(snap(horizon / step)) + 1
-        past = max(sampled.longest_lag, law.sampled_plant(step).longest_lag)
-        inputs = np.zeros((past + samples, plant.inputs))
-        longest = max(plant.longest_delay, law.plant.longest_delay)
-        inputs[:past] = held_samples(u0, plant.inputs, past, step, longest)
-        return cls(sampled, samples, past, inputs)
-
-    @property
-    def periods(self) -> int:
-        """How many periods the plant is moved: on until nothing that is in flight is left."""
-        return self.samples + self.sampled.longest_lag
-
-    def acting(self, k: int, lag: np.ndarray) -> np.ndarray:
-        """The inputs that act in period k, as many samples old as their lags say.
-
-        Lags (m,), or those of several modes side by side (`deadtime.plant.sampled_plant`).
-        """
-        return self.inputs[self.past + k - lag, np.arange(lag.size) % self.inputs.shape[1]]
 
 
 class Sight(NamedTuple):
@@ -255,32 +95,25 @@ class Sight(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        arrays: Arrays | None,
-        sampled: SampledPlant,
-        table: PieceTable,
-        cuts: Cuts,
-        forces: np.ndarray | None,
-        through: np.ndarray | None,
-        outputs: np.ndarray | None,
-        modes: Int[np.ndarray, " sample"],
+        cls, drawn: DrawnImperfections | None, truth: KnownTruth, outputs: np.ndarray | None
     ) -> Sight:
-        """The measurements of a run in which the plant has these modes at the samples."""
+        """The measurements of a run."""
+        sampled, table, samples = truth.grid.sampled, truth.table, truth.grid.samples
         n, m = sampled.plant.B.shape[1:]
         C = np.empty((1, 0, n)) if outputs is None else outputs
-        force = np.zeros((table.entry.size, 0)) if forces is None else forces
-        heard, noise = np.arange(modes.size), np.empty((0, 0))
-        piece = table.first[: modes.size]
-        if arrays is not None:
-            heard, noise = arrays.heard.sample, arrays.heard.noise
-            piece = np.where(heard < 0, -1, table.first[heard])
-        if arrays is not None and arrays.lags is not None:
-            place = _within(arrays.lags, heard, sampled, table, cuts, through)
-        else:
-            ways = np.full(heard.size, -1), np.empty((0, n, n)), np.empty((0, n, m))
-            place = piece, heard, *ways
-        mode = np.zeros(heard.size, np.int64) if outputs is None else modes[heard]
-        return cls(*map(read_only, (*place, force, noise, C, mode)))
+        force = np.zeros((table.entry.size, 0)) if truth.forces is None else truth.forces
+        heard, noise = np.arange(samples), np.empty((0, 0))
+        step, piece = heard, table.first[:samples]
+        ways = np.full(samples, -1), np.empty((0, n, n)), np.empty((0, n, m))
+        if drawn is not None:
+            heard, noise = drawn.heard.sample, drawn.heard.noise
+            lag, offset = lags_of_run(heard, drawn.lags, sampled.step)
+            step = np.where(lag < 0, -1, np.arange(samples) - lag)
+            piece = np.where(lag < 0, -1, table.first[step])
+            if offset.any():
+                piece, *ways = _within(piece, step, offset, truth)
+        mode = np.zeros(samples, np.int64) if outputs is None else truth.modes[heard]
+        return cls(*map(read_only, (piece, step, *ways, force, noise, C, mode)))
 
 
 @kernel
@@ -299,19 +132,14 @@ def ways(A, B, table, cut_offset, cut_mode, entry, offset):
 
 
 def _within(
-    lags: MeasurementLags,
-    heard: np.ndarray,
-    sampled: SampledPlant,
-    table: PieceTable,
-    cuts: Cuts,
-    through: np.ndarray | None,
+    piece: Int[np.ndarray, " sample"],
+    step: Int[np.ndarray, " sample"],
+    offset: Float[np.ndarray, " sample"],
+    truth: KnownTruth,
 ) -> tuple[np.ndarray, ...]:
-    """`piece`, `step`, `way`, `Phi` and `Gamma` of measurements that may lie within periods."""
-    A, B = sampled.plant.A, sampled.plant.B
-    measured, offset = lags.instants(sampled.step, heard.size)
-    step = np.where(heard < 0, -1, measured[heard])
-    offset = np.where(step < 0, 0.0, offset[heard])
-    piece, way, inside = table.first[step], np.full(step.size, -1), np.flatnonzero(offset > 0.0)
+    """`piece`, `way`, `Phi` and `Gamma` of measurements that may lie within periods."""
+    table, cuts = truth.table, truth.cuts
+    way, inside = np.full(step.size, -1), np.flatnonzero(offset > 0.0)
     first, stop = table.first[step[inside]], table.first[step[inside] + 1]
     for more in range(1, int((stop - first).max(initial=0))):
         q = np.minimum(first + more, stop - 1)
@@ -319,19 +147,8 @@ def _within(
         piece[inside] = np.where(begun, q, piece[inside])
     pairs = table.entry[piece[inside]] + 1j * offset[inside]
     distinct, way[inside] = np.unique(pairs, return_inverse=True)
-    if through is not None:
-        B = read_only(np.concatenate((B, through), axis=2))
     entry, at = distinct.real.astype(np.int64), distinct.imag.copy()
-    Phi, Gamma = ways(A, B, table, cuts.offset, cuts.mode, entry, at)
-    return np.where(step < 0, -1, piece), step, way, Phi, Gamma
-
-
-class Along(NamedTuple):
-    """A plant's pieces along a signal."""
-
-    sampled: SampledPlant
-    signal: SwitchingSignal
-    table: PieceTable
+    return piece, way, *ways(*truth.driven, table, cuts.offset, cuts.mode, entry, at)
 
 
 class PreviewLaw(NamedTuple):
@@ -353,11 +170,11 @@ class PreviewLaw(NamedTuple):
     stacks: PreviewState
 
     @classmethod
-    def of(cls, foresight: Foresight, samples: int, along: Along) -> PreviewLaw:
+    def of(cls, foresight: Foresight, truth: KnownTruth) -> PreviewLaw:
         """A law's preview over a run, with empty stacks that have room for the longest window."""
-        sampled, signal = foresight.sampled, foresight.signal
-        if sampled is along.sampled and signal is along.signal:
-            table = along.table
+        sampled, signal, samples = foresight.sampled, foresight.signal, truth.grid.samples
+        if sampled is truth.grid.sampled and signal is truth.switching:
+            table = truth.table
         else:
             cuts = cuts_of(signal, sampled)
             table = sampled.along(cuts, samples + sampled.longest_lag)

@@ -14,9 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.base.checks import read_only
 from deadtime.base.errors import ChatteringError
-from deadtime.feedback import Law
 from deadtime.feedback.belief import Believing
 from deadtime.feedback.law import Remembering, Update, require_input
 from deadtime.feedback.table import age_after
@@ -27,13 +25,12 @@ from deadtime.imperfections import (
     SensorImperfection,
     Sizes,
 )
+from deadtime.loop.received_samples import MeasurementLags, is_held, lags_of_run, tells_commands
 from deadtime.plant.discretisation import snap
-from deadtime.simulation.digital import Drawn, RunOutcome, Told, initial_age
-from deadtime.simulation.digital_record import DigitalRecord, slides_in_words
-from deadtime.simulation.loop_arrays import LIMIT, Grid, MeasurementLags, tells_commands
-from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
-from deadtime.switching import Rule, SwitchingSignal
-from deadtime.switching.grid import modes_at
+from deadtime.simulation.digital import RunOutcome, Told
+from deadtime.simulation.digital_record import slides_in_words
+from deadtime.simulation.loop_arrays import LIMIT
+from deadtime.simulation.truth import Truth
 
 
 class ImperfectLaw:
@@ -48,7 +45,7 @@ class ImperfectLaw:
     ----------
     update : Update
         The law.
-    lags : Lags or None
+    lags : MeasurementLags or None
         How long before each sample its state is to be measured.
     measured : (samples, n) or (samples, p)
         The measurements of x or y that the law received, NaN where nothing arrived.
@@ -73,7 +70,7 @@ class ImperfectLaw:
         self._actuators = [
             each.actuator(sizes) for each, _ in pairs if isinstance(each, ActuatorImperfection)
         ]
-        self.lags = MeasurementLags.of(pairs, sizes, samples)
+        self.lags = MeasurementLags.of_run(pairs, sizes, samples)
         self.update = update
         self._line: np.ndarray | None = None
         self._mode, self._age = -1, 0
@@ -115,9 +112,9 @@ class ImperfectLaw:
     def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
         asked = self.update(x, past, max(self._mode, 0), self._age)
         asked = require_input(asked, past.shape[1])
-        if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
-            return asked
-        return self.commanded[-1] if self.commanded else past[-1].copy()
+        if is_held(x, asked):
+            return self.commanded[-1] if self.commanded else past[-1].copy()
+        return asked
 
 
 class _Stop(NamedTuple):
@@ -128,47 +125,19 @@ class _Stop(NamedTuple):
     note: str
 
 
-def run_online(
-    law: Law,
-    switching: SwitchingSignal | Rule,
-    x0: np.ndarray,
-    horizon: float,
-    grid: Grid,
-    imperfect: ImperfectLaw | None = None,
-    disturbances: Drawn = (),
-) -> RunOutcome:
+def run_online(update: Update, truth: Truth, x0: np.ndarray, horizon: float) -> RunOutcome:
     """Run a law, or what imperfections make of it, along a signal or under a rule, by periods."""
-    sampled, step = grid.sampled, grid.sampled.step
-    if isinstance(switching, SwitchingSignal):
-        age = initial_age(switching, step)
-        truth = KnownTruth(sampled, switching, grid.periods, disturbances)
-    else:
-        age = 0
-        truth = RuleTruth(sampled, switching, x0, grid.periods, disturbances)
-    update = law.online(step) if imperfect is None else imperfect
-    lags = None if imperfect is None else imperfect.lags
+    imperfect = update if isinstance(update, ImperfectLaw) else None
+    sampled, step = truth.grid.sampled, truth.grid.sampled.step
     with np.errstate(over="ignore", invalid="ignore"):
-        kept, path, stop = _run(truth, update, lags, age, x0, horizon, grid)
-    total = kept + sampled.longest_lag - 1
+        kept, path, stop = _run(
+            truth, update, None if imperfect is None else imperfect.lags, x0, horizon
+        )
     # Up to where no input is missing, in any mode.
     known = (kept + sampled.windows[0].count - 1) * step + sampled.windows[0].phase
     if truth.chatter is not None:
         known = truth.chatter.time
-    signal, cuts = truth.signal(known), truth.cuts()
-    table = sampled.along(cuts, total + 1)
-    states, forces = truth.along(table, np.array(path))
-    record = DigitalRecord(
-        sampled,
-        cuts,
-        table,
-        read_only(states),
-        read_only(grid.inputs[: grid.past + kept]),
-        grid.past,
-        kept,
-        forces,
-        truth.slides if truth.slides and truth.slides.steps else None,
-        truth.through,
-    )
+    record = truth.record(np.array(path), kept)
     end, diverged, note = (None, False, "") if stop is None else stop
     if record.slides is not None:
         slid = slides_in_words(record.slides.slides(step, horizon if end is None else end))
@@ -177,8 +146,7 @@ def run_online(
         note = _join(note, truth, end)
     return RunOutcome(
         record,
-        signal,
-        lambda time: modes_at(signal, time, step),
+        truth.signal(known),
         end,
         diverged,
         note,
@@ -196,15 +164,16 @@ def _run(
     truth: Truth,
     update: Update,
     lags: MeasurementLags | None,
-    age: int,
     x0: np.ndarray,
     horizon: float,
-    grid: Grid,
 ) -> tuple[int, list[np.ndarray], _Stop | None]:
     """Run over the samples and on until an input is missing, as `kernel.closed_loop` does."""
+    grid, age = truth.grid, truth.age
     h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
     path, first = [x0], [0]
-    measured = None if lags is None else [part.tolist() for part in lags.instants(h, kept)]
+    measured = None
+    if lags is not None:
+        measured = [part.tolist() for part in lags_of_run(np.arange(kept), lags, h)]
     stop, last = None, None
     for k in range(grid.periods):
         x, now = path[-1], past + k
@@ -219,8 +188,11 @@ def _run(
                 last = truth.mode
                 seen = x
                 if measured is not None:
-                    j, offset = measured[0][k], measured[1][k]
-                    seen = _measured(truth, j, offset, path, first, grid)
+                    j, offset = k - measured[0][k], measured[1][k]
+                    if j > k:
+                        seen = np.full(x.size, np.nan)
+                    else:
+                        seen = truth.within(j, offset, path) if offset else path[first[j]]
                 try:
                     asked = update(seen, inputs[:now], last, age)
                     inputs[now] = require_input(asked, inputs.shape[1])
@@ -234,15 +206,6 @@ def _run(
             last = int(snap(truth.chatter.time / h))
             kept, stop = min(kept, last + 1), _Stop(truth.chatter.time, False, "")
     return kept, path, stop
-
-
-def _measured(
-    truth: Truth, j: int, offset: float, path: list[np.ndarray], first: list[int], grid: Grid
-) -> np.ndarray:
-    """x at t_j + offset; NaN where j is −1, as nothing has arrived."""
-    if j < 0:
-        return np.full(path[0].size, np.nan)
-    return path[first[j]] if offset == 0.0 else truth.within(j, offset, path, grid.acting)
 
 
 def _join(note: str, truth: Truth, end: float | None) -> str:

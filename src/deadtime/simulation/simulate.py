@@ -21,16 +21,18 @@ from deadtime.imperfections import (
     TimingImperfection,
     streams,
 )
+from deadtime.loop.received_samples import DrawnImperfections, Pairs, takes
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import TOLERANCE
-from deadtime.simulation.digital import Drawn, RunOutcome, run_table
+from deadtime.simulation.digital import RunOutcome, run_table
+from deadtime.simulation.forcing import Drawn
 from deadtime.simulation.ideal.ideal_run import run_ideal
 from deadtime.simulation.ideal.rule_march import run_ideal_rule
 from deadtime.simulation.initial_input import InitialInput, input_function
-from deadtime.simulation.loop_arrays import Arrays, Grid, Pairs, takes
 from deadtime.simulation.online import ImperfectLaw, run_online
 from deadtime.simulation.tracking import Followed
 from deadtime.simulation.trajectory import Trajectory, belief_at, trajectory_of
+from deadtime.simulation.truth import Grid, KnownTruth, RuleTruth
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules.rule import as_rule
 
@@ -148,7 +150,6 @@ def simulate(
         outcome.record,
         plant,
         outcome.signal,
-        outcome.mode_at,
         law.gains,
         end,
         asked,
@@ -201,14 +202,7 @@ def _ideal(
     believed = law.ideal(switching, horizon)
     history = input_function(u0, plant.inputs, max(delay, law.plant.longest_delay))
     record, end = run_ideal(plant, believed, switching, x0, horizon, history)
-    # A time within round-off before a switch is at it, as in the record.
-    return RunOutcome(
-        record,
-        switching,
-        lambda time: switching(time + record.states.slack),
-        end,
-        end is not None,
-    )
+    return RunOutcome(record, switching, end, end is not None)
 
 
 def _digital(
@@ -223,22 +217,26 @@ def _digital(
     disturbances: Drawn,
 ) -> RunOutcome:
     """The digital run: at once for a law with tables on a known signal, else period by period."""
-    step, imperfect = grid.sampled.step, None
     measured = plant.states if law.outputs is None else law.outputs.shape[1]
-    sizes = Sizes(plant.modes, measured, plant.inputs, step)
-    known = switching if isinstance(switching, SwitchingSignal) else None
-    if disturbances or known is None:
+    sizes = Sizes(plant.modes, measured, plant.inputs, grid.sampled.step)
+    if disturbances or not isinstance(switching, SwitchingSignal):
         grid = replace(grid, sampled=grid.sampled.cut_alike())
-    tables = None
-    if known is not None and takes(others):
-        tables = law.tables_along(step, known, grid.samples)
-    if known is not None and tables is not None and tables.bank is None:
-        arrays = Arrays.of(others, sizes, grid.samples, predict) if others else None
-        return run_table(law, tables, known, x0, grid, arrays, disturbances)
-    if others or law.outputs is not None:
-        update = law.online(step, known, None if known is None else grid.samples)
-        imperfect = ImperfectLaw(update, sizes, others, predict, grid.samples, law.outputs)
-    return run_online(law, switching, x0, horizon, grid, imperfect, disturbances)
+    known = None
+    if isinstance(switching, SwitchingSignal):
+        known, truth = switching, KnownTruth(grid, switching, disturbances)
+        tables = law.tables_along(sizes.step, known, grid.samples) if takes(others) else None
+        if tables is not None and tables.bank is None:
+            drawn = None
+            if others:
+                drawn = DrawnImperfections.of(others, sizes, grid.samples, predict)
+            return run_table(law, tables, truth, x0, drawn)
+    else:
+        truth = RuleTruth(grid, switching, x0, disturbances)
+    if not others and law.outputs is None:
+        return run_online(law.online(sizes.step), truth, x0, horizon)
+    update = law.online(sizes.step, known, None if known is None else grid.samples)
+    imperfect = ImperfectLaw(update, sizes, others, predict, grid.samples, law.outputs)
+    return run_online(imperfect, truth, x0, horizon)
 
 
 def require_steps(horizon: float, delay: float, step: float) -> None:

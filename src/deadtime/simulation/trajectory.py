@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -387,7 +387,6 @@ def trajectory_of(
     record: DigitalRecord | IdealRecord,
     plant: SwitchedSystem,
     signal: SwitchingSignal,
-    mode_at: Callable[[np.ndarray], np.ndarray],
     gains: np.ndarray | None,
     end: float,
     times: np.ndarray | None,
@@ -396,31 +395,30 @@ def trajectory_of(
 ) -> Trajectory:
     """Sample a record on its own grid, or at the times asked for.
 
-    `mode_at` is σ with switches snapped to samples; `gains` are the K of the mismatch.
+    `gains` are the K of the mismatch. A time within round-off before a switch counts as at it.
     """
     time = record.grid(end) if times is None else times[times <= end]
     states, inputs = read_only(record.states_at(time)), read_only(record.inputs_at(time))
     mismatch = None
     if gains is not None:
-        feedback = _exact_feedback(record, plant, signal, mode_at, gains, time)
+        feedback = _exact_feedback(record, plant, signal, gains, time)
         with np.errstate(over="ignore", invalid="ignore"):
             mismatch = (inputs - feedback).T
         mismatch = np.where(np.isinf(mismatch), np.inf, mismatch)
     rest = mismatch, diverged, message, plant, signal, record, end
-    return Trajectory(time, states.T, inputs.T, mode_at(time), *rest)
+    return Trajectory(time, states.T, inputs.T, signal(time + record.slack), *rest)
 
 
 def _exact_feedback(
     record: DigitalRecord | IdealRecord,
     plant: SwitchedSystem,
     signal: SwitchingSignal,
-    mode_at: Callable[[np.ndarray], np.ndarray],
     gains: np.ndarray,
     time: np.ndarray,
 ) -> np.ndarray:
     """K x (times, m) of the instants at which what is sent at these times is first read."""
     if plant.has_one_delay:
-        K, ahead = gains[mode_at(time + plant.delay)], record.ahead_of(time)
+        K, ahead = gains[signal(time + plant.delay + record.slack)], record.ahead_of(time)
         with np.errstate(over="ignore", invalid="ignore"):
             feedback = np.einsum("kij,kj->ki", K, ahead)
         return np.where(np.isfinite(feedback), feedback, np.inf)
@@ -428,6 +426,6 @@ def _exact_feedback(
     feedback = np.full(reads.shape, np.nan)
     for j, read in enumerate(reads.T):
         known = np.flatnonzero(read <= record.last)
-        K, x = gains[mode_at(read[known]), j], record.states_at(read[known])
+        K, x = gains[signal(read[known] + record.slack), j], record.states_at(read[known])
         feedback[known, j] = np.einsum("ki,ki->k", K, x)
     return feedback

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.plant import SampledPlant
+from deadtime.feedback import Law
+from deadtime.feedback.table import OLDEST
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.discretisation import TOLERANCE, Cuts, snap
 from deadtime.plant.pieces import PieceTable, up_to
 from deadtime.plant.sampled_plant import EveryReading
-from deadtime.simulation.digital import Drawn
-from deadtime.simulation.digital_record import SlidePart, Slides
-from deadtime.simulation.forcing import Forcing
+from deadtime.simulation.digital_record import DigitalRecord, SlidePart, Slides
+from deadtime.simulation.forcing import Drawn, Forcing
+from deadtime.simulation.initial_input import InitialInput, held_samples
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 from deadtime.switching.rules.motion import Beside, Chatter, Leg
@@ -25,7 +27,60 @@ _SAME = 1e-10  # of a step: switches that close are one
 _FAR = 1e200  # a diverged run is only moved on, whatever the rule says
 
 
-Acting = Callable[[int, np.ndarray], np.ndarray]  # the inputs that act in period k with these lags
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The samples of a run: how many, the plant at its period, and the inputs, history first.
+
+    Attributes
+    ----------
+    inputs : (past + samples, m)
+        u_k is inputs[past + k]; filled by the run from row `past` on.
+    """
+
+    sampled: SampledPlant
+    samples: int
+    past: int
+    inputs: np.ndarray
+
+    @classmethod
+    def of(
+        cls, plant: SwitchedSystem, law: Law, horizon: float, step: float, u0: InitialInput
+    ) -> Grid:
+        """The grid of a run on [0, horizon], its history read from `simulate`'s u0."""
+        sampled = SampledPlant.of(plant, step)
+        samples = math.floor(snap(horizon / step)) + 1
+        past = max(sampled.longest_lag, law.sampled_plant(step).longest_lag)
+        inputs = np.zeros((past + samples, plant.inputs))
+        longest = max(plant.longest_delay, law.plant.longest_delay)
+        inputs[:past] = held_samples(u0, plant.inputs, past, step, longest)
+        return cls(sampled, samples, past, inputs)
+
+    @property
+    def periods(self) -> int:
+        """How many periods the plant is moved: on until nothing that is in flight is left."""
+        return self.samples + self.sampled.longest_lag
+
+    def acting(self, k: int, lag: np.ndarray) -> np.ndarray:
+        """The inputs that act in period k, as many samples old as their lags say.
+
+        Lags (m,), or those of several modes side by side (`deadtime.plant.sampled_plant`).
+        """
+        return self.inputs[self.past + k - lag, np.arange(lag.size) % self.inputs.shape[1]]
+
+    def record(
+        self,
+        kept: int,
+        cuts: Cuts,
+        table: PieceTable,
+        path: np.ndarray,
+        forces: np.ndarray | None = None,
+        slides: Slides | None = None,
+        through: np.ndarray | None = None,
+    ) -> DigitalRecord:
+        """The run of the first samples along these pieces."""
+        inputs = read_only(self.inputs[: self.past + kept])
+        run = self.sampled, cuts, table, read_only(path), inputs, self.past, kept
+        return DigitalRecord(*run, forces, slides, through)
 
 
 class Truth(ABC):
@@ -33,6 +88,9 @@ class Truth(ABC):
 
     Attributes
     ----------
+    grid : Grid
+    age : int
+        How old its first mode is at time 0, in samples.
     mode : int
         σ(t_k), once the first piece of period k is run.
     chatter : Chatter or None
@@ -43,7 +101,9 @@ class Truth(ABC):
         How disturbances act on dx/dt in every mode.
     """
 
+    grid: Grid
     mode: int
+    age: int = 0
     chatter: Chatter | None = None
     slides: Slides | None = None
     through: np.ndarray | None = None
@@ -59,73 +119,83 @@ class Truth(ABC):
         """x at the end of a piece of period k, from x at its start."""
 
     @abstractmethod
-    def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
+    def within(self, k: int, offset: float, path: list[np.ndarray]) -> np.ndarray:
         """x at t_k + offset, 0 < offset < h; `path` is x at the start of every piece so far."""
-
-    @abstractmethod
-    def along(
-        self, table: PieceTable, path: np.ndarray
-    ) -> tuple[Float[np.ndarray, "start n"], Float[np.ndarray, "piece f"] | None]:
-        """x at the start of every piece of a table, from x at the start of those moved over, and
-        the force that disturbances hold over each.
-        """
 
     @abstractmethod
     def signal(self, end: float) -> SwitchingSignal:
         """The plant's switching signal, known up to `end`."""
 
     @abstractmethod
-    def cuts(self) -> Cuts:
-        """Its switches, on the grid of the steps."""
+    def record(self, path: np.ndarray, kept: int) -> DigitalRecord:
+        """The run of the first samples, from x at the start of every piece moved over."""
 
 
 class KnownTruth(Truth):
-    """A plant along a given signal."""
+    """A plant along a given signal.
 
-    def __init__(
-        self, sampled: SampledPlant, signal: SwitchingSignal, steps: int, disturbances: Drawn
-    ) -> None:
-        self._plant, self._signal = sampled.plant, signal
-        self._cuts = cuts_of(signal, sampled)
-        self._table = sampled.along(self._cuts, steps)
-        self._modes = modes_at(signal, np.arange(steps) * sampled.step, sampled.step)
-        self._shift = np.zeros((self._table.entry.size, sampled.plant.states))
-        self._forces: np.ndarray | None = None
+    Attributes
+    ----------
+    switching : SwitchingSignal
+    cuts, table : Cuts, PieceTable
+        Its switches on the grid, and the pieces of all periods.
+    modes : (periods,)
+        Those at the samples.
+    shift : (pieces, n), or (0, n) without disturbances
+        What they add to x over each piece.
+    forces : (pieces, f) or None
+        What they hold over each.
+    """
+
+    def __init__(self, grid: Grid, signal: SwitchingSignal, disturbances: Drawn = ()) -> None:
+        sampled, steps, step = grid.sampled, grid.periods, grid.sampled.step
+        self.grid, self.switching = grid, signal
+        self.age = math.floor(snap(min(signal.initial_age / step, OLDEST)))
+        self.cuts = cuts_of(signal, sampled)
+        self.table = sampled.along(self.cuts, steps)
+        self.modes = modes_at(signal, np.arange(steps) * step, step)
+        self.shift, self.forces = np.zeros((0, sampled.plant.states)), None
         if disturbances:
             forcing = Forcing(sampled, steps, disturbances)
-            self._shift, self._forces = forcing.along(self._table, self._cuts)
+            self.shift, self.forces = forcing.along(self.table, self.cuts)
             self.through = forcing.through
 
     def lags(self, k: int) -> list[np.ndarray]:
-        first, stop = self._table.first[k : k + 2]
-        return list(self._table.lag[self._table.entry[first:stop]])
+        first, stop = self.table.first[k : k + 2]
+        return list(self.table.lag[self.table.entry[first:stop]])
 
     def move(self, k: int, piece: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        self.mode = int(self._modes[k])
-        q = self._table.first[k] + piece
-        entry = self._table.entry[q]
-        return self._table.Phi[entry] @ x + self._table.Gamma[entry] @ u + self._shift[q]
+        self.mode = int(self.modes[k])
+        q = self.table.first[k] + piece
+        entry = self.table.entry[q]
+        moved = self.table.Phi[entry] @ x + self.table.Gamma[entry] @ u
+        return moved + self.shift[q] if self.shift.size else moved
 
-    def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
-        A, B, table, cuts = self._plant.A, self._plant.B, self._table, self._cuts
+    @property
+    def driven(self) -> tuple[np.ndarray, np.ndarray]:
+        """A, and B with what forces act through beside it."""
+        plant = self.grid.sampled.plant
+        if self.through is None:
+            return plant.A, plant.B
+        return plant.A, read_only(np.concatenate((plant.B, self.through), axis=2))
+
+    def within(self, k: int, offset: float, path: list[np.ndarray]) -> np.ndarray:
+        table, cuts = self.table, self.cuts
         entries = table.entry[table.first[k] : table.first[k + 1]]
         piece = int(np.searchsorted(table.start[entries], offset, "right")) - 1
         q, entry = table.first[k] + piece, entries[piece]
-        u = acting(k, table.lag[entry])
-        if self._forces is not None and self.through is not None:
-            u = np.concatenate((u, self._forces[q]))
-            B = read_only(np.concatenate((B, self.through), axis=2))
-        Phi, Gamma = up_to(A, B, table, cuts.offset, cuts.mode, entry, offset)
+        u = self.grid.acting(k, table.lag[entry])
+        if self.forces is not None:
+            u = np.concatenate((u, self.forces[q]))
+        Phi, Gamma = up_to(*self.driven, table, cuts.offset, cuts.mode, entry, offset)
         return Phi @ path[q] + Gamma @ u
 
-    def along(self, table: PieceTable, path: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        return path, self._forces
-
     def signal(self, end: float) -> SwitchingSignal:
-        return self._signal
+        return self.switching
 
-    def cuts(self) -> Cuts:
-        return self._cuts
+    def record(self, path: np.ndarray, kept: int) -> DigitalRecord:
+        own = self.cuts, self.table, path, self.forces
+        return self.grid.record(kept, *own, through=self.through)
 
 
 class RuleTruth(Truth):
@@ -137,13 +207,13 @@ class RuleTruth(Truth):
 
     def __init__(
         self,
-        sampled: SampledPlant,
+        grid: Grid,
         rule: Rule,
         x0: np.ndarray,
-        steps: int,
-        disturbances: Drawn,
+        disturbances: Drawn = (),
     ) -> None:
-        every, self._forcing = EveryReading.of(sampled), None
+        sampled, steps = grid.sampled, grid.periods
+        self.grid, every, self._forcing = grid, EveryReading.of(sampled), None
         plant, self._step, self._stretches = every.plant, sampled.step, every.stretches
         self._forces: np.ndarray | None = None
         if disturbances:
@@ -210,13 +280,20 @@ class RuleTruth(Truth):
         if self.slides is not None and any(leg.beside for leg in legs):
             self.slides.steps[k] = self._parts
 
-    def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
+    def within(self, k: int, offset: float, path: list[np.ndarray]) -> np.ndarray:
         raise ArgumentError(
             "imperfections must measure at samples where a rule switches the plant: make the "
             f"measurement delay a multiple of the step, {self._step:g} s, without jitter."
         )
 
-    def along(self, table: PieceTable, path: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def record(self, path: np.ndarray, kept: int) -> DigitalRecord:
+        cuts = Cuts(
+            np.array(self._steps, np.int64),
+            np.array(self._offsets, np.float64),
+            read_only(np.array(self._modes, np.int64)),
+        )
+        sampled = self.grid.sampled
+        table = sampled.along(cuts, kept + sampled.longest_lag)
         starts, begin = np.array([part.start for part in self._stretches]), table.start[table.entry]
         place = np.searchsorted(starts, begin, "right") - 1
         stretch = table.period * starts.size + place
@@ -225,7 +302,8 @@ class RuleTruth(Truth):
         states = path[np.append(stretch[:pieces], len(path) - 1)]
         for q in np.flatnonzero(begin[:pieces] != starts[place[:pieces]]):
             states[q] = self._crossings[int(table.period[q]), float(begin[q])]
-        return states, forces
+        slides = self.slides if self.slides and self.slides.steps else None
+        return self.grid.record(kept, cuts, table, states, forces, slides, self.through)
 
     def signal(self, end: float) -> SwitchingSignal:
         h = self._step
@@ -240,10 +318,3 @@ class RuleTruth(Truth):
                 times.append(time)
                 modes.append(mode)
         return SwitchingSignal(times, modes, end if end > times[-1] else np.inf)
-
-    def cuts(self) -> Cuts:
-        return Cuts(
-            np.array(self._steps, np.int64),
-            np.array(self._offsets, np.float64),
-            read_only(np.array(self._modes, np.int64)),
-        )

@@ -17,7 +17,8 @@ from jaxtyping import Float
 
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.feedback import Feedback
-from deadtime.feedback.table import follow, side_by_side
+from deadtime.feedback.table import side_by_side
+from deadtime.loop.received_samples import rows_of_run
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.spectrum import aged_row
 from deadtime.spectrum.lifted import leading_eigenvalue
@@ -109,8 +110,8 @@ class SampledLoop:
             lost = np.isin(np.arange(periods), cycle.lost)
             told = np.where(lost, -1, seen)
             # The first round tells what the law goes by where the second begins.
-            modes, ages = follow(np.tile(told, 2), np.tile(seen, 2), feedback.ages)
-            rows = feedback.rows_at(modes[periods:], ages[periods:])
+            both, apart, ages = (np.tile(told, 2), np.tile(seen, 2)), feedback.apart, feedback.ages
+            rows = rows_of_run(*both, ages, apart, ages)[periods:]
             rows = rows + lost * (len(feedback.state_gain) // 2)  # those of lost samples come last
         elif cycle.constant:
             rows = np.full(periods, aged_row(feedback, cycle.modes[0]))

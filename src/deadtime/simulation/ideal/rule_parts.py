@@ -154,7 +154,6 @@ def outcome_of(record: IdealRecord, parts: list[RulePart], end: float, stop: str
     return RunOutcome(
         record,
         signal,
-        lambda time: signal(time + record.states.slack),
         end if stop else None,
         diverged,
         " ".join(filter(None, [early, slides_in_words(slides)])),
