@@ -99,9 +99,7 @@ TWO_BY_TWO = Plant(
     ("plant", "order", "seed"),
     [
         (THREE, (3,), 3),
-        pytest.param(THREE, (3,), 4, marks=pytest.mark.long),
         pytest.param(TWO_BY_TWO, (2, 2), 0, marks=pytest.mark.long),
-        pytest.param(TWO_BY_TWO, (2, 2), 1, marks=pytest.mark.long),
     ],
 )
 def test_more_states_in_a_log_of_next_to_no_noise_are_found_too(plant, order, seed):
