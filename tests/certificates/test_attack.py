@@ -150,10 +150,9 @@ def test_no_certificate_is_violated_by_signals_searched_by_other_code(seeds, lea
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seeds", [range(100, 115), range(115, 130)])
-def test_no_certificate_for_delays_of_ones_own_is_violated(seeds):
-    count, violated = attacked(seeds, several=True)
-    assert count >= 4
+def test_no_certificate_for_delays_of_ones_own_is_violated():
+    count, violated = attacked(range(100, 130), several=True)
+    assert count >= 8
     assert violated == []
 
 
