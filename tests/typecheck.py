@@ -23,7 +23,7 @@ FACE = Path(__file__).parents[1] / "src" / "deadtime" / "__init__.pyi"
 checked = beartype(conf=BeartypeConf(is_pep484_tower=True, violation_type=TypeError))
 PUBLIC = set(re.findall(r" as (\w+)", FACE.read_text(encoding="utf-8")))
 CONTEXT = jaxtyped("context")  # one of sizes, for the time of a call
-MOST = 30  # calls of a function within a test that are checked, and functions made of one code
+MOST = 10  # calls of a function within a test that are checked, and functions made of one code
 
 
 class _Running:
