@@ -47,16 +47,16 @@ pytest: .venv/installed-test
 	$(COMPILED) $(BIN)/pytest $(PARALLEL)
 
 # What is too long for every change: the whole report, certificates of N = 100 put back, and the
-# other cases of claims of which `make pytest` tries a few.
+# other cases of claims of which `make pytest` tries a few; those of engines as users have them.
 long: as-users .venv/installed-test
-	$(COMPILED) $(BIN)/pytest -m long $(PARALLEL)
+	$(COMPILED) $(BIN)/pytest -m long $(addprefix --ignore=,$(ENGINES)) $(PARALLEL)
 
-# Every engine once more against its second method, compiled as users compile it, into a cache of
+# Every engine against its second method, all cases, compiled as users compile it, into a cache of
 # its own: Numba's does not tell levels apart.
 ENGINES := $(addprefix tests/,simulation/test_digital_loop.py simulation/test_ideal_loop.py \
 	scenarios/test_engines.py certificates/test_falsify_search.py)
 as-users: .venv/installed-test
-	$(TESTED) NUMBA_OPT=3 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba-users $(BIN)/pytest -m "few or not long" $(PARALLEL) $(ENGINES)
+	$(TESTED) NUMBA_OPT=3 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba-users $(BIN)/pytest -m "not browser" $(PARALLEL) $(ENGINES)
 
 # Mutants of every kind of file that the package reads: make fuzz FUZZ="--kind log --count 100000".
 FUZZ ?= --count 2000 --seconds 120

@@ -25,7 +25,8 @@ def _checked_modules() -> list[str]:
 
 collect_ignore = ["tests/typecheck.py"]  # what is checked with is not to be imported anew
 
-jaxtyping.jaxtyped = import_module("typecheck").within_shapes
+typecheck = import_module("typecheck")
+jaxtyping.jaxtyped = typecheck.within_shapes
 jaxtyping.install_import_hook(_checked_modules(), "typecheck.checked")
 
 
@@ -35,6 +36,12 @@ def _filled_faces() -> None:
     for face in ("deadtime", *(f"deadtime.{path.parent.name}" for path in ROOMS)):
         for name in import_module(face).__all__:
             getattr(import_module(face), name)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Of every function the first calls within each test are checked."""
+    typecheck.begin_test()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -7,24 +7,28 @@ by at most `MOST` MB from visitor `WARM` to the last.
 
     python benchmarks/explorer_memory.py [--visitors 500] [--compared]
 
-With --compared memory is read where the assertion compares it alone: each reading takes a rest.
+With --compared both kinds of visitor come in turn to one server, and memory is read where the
+assertion compares it alone: each reading takes a rest.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import itertools
 import json
 import re
 import signal
 import subprocess
 import sys
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from machine import heading
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
+Visit = Callable[[str], Awaitable[object]]  # of a page's address
 WARM, MOST = 50, 50.0  # visitors; MB
 REST = 20.0  # seconds after which the server has let go of who left
 
@@ -78,21 +82,31 @@ async def visit(url: str) -> None:
     socket.close()
 
 
+def in_turn() -> Visit:
+    """One visitor of either kind after the other."""
+    kinds = itertools.cycle((visit, get))
+
+    async def either(url: str) -> None:
+        await next(kinds)(url)
+
+    return either
+
+
 def marks_of(visitors: int, compared: bool) -> list[int]:
     """After how many visitors memory is read."""
     between = () if compared else (min(10, visitors), *range(100, visitors + 1, 100))
     return sorted({min(WARM, visitors), *between, visitors})
 
 
-async def measured(server: Server, marks: list[int], how: object) -> list[tuple[int, float]]:
+async def measured(server: Server, marks: list[int], how: Visit) -> list[tuple[int, float]]:
     """Memory after so many visitors, MB, once the server has rested."""
     rows = []
     for count in range(1, marks[-1] + 1):
-        await how(server.url)  # pyright: ignore
+        await how(server.url)
         if count in marks:
             await asyncio.sleep(REST)
             rows.append((count, server.memory()))
-            print(f"{how.__name__} {count}: {rows[-1][1]:.0f} MB", file=sys.stderr)  # pyright: ignore
+            print(f"{how.__name__} {count}: {rows[-1][1]:.0f} MB", file=sys.stderr)
     return rows
 
 
@@ -104,7 +118,8 @@ def main() -> None:
     visitors, marks = asked.visitors, marks_of(asked.visitors, asked.compared)
     print(heading(), "\n\n| visitors | how | memory, MB | since the first mark, MB |", sep="")
     print("|---|---|---|---|")
-    for how, name in ((visit, "websocket"), (get, "plain GET")):
+    kinds = ((visit, "websocket"), (get, "plain GET"))
+    for how, name in ((in_turn(), "in turn"),) if asked.compared else kinds:
         server = Server()
         try:
             before = server.memory()

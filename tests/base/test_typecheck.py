@@ -7,7 +7,7 @@ import pytest
 from jaxtyping import Float
 
 from deadtime.gains.pole_placement import reachable
-from typecheck import checked, within_shapes
+from typecheck import MOST, begin_test, checked, within_shapes
 
 shaped = within_shapes(typechecker=checked)
 
@@ -45,3 +45,30 @@ def test_sizes_that_disagree_are_refused_and_calls_within_have_sizes_of_their_ow
 def test_the_package_is_checked():
     with pytest.raises(TypeError, match="parameter B="):
         reachable(np.eye(2), np.ones((3, 1)))
+
+
+def test_first_calls_of_a_test_are_checked_and_so_are_those_of_the_next():
+    for _ in range(2):
+        begin_test()
+        with pytest.raises(TypeError, match="parameter x="):
+            product(np.ones((3, 2)), np.ones(3))
+        for _ in range(MOST):
+            product(np.ones((3, 2)), np.ones(2))
+        with pytest.raises(ValueError, match="mismatch"):  # NumPy's own
+            product(np.ones((3, 2)), np.ones(3))
+
+
+def test_a_function_within_another_is_checked_where_it_is_first_made():
+    def made():
+        @shaped
+        def inner(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+            return x
+
+        return inner
+
+    begin_test()
+    every = [made() for _ in range(MOST + 1)]
+    for inner in every[:-1]:
+        with pytest.raises(TypeError, match="parameter x="):
+            inner(np.eye(2))
+    assert every[-1](np.eye(2)).shape == (2, 2)

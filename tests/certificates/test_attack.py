@@ -115,13 +115,15 @@ class Attack:
         return rate
 
 
-def attacked(seeds, quick=False, several=False):
-    """(certificates, certificates of loops that outgrow them) among random loops.
+def attacked(seeds, quick=False, several=False, most=math.inf):
+    """(certificates, certificates of loops that outgrow them) among random loops, at most so many.
 
     Quick: of those with small tables and no longest sojourn, and of stability without a rate.
     """
     count, violated = 0, []
     for seed in seeds:
+        if count == most:
+            break
         rng = np.random.default_rng(seed)
         plant, law, options = a_loop(rng, several)
         if quick and (plant.states > 2 or "maximum_dwell" in options or law.digital(STEP).ages > 1):
@@ -139,7 +141,7 @@ def attacked(seeds, quick=False, several=False):
 
 @pytest.mark.parametrize(
     ("seeds", "least"),
-    [(range(21, 25), 4), pytest.param(range(1, 25), 12, marks=pytest.mark.long)],
+    [(range(21, 25), 4), pytest.param(range(1, 21), 8, marks=pytest.mark.long)],
 )
 def test_no_certificate_is_violated_by_signals_searched_by_other_code(seeds, least):
     count, violated = attacked(seeds)
@@ -148,13 +150,9 @@ def test_no_certificate_is_violated_by_signals_searched_by_other_code(seeds, lea
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("seeds", "least"),
-    [(range(115, 118), 2), pytest.param(range(100, 130), 8, marks=pytest.mark.long)],
-)
-def test_no_certificate_for_delays_of_ones_own_is_violated(seeds, least):
-    count, violated = attacked(seeds, several=True)
-    assert count >= least
+def test_no_certificate_for_delays_of_ones_own_is_violated():
+    count, violated = attacked(range(100, 130), several=True)
+    assert count >= 8
     assert violated == []
 
 
@@ -164,10 +162,10 @@ def test_the_certificate_of_a_large_random_loop_is_not_violated():
 
 
 @pytest.mark.long
-def test_no_certificate_of_a_thousand_is_violated():
-    count, violated = attacked(range(10_000, 14_000), quick=True)
-    assert count >= 1000
-    assert violated == []
+@pytest.mark.parametrize("first", range(10_000, 14_000, 1000))
+def test_no_certificate_of_a_thousand_is_violated(first):
+    """A quarter of them."""
+    assert attacked(range(first, first + 1000), quick=True, most=250) == (250, [])
 
 
 HIDDEN = dt.SwitchedSystem(

@@ -24,7 +24,10 @@ LINES = [
 ASKED = [shlex.split(line.partition(" > ")[0])[1:] for line in LINES if line.startswith("deadtime")]
 COMMANDS = {name for name in app if not name.startswith("-")} - {"app"}  # it serves until stopped
 # Half a minute of compiling and searching; what they print is the way of the others, too.
-SLOW = {"simulate", "reproduce", "robustness", "monte-carlo", "sweep", "plot", "study", "design"}
+SLOW = {
+    *("simulate", "reproduce", "robustness", "monte-carlo", "sweep", "plot", "study", "design"),
+    *("experiment", "identify"),
+}
 QUICK = [command for command in ASKED if command[0] not in SLOW]
 ANSI = b"\x1b["
 
@@ -72,7 +75,6 @@ def ran(request, tmp_path_factory):
     return folder, asked, result, (folder / "codes").read_text().split(), outputs
 
 
-@pytest.mark.long
 def test_every_command_runs_without_a_word_on_stderr(ran):
     _, asked, result, codes, _ = ran
     assert (result.stderr, result.stdout, result.returncode) == (b"", b"", 0)

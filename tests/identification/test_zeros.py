@@ -47,18 +47,22 @@ def test_a_plant_with_a_zero_is_found_to_have_one_and_keeps_its_transfer_functio
     assert low < 0.23 < high < low + 0.004
 
 
+ZEROS = (
+    ((-1.68, -2.39), -1.42),  # each a stable zero, at a₁ − b
+    ((-1.18, -2.47), -0.72),  # between −1.83 and −0.65: all but as one of order 1
+    ((-2.17, -2.09), -0.62),
+    ((-1.85, -1.46), 1.05),
+)
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("a", "b"),
+    ("a", "b", "W", "sensor", "jitter"),
     [
-        ((-1.68, -2.39), -1.42),  # each a stable zero, at a₁ − b
-        ((-1.18, -2.47), -0.72),  # between −1.83 and −0.65: all but as one of order 1
-        ((-2.17, -2.09), -0.62),
-        ((-1.85, -1.46), 1.05),
+        *((*one, 1e-5, 1e-3, 0.0) for one in ZEROS),
+        *((*one, 1e-8, 1e-5, 0.0) for one in ZEROS[1::2]),
+        *((*one, 1e-5, 1e-3, 0.3) for one in ZEROS[1::2]),
     ],
-)
-@pytest.mark.parametrize(
-    ("W", "sensor", "jitter"), [(1e-5, 1e-3, 0.0), (1e-8, 1e-5, 0.0), (1e-5, 1e-3, 0.3)]
 )
 def test_a_zero_in_a_quiet_log_is_found_where_the_likelihood_is_largest(a, b, W, sensor, jitter):
     plant = Plant([[[0.0, 1.0], a]], [[[1.0], [b]]], 0.17, W * np.eye(2))
@@ -95,15 +99,8 @@ TWO_BY_TWO = Plant(
 )
 
 
-@pytest.mark.parametrize(
-    ("plant", "order", "seed"),
-    [
-        (THREE, (3,), 3),
-        pytest.param(THREE, (3,), 4, marks=pytest.mark.long),
-        pytest.param(TWO_BY_TWO, (2, 2), 0, marks=pytest.mark.long),
-        pytest.param(TWO_BY_TWO, (2, 2), 1, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("plant", "order", "seed"), [(THREE, (3,), 3), (TWO_BY_TWO, (2, 2), 0)])
 def test_more_states_in_a_log_of_next_to_no_noise_are_found_too(plant, order, seed):
     C = np.eye(sum(order))[np.cumsum(order) - order]
     table = logged(plant, C, 500, seed, sensor=1e-5, hold=2)
@@ -151,6 +148,7 @@ def test_uneven_rows_tell_a_zero_from_that_on_the_other_side():
     assert "may as well be" not in fit.message
 
 
+@pytest.mark.long
 def test_a_sensor_of_a_quiet_log_keeps_its_noise():
     own = [[0.0, 1.0, 0.0], [-4.79, -4.57, -0.25], [-0.07, 0.18, -1.9]]
     B = [[0.0, 0.0], [-0.6, -1.78], [1.22, -1.83]]

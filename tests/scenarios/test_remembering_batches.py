@@ -41,15 +41,15 @@ def tracking(plant=BELIEVED, integral=True, disturbance=None):
     return dt.OutputFeedback(law, observer, servo=servo, reference=steps)
 
 
-PLAIN = {"observed": observed(), "modes apart": observed(law="averaged, dwell-aware")}
+OBSERVED = {"observed": observed()}
+APART = {"modes apart": observed(law="averaged, dwell-aware")}
 TRACKING = {"tracking": tracking()}
 CASES = {
-    "observed": (PLAIN, []),
     "outputs of each mode": ({"own": observed(OF_MODES)}, [LateSamples(2, 0.3), Noise(0.02)]),
-    "wrong and late modes": (PLAIN, [WrongMode(0.1), ModeDelay(2)]),
-    "measured within periods": (PLAIN, [Jitter(0.05), MeasurementDelay(0.12), Dropout(0.2)]),
+    "wrong and late modes": (APART, [WrongMode(0.1), ModeDelay(2)]),
+    "measured within periods": (OBSERVED, [Jitter(0.05), MeasurementDelay(0.12), Dropout(0.2)]),
     "all": (
-        PLAIN | TRACKING,
+        OBSERVED | APART | TRACKING,
         [
             Noise([0.02, 0.03]), Dropout(0.1), LateSamples(2, 0.2), WrongMode(0.05),
             Saturation(-1.0, 1.2), RateLimit([3.0, 4.0]), WhiteDisturbance(0.01),

@@ -10,10 +10,12 @@ Between two whole numbers of periods, in a cell of a delay, the same samples of 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.checks import read_only
 from deadtime.plant import SwitchedSystem
 
 Vector = Float[np.ndarray, " size"]  # unknowns, those of a plant first
@@ -48,29 +50,30 @@ class Layout:
         """How many columns B has: the inputs, and the constant term."""
         return self.m + self.constant
 
-    @property
+    @cached_property
     def of_A(self) -> Int[np.ndarray, "mode n n"]:
         """Places of A_i[a, b]."""
-        return np.arange(self.modes * self.n**2).reshape(self.modes, self.n, self.n)
+        return read_only(np.arange(self.modes * self.n**2).reshape(self.modes, self.n, self.n))
 
-    @property
+    @cached_property
     def of_B(self) -> Int[np.ndarray, "mode n acting"]:
         """Places of B_i[a, j], and of c_i[a] in the last column."""
         count = self.modes * self.n * self.acting
-        return self.of_A.size + np.arange(count).reshape(self.modes, self.n, self.acting)
+        own = np.arange(count).reshape(self.modes, self.n, self.acting)
+        return read_only(self.of_A.size + own)
 
     @property
     def of_constant(self) -> Int[np.ndarray, "mode n c"]:
         """Places of the constant terms c_i[a]; none where there are none."""
         return self.of_B[:, :, self.m :]
 
-    @property
+    @cached_property
     def of_delay(self) -> ModeCells:
         """Places of D_ij, the same for all modes where they share it."""
-        start = self.of_A.size + self.of_B.size
+        own = np.tile(np.arange(self.m), (self.modes, 1))
         if self.per_mode:
-            return start + np.arange(self.modes * self.m).reshape(self.modes, self.m)
-        return start + np.tile(np.arange(self.m), (self.modes, 1))
+            own = np.arange(self.modes * self.m).reshape(self.modes, self.m)
+        return read_only(self.of_A.size + self.of_B.size + own)
 
     def of_mode(self, mode: int) -> Int[np.ndarray, " own"]:
         """Places of all that a mode has: A_i, B_i and D_i."""

@@ -183,16 +183,23 @@ class Sampling(Frozen, ABC):
         """z = (x_{k+1}, r_k) of periods k, all of one mode, their noise scaled to a period of h."""
 
     @abstractmethod
-    def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
-        """P of each mode, with its derivatives."""
+    def maps(
+        self, layout: Layout, theta: Vector, cells: Cells, slopes: bool = True
+    ) -> list[WeightMap]:
+        """P of each mode, with its derivatives; without `slopes` none of these."""
 
     @abstractmethod
     def roots_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> Roots:
         """Roots of Σ z zᵀ of every mode, for delays in a window."""
 
     @abstractmethod
-    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
-        """The periods that lead a filter from sample to sample, W = L Lᵀ, delays in given cells."""
+    def periods_of(
+        self, layout: Layout, theta: Vector, L: Square, cells: Cells, slopes: bool = True
+    ) -> PeriodsOf:
+        """The periods that lead a filter from sample to sample, W = L Lᵀ, delays in given cells.
+
+        Without `slopes` they have no derivatives, which take most of the time.
+        """
 
     @abstractmethod
     def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
@@ -247,13 +254,13 @@ class EvenSampling(Sampling):
         acting = acting_evenly(part, k, reads[None], constant)
         return np.hstack((part.output[k + 1], part.output[k], acting))
 
-    def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
+    def maps(
+        self, layout: Layout, theta: Vector, cells: Cells, slopes: bool = True
+    ) -> list[WeightMap]:
         A, B, delays = layout.split(theta)
         late = layout.spread(cells) * self.step - delays
-        return [
-            WeightMap(*period_weights(A[i], B[i], late[i], self.step), layout.of_mode(i))
-            for i in range(layout.modes)
-        ]
+        each = (period_weights(*one, self.step, slopes) for one in zip(A, B, late, strict=True))
+        return [WeightMap(*one, layout.of_mode(i)) for i, one in enumerate(each)]
 
     def roots_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> Roots:
         n, m, (low, high) = layout.n, layout.m, self.lags(*window)
@@ -267,12 +274,13 @@ class EvenSampling(Sampling):
 
         return roots
 
-    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
-        n, reads = layout.n, layout.spread(cells)
-        P, by_P = (
-            np.array(one) for one in list(zip(*self.maps(layout, theta, cells), strict=True))[:2]
-        )
-        noise = [noise_tables(A, L, np.array([self.step])) for A in layout.split(theta)[0]]
+    def periods_of(
+        self, layout: Layout, theta: Vector, L: Square, cells: Cells, slopes: bool = True
+    ) -> PeriodsOf:
+        n, reads, once = layout.n, layout.spread(cells), np.array([self.step])
+        maps = self.maps(layout, theta, cells, slopes)
+        P, by_P = (np.array(one) for one in list(zip(*maps, strict=True))[:2])
+        noise = [noise_tables(A, L, once, slopes) for A in layout.split(theta)[0]]
         Q, by_Q = (np.concatenate(one) for one in zip(*noise, strict=True))
         tables = P[:, :, :n].copy(), by_P[:, : n * n, :, :n].copy(), Q, by_Q
 
@@ -326,7 +334,9 @@ class UnevenSampling(Sampling):
         flat = (one.reshape(k.size, -1) for one in (x, held, acts.moved))
         return np.hstack((part.output[k + 1], *flat)) / np.sqrt(length / self.step)[:, None]
 
-    def maps(self, layout: Layout, theta: Vector, cells: Cells) -> list[WeightMap]:
+    def maps(
+        self, layout: Layout, theta: Vector, cells: Cells, slopes: bool = True
+    ) -> list[WeightMap]:
         A, B, _ = layout.split(theta)
         each = (node_weights(A[i], B[i], layout.m, self.nodes) for i in range(layout.modes))
         return [WeightMap(*one, layout.of_mode(i)) for i, one in enumerate(each)]
@@ -342,11 +352,13 @@ class UnevenSampling(Sampling):
 
         return lambda reads: [root(i, own) for i, own in enumerate(reads)]
 
-    def periods_of(self, layout: Layout, theta: Vector, L: Square, cells: Cells) -> PeriodsOf:
+    def periods_of(
+        self, layout: Layout, theta: Vector, L: Square, cells: Cells, slopes: bool = True
+    ) -> PeriodsOf:
         A, B, delays = layout.split(theta)
         n, m, acting, modes = layout.n, layout.m, layout.acting, range(layout.modes)
-        over = [transitions_of(A[i], self.nodes) for i in modes]
-        noise = [noise_tables(A[i], L, self.nodes) for i in modes]
+        over = [transitions_of(A[i], self.nodes, slopes) for i in modes]
+        noise = [noise_tables(A[i], L, self.nodes, slopes) for i in modes]
         tables = [(one.Phi, one.Phi_by_A, *own) for one, own in zip(over, noise, strict=True)]
         forced = [(over[i].W @ B[i], over[i].W_by_A @ B[i], over[i].Phi @ B[i]) for i in modes]
 
@@ -354,7 +366,7 @@ class UnevenSampling(Sampling):
             mode = part.mode[np.maximum(rows - 1, 0)]
             found = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
             added = np.zeros((rows.size, n))
-            by_added = np.zeros((rows.size, n * (n + acting) + m, n))
+            by_added = np.zeros((rows.size, (n * (n + acting) + m) * slopes, n))
             for i in np.unique(mode):
                 own = np.flatnonzero(~fresh & (mode == i))
                 k = rows[own] - 1
@@ -366,6 +378,8 @@ class UnevenSampling(Sampling):
                     held = np.concatenate((held, weight[:, :, None]), axis=2)
                 steady, by_A, pushed = forced[i]
                 added[own] = np.tensordot(held, steady, ((1, 2), (0, 2)))
+                if not slopes:
+                    continue
                 by_added[own, : n * n] = np.tensordot(held, by_A, ((1, 2), (0, 3)))
                 for j in range(acting):  # places as in `Layout.of_mode`: A, B by rows, then D
                     by_B = np.tensordot(held[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
@@ -499,21 +513,28 @@ def nodes_for(parts: tuple[Part, ...], A: Squares) -> np.ndarray:
 
 
 def period_weights(
-    A: Square, B: Float[np.ndarray, "n acting"], rest: Float[np.ndarray, " m"], step: float
+    A: Square,
+    B: Float[np.ndarray, "n acting"],
+    rest: Float[np.ndarray, " m"],
+    step: float,
+    slopes: bool = True,
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
     """P of a period over x_k, u_{k−N}, u_{k−N+1} and 1, with its derivatives.
 
-    rest : s_j = N h − D_j, how long the newer input acts, seconds. Derivatives are by A, B, and D.
+    rest : s_j = N h − D_j, how long the newer input acts, seconds. Derivatives are by A, B, and D;
+    without `slopes` there are none.
     """
     (n, acting), m = B.shape, rest.size
-    over, width = transitions_of(A, np.append(rest, step)), n + m + acting
+    over, width = transitions_of(A, np.append(rest, step), slopes), n + m + acting
     # Columns: x, u_{k−N} of every input, u_{k−N+1} of every input, 1; by_P is by A and B, then D.
-    P, by_P = np.zeros((n, width)), np.zeros((n * n + n * acting + m, n, width))
+    P, by_P = np.zeros((n, width)), np.zeros(((n * n + n * acting + m) * slopes, n, width))
     P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
     for j in range(m):
         b, own, old, new = B[:, j], over.W[j], n + j, n + m + j
         whole = over.W[-1] - own
         P[:, old], P[:, new] = whole @ b, own @ b
+        if not slopes:
+            continue
         by_P[: n * n, :, new] = over.W_by_A[j] @ b
         by_P[: n * n, :, old] = over.W_by_A[-1] @ b - by_P[: n * n, :, new]
         of_b = n * n + np.arange(n) * acting + j
@@ -522,7 +543,8 @@ def period_weights(
         by_P[n * n + n * acting + j, :, new] = -over.Phi[j] @ b
     if acting > m:  # the constant term
         P[:, -1], by_P[: n * n, :, -1] = over.W[-1] @ B[:, m], over.W_by_A[-1] @ B[:, m]
-        by_P[n * n + np.arange(n) * acting + m, :, -1] = over.W[-1].T
+        if slopes:
+            by_P[n * n + np.arange(n) * acting + m, :, -1] = over.W[-1].T
     return P, by_P
 
 

@@ -31,8 +31,10 @@ class TransitionMaps(NamedTuple):
     W_by_A: Float[np.ndarray, "time n*n n n"]
 
 
-def transitions_of(A: Square, times: Float[np.ndarray, " time"]) -> TransitionMaps:
-    """Φ, W and their derivatives at times, seconds.
+def transitions_of(
+    A: Square, times: Float[np.ndarray, " time"], slopes: bool = True
+) -> TransitionMaps:
+    """Φ, W and their derivatives at times, seconds; without `slopes` none of these.
 
     Examples
     --------
@@ -43,6 +45,9 @@ def transitions_of(A: Square, times: Float[np.ndarray, " time"]) -> TransitionMa
 
     n = len(A)
     size = 2 * n
+    if not slopes:
+        Phi, W = (one[0] for one in plain_transitions(A[None], times))
+        return TransitionMaps(Phi, W, *np.empty((2, times.size, 0, n, n)))
     # [[A, I], [0, 0]] twice on the diagonal; above it the direction E_ab, one a matrix.
     joint = np.zeros((times.size, n * n, 2 * size, 2 * size))
     for place in (0, size):
@@ -102,11 +107,11 @@ def interpolation(
 
 
 def noise_tables(
-    A: Square, L: Square, times: Float[np.ndarray, " time"]
+    A: Square, L: Square, times: Float[np.ndarray, " time"], slopes: bool = True
 ) -> tuple[Float[np.ndarray, "time n n"], Float[np.ndarray, "time q n n"]]:
     """Q after times, W = L Lᵀ, and its derivatives by A and by the lower triangle of L.
 
-    The diagonal of L is known by its logarithm.
+    The diagonal of L is known by its logarithm. Without `slopes` there are no derivatives.
 
     Examples
     --------
@@ -115,6 +120,8 @@ def noise_tables(
     (array([2.]), array([1., 4.]))
     """
     n, count = len(A), times.size
+    if not slopes:
+        return noise_covariances(A[None], L @ L.T, times), np.empty((count, 0, n, n))
     joint, noise = np.zeros((n * n, 2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     a, b = np.divmod(np.arange(n * n), n)
     # Noise enters the second half alone, so that the corner beside it is what E_ab carries over.

@@ -23,7 +23,7 @@ from deadtime.base.checks import read_only
 from deadtime.numerics.exponential import balanced, discretise_each, product, products
 from deadtime.numerics.kernels import kernel
 
-_MANY = 4096  # stretches that are worth a compiler
+_MANY = 100_000  # numbers of stretches that are worth a compiler
 _ROUND_OFF = 1e-18
 _LONGEST = 1100  # doublings, more than any finite number has
 
@@ -54,9 +54,9 @@ def accumulate(
     longest = float((size[mode] * tau).max(initial=0.0))
     Phi, S = _terms(J, np.zeros(J.shape[1:]) if W is None else W, size, min(longest, 0.5))
     M, Q = np.empty((2, len(tau), *J.shape[1:]))
-    work = _follow if len(tau) > _MANY else _follow_by_numpy
+    given = np.array(mode, np.int64), np.array(tau, float)  # of one type, and one kernel for all
     with np.errstate(over="ignore", invalid="ignore"):
-        work(Phi, S, size, mode, tau, W is not None, M, Q)
+        _follow(Phi, S, size, *given, W is not None, M, Q)
     return M, Q
 
 
@@ -80,7 +80,52 @@ def _terms(
     return Phi, S
 
 
-@kernel(eager=True, nogil=True)
+def _follow_by_numpy(
+    Phi: np.ndarray,
+    S: np.ndarray,
+    size: np.ndarray,
+    mode: np.ndarray,
+    tau: np.ndarray,
+    noisy: bool,
+    M: np.ndarray,
+    Q: np.ndarray,
+) -> None:
+    """`_follow` in a few operations on all stretches, which lie in the last axis."""
+    N = M.shape[1]
+    moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)
+    added = np.zeros(moved.shape)
+    for p in range(tau.shape[1]):
+        (on,) = np.nonzero(tau[:, p] > 0.0)
+        a, s = mode[on, p], size[mode[on, p]] * tau[on, p]
+        doublings = np.zeros(on.size, np.int64)
+        while (long := (s > 0.5) & (doublings < _LONGEST)).any():
+            s[long] *= 0.5
+            doublings[long] += 1
+        P, R = _horner(Phi, a, s), _horner(S, a, s) * s if noisy else np.zeros((N, N, on.size))
+        for i in range(int(doublings.max(initial=0))):
+            (more,) = np.nonzero(doublings > i)
+            own = P[:, :, more]
+            if noisy:
+                R[:, :, more] += _congruence_all(own, R[:, :, more])
+            P[:, :, more] = products(own, own)
+        if noisy:
+            added[:, :, on] = _congruence_all(P, added[:, :, on]) + R
+        moved[:, :, on] = products(P, moved[:, :, on])
+    M[:], Q[:] = moved.transpose(2, 0, 1), added.transpose(2, 0, 1)
+
+
+def _horner(terms: np.ndarray, mode: np.ndarray, s: np.ndarray) -> np.ndarray:
+    value = terms[mode, -1].transpose(1, 2, 0)
+    for k in range(terms.shape[1] - 2, -1, -1):
+        value = value * s + terms[mode, k].transpose(1, 2, 0)
+    return value
+
+
+def _congruence_all(P: np.ndarray, R: np.ndarray) -> np.ndarray:
+    return products(products(P, R), P.transpose(1, 0, 2))
+
+
+@kernel(nogil=True, plain=_follow_by_numpy, large=_MANY)
 def _follow(Phi, S, size, mode, tau, noisy, M, Q):
     """Fill M and Q of every stretch."""
     N = Phi.shape[2]
@@ -147,51 +192,6 @@ def _congruence(P, R, half, result):
             for k in range(1, P.shape[0]):
                 total += half[i, k] * P[j, k]
             result[i, j] = total
-
-
-def _follow_by_numpy(
-    Phi: np.ndarray,
-    S: np.ndarray,
-    size: np.ndarray,
-    mode: np.ndarray,
-    tau: np.ndarray,
-    noisy: bool,
-    M: np.ndarray,
-    Q: np.ndarray,
-) -> None:
-    """`_follow` in a few operations on all stretches, which lie in the last axis."""
-    N = M.shape[1]
-    moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)
-    added = np.zeros(moved.shape)
-    for p in range(tau.shape[1]):
-        (on,) = np.nonzero(tau[:, p] > 0.0)
-        a, s = mode[on, p], size[mode[on, p]] * tau[on, p]
-        doublings = np.zeros(on.size, np.int64)
-        while (long := (s > 0.5) & (doublings < _LONGEST)).any():
-            s[long] *= 0.5
-            doublings[long] += 1
-        P, R = _horner(Phi, a, s), _horner(S, a, s) * s if noisy else np.zeros((N, N, on.size))
-        for i in range(int(doublings.max(initial=0))):
-            (more,) = np.nonzero(doublings > i)
-            own = P[:, :, more]
-            if noisy:
-                R[:, :, more] += _congruence_all(own, R[:, :, more])
-            P[:, :, more] = products(own, own)
-        if noisy:
-            added[:, :, on] = _congruence_all(P, added[:, :, on]) + R
-        moved[:, :, on] = products(P, moved[:, :, on])
-    M[:], Q[:] = moved.transpose(2, 0, 1), added.transpose(2, 0, 1)
-
-
-def _horner(terms: np.ndarray, mode: np.ndarray, s: np.ndarray) -> np.ndarray:
-    value = terms[mode, -1].transpose(1, 2, 0)
-    for k in range(terms.shape[1] - 2, -1, -1):
-        value = value * s + terms[mode, k].transpose(1, 2, 0)
-    return value
-
-
-def _congruence_all(P: np.ndarray, R: np.ndarray) -> np.ndarray:
-    return products(products(P, R), P.transpose(1, 0, 2))
 
 
 _SPENT = 1e-14  # of a variance: less of it is none

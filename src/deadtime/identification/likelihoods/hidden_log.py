@@ -83,7 +83,7 @@ class HiddenLog(PlantLikelihood):
 
     def densities(self, theta: Vector, cells: Cells) -> Float[np.ndarray, "period mode"]:
         """The log density of every usable period in each mode."""
-        maps = self.sampling.maps(self.layout, theta, cells)
+        maps = self.sampling.maps(self.layout, theta, cells, slopes=False)
         each = zip(self._rows(theta, cells), maps, self.S, strict=True)
         return np.column_stack([log_density(z, own.P, S) for z, own, S in each])
 
@@ -125,7 +125,7 @@ class HiddenLog(PlantLikelihood):
 
 
 _SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more
-_BLOCK = 4096  # samples whose derivatives, which nothing here needs, are there at a time
+_BLOCK = 4096  # samples whose weights of nodes are there at a time
 
 
 class SingleMode(NamedTuple):
@@ -219,7 +219,7 @@ class HiddenNoisyLog(SensorLikelihood):
     def _periods(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
         part, layout = self.recording.parts[number], replace(self.layout, modes=1, per_mode=False)
         part = part._replace(mode=np.zeros(part.time.size, np.int64))
-        leading = self.sampling.periods_of(layout, *mode)
+        leading = self.sampling.periods_of(layout, *mode, slopes=False)
         rows, each, tables = np.arange(start.size), [], 0
         for first in range(0, start.size, _BLOCK):
             own = rows[first : first + _BLOCK]
