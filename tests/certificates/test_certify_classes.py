@@ -32,6 +32,7 @@ from certified_loops import (
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates import Certificate
 from deadtime.certificates.proof.archive import load_evidence
+from deadtime.certificates.proof.check import Check
 from deadtime.certificates.proof.transitions import SwitchGraph, interpolation
 from exponential_products import ellipses
 

@@ -182,5 +182,5 @@ def test_a_loop_with_noise_of_ones_own_is_pushed():
 def test_an_exported_controller_clips_within_own_limits():
     paper = dt.problems.paper()
     problem = replace(paper, imperfections=(Saturation(-5.0, 1.0), Fuse(2.0), Valve(9.0, 20.0)))
-    controller = _controller(problem, None, 0.05)
+    controller = _controller(problem, problem.laws["averaged"], 0.05)
     assert (controller.low.tolist(), controller.high.tolist()) == ([-2.0], [1.0])

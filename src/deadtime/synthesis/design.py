@@ -135,7 +135,7 @@ _SCALES = 1e6  # between the states of a balanced mode
 def unit_hints(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], step: float
 ) -> tuple[str, ...]:
-    r"""Sentences about ratios that mixed units are the likeliest reason of; none for most plants.
+    """Sentences about ratios that mixed units are the likeliest reason of; none for most plants.
 
     Parameters
     ----------
