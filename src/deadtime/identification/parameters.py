@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
+from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 
 Vector = Float[np.ndarray, " size"]  # unknowns, those of a plant first
@@ -31,7 +32,7 @@ Inputs = Float[np.ndarray, "sample m"]  # of every sample
 
 
 @dataclass(frozen=True)
-class Layout:
+class Layout(Frozen):
     """Where each unknown lies.
 
     modes, n, m : how many modes, states and inputs
