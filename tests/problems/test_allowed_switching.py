@@ -239,7 +239,10 @@ def test_monte_carlo_and_studies_draw_signals_at_samples_within_the_limits(load,
     assert "switches at samples only, but only so" in out
     assert "sojourns are rounded up to whole periods" in out
     model = random_model(problem.limits, problem.mean_sojourn)
-    drawn = drawn_as(model, "samples", problem.limits.maximum_dwell, problem.step)
+    drawn = drawn_as(model, problem.signals, problem.step)
+    tight = dt.SignalClass(0.23, maximum_dwell=0.34, at="samples")
+    with pytest.raises(dt.ArgumentError, match="maximum_dwell must leave a sojourn of whole per"):
+        drawn_as(model, tight, 0.2)
     assert all(map(kept, _whole(draw_signals(drawn, 60.0, seed=2, count=20), problem.step)))
     Path("study.toml").write_text(
         'problem = "p.toml"\nlaws = ["averaged"]\n[grid]\ndwell_time = [0.15, 0.25]\n',

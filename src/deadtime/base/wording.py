@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from decimal import ROUND_CEILING, ROUND_DOWN, ROUND_FLOOR, Decimal
 
 # Malformed in XML, refused by compilers or Python, or able to show text in another order than it
@@ -196,3 +196,20 @@ def file_name(name: str) -> str:
     'mean-dwell-aware'
     """
     return "-".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
+
+
+def file_names(names: Iterable[str]) -> dict[str, str]:
+    """Names of laws as they stand in names of files, numbered where they would not differ.
+
+    Examples
+    --------
+    >>> file_names(["+ only", "- only"])
+    {'+ only': '1-only', '- only': '2-only'}
+    """
+    found = {name: file_name(name) for name in names}
+    if len(set(found.values()) - {""}) == len(found):
+        return found
+    return {
+        name: f"{number}-{short}".rstrip("-")
+        for number, (name, short) in enumerate(found.items(), 1)
+    }

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import file_name, with_names
+from deadtime.base.wording import file_names, with_names
 from deadtime.cli import options
 from deadtime.cli.application import JUDGE, app, lines
 from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
@@ -290,10 +290,10 @@ def _print_verification(result: Verification) -> None:
 def _save(judged: list[Judged], out: Path) -> dict[Path, int]:
     """Save every certificate that says stable, one file for one law; the limit of each."""
     certificates = {one.law: one.certificate for one in judged if one.stable}
-    saved = {}
+    saved, names = {}, file_names(one.law for one in judged)
     for name, certificate in certificates.items():
         assert certificate is not None
-        path = out if len(judged) == 1 else out.with_stem(f"{out.stem}-{file_name(name)}")
+        path = out if len(judged) == 1 else out.with_stem(f"{out.stem}-{names[name]}")
         saved[certificate.save(path)] = certificate.limit
     return saved
 

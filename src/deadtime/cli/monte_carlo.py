@@ -89,6 +89,7 @@ def monte_carlo(
     from deadtime.reports.scenario_tables import summary
     from deadtime.scenarios.batch_run import compare
     from deadtime.scenarios.dataset import dataset_of
+    from deadtime.switching import SignalClass
 
     chosen = options.with_law(options.problem_of(problem), law)
     period = _period(chosen, step)
@@ -102,7 +103,11 @@ def monte_carlo(
     require_width(width)
     require_writable("data", data, _DATA)
     require_writable("table", table, TABLES)
-    drawn = drawn_as(model, chosen.signals.at, chosen.limits.maximum_dwell, period)
+    signals = chosen.signals
+    if sojourn is not None:  # the dwell time of what is drawn
+        longest = chosen.limits.maximum_dwell
+        signals = SignalClass(sojourn.dwell.value, maximum_dwell=longest, at=signals.at)
+    drawn = drawn_as(model, signals, period)
     result = compare(
         chosen.plant,
         chosen.laws,

@@ -125,15 +125,12 @@ def simulate(
 
 
 def _save_logs(result: Comparison, path: Path) -> list[Path]:
-    """The runs as CSV, one file for each law; with numbers where names of files are not enough."""
-    from deadtime.base.wording import file_name
+    """The runs as CSV, one file for each law."""
+    from deadtime.base.wording import file_names
 
-    problem, saved = result.problem, []
-    names = [file_name(name) for name in result.runs]
-    if len(set(names) - {""}) < len(names):
-        names = [f"{number}-{name}".rstrip("-") for number, name in enumerate(names, 1)]
-    for name, run in zip(names, result.runs.values(), strict=True):
-        target = path if len(names) == 1 else path.with_stem(f"{path.stem}-{name}")
+    problem, saved, names = result.problem, [], file_names(result.runs)
+    for name, run in result.runs.items():
+        target = path if len(names) == 1 else path.with_stem(f"{path.stem}-{names[name]}")
         run.to_csv(target, *problem.curve_names, problem.tracked)
         saved.append(target)
     return saved

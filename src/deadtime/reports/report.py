@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from deadtime.base.checks import reporter
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
-from deadtime.base.wording import file_name
+from deadtime.base.wording import file_name, file_names
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison, Progress, compare
@@ -87,13 +87,13 @@ def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, 
     """A run of the worst signal of each law that is refuted, but of a baseline."""
     from deadtime.reports.figures.certificates import plot_witness
 
-    figures = []
+    figures, names = [], file_names(problem.laws)
     for one in judged:
         predicts = problem.laws[one.law].predicts
         if one.stable is not False or one.worst is None or not predicts:
             continue
         figures.append((
-            f"witness-{file_name(one.law)}",
+            f"witness-{names[one.law]}",
             f"A signal with the dwell time that the law “{one.law}” does not stabilise.",
             plot_witness(one.worst, f"Law: {one.law}", problem.modes),
         ))  # fmt: skip
@@ -154,11 +154,12 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
         plot_signal(signal, end, problem.modes),
     )
     states, inputs = problem.curve_names
+    names = file_names(problem.laws)
     for name, run in result.runs.items():
         if not _is_shown(problem, name):
             continue
         figure = plot_run(run, None, states, problem.modes, inputs)
-        yield file_name(name), f"States, input and mode under the law “{name}”.", figure
+        yield names[name], f"States, input and mode under the law “{name}”.", figure
     caption, figure = all_laws(result)
     yield "all-laws", caption, figure
 

@@ -58,11 +58,11 @@ def by_end(belief: ModeBelief) -> bool:
 
 def values(belief: ModeBelief) -> dict[str, Any]:
     """The values that fill the templates: the numbers and switches of the form, and its sizes."""
-    form, parts = belief.form, _parts(belief)
+    form = belief.form
     lags = form.lag.tolist()
     return {
-        **{key: literal(one, "double") for key, one in parts.items() if isinstance(one, float)},
-        **{key: one for key, one in parts.items() if isinstance(one, bool)},
+        "forgetting": literal(float(form.forgetting), "double"),
+        "within": bool(form.within),
         "lags": lags,
         "ages": form.hazard.shape[1],
         "sent": max(lags) + 1,

@@ -21,7 +21,6 @@ from deadtime.switching import (
     SwitchingModel,
     SwitchingSignal,
 )
-from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import Instants
 
 
@@ -161,13 +160,16 @@ class WholePeriods:
 
 
 def drawn_as(
-    model: SwitchingModel, at: Instants, longest: PerMode | None, step: float
+    model: SwitchingModel, signals: SignalClass, step: float
 ) -> SwitchingModel | WholePeriods:
-    """What draws a model's signals for runs at a period: at samples only, where these are so.
+    """The source of a model's signals for runs at a period: at samples only, where these are so.
 
-    `longest` is the longest sojourn, seconds, or one for every mode.
+    Raises
+    ------
+    ArgumentError
+        If some mode has no sojourn of whole periods within its limits.
     """
-    if at == "anywhere" or model.at_samples(step):
+    if signals.at == "anywhere" or model.at_samples(step):
         return model
-    limits = SignalClass(maximum_dwell=longest, at="samples").at_period(model.modes, step)
+    limits = signals.at_period(model.modes, step)
     return WholePeriods(model, limits.maximum_dwell, step)

@@ -27,7 +27,6 @@ from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, COARSE, INPUT_WEIGHT, Draft, axis_of, kinds_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SwitchingModel
-from deadtime.switching.signal_class import Instants
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
 
@@ -102,14 +101,10 @@ class FileStudy(Study):
             laws, reasons = self._place_laws(file, problem, model, cell.values.get("dwell_time"))
         if problem.step is None:
             raise ArgumentError('step = "ideal" has no samples: give the study a step.')
-        longest = getattr(file.signal, "maximum_dwell", None)
-        if file.switching is not None:
-            _, longest, _ = file.switching.promise(model)
-        at: Instants = getattr(file.signal, "at", "anywhere")
         return Loop(
             problem.plant,
             laws,
-            drawn_as(model, at, longest, problem.step),
+            drawn_as(model, promise_of(file, model, problem.plant.modes), problem.step),
             problem.x0,
             problem.horizon,
             problem.step,
