@@ -203,8 +203,8 @@ def _run(
         first.append(len(path) - 1)
         if k < kept and stop is None and truth.chatter and truth.chatter.time < horizon:
             # It may begin at the next sample, which then belongs to the run.
-            last = int(snap(truth.chatter.time / h))
-            kept, stop = min(kept, last + 1), _Stop(truth.chatter.time, False, "")
+            kept = min(kept, int(snap(truth.chatter.time / h)) + 1)
+            stop = _Stop(truth.chatter.time, False, "")
     return kept, path, stop
 
 
