@@ -38,7 +38,7 @@ def assert_same(ours, theirs):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("law", ["averaged", "mode 1 only"])
+@pytest.mark.parametrize("law", ["averaged", "brake only"])
 def test_certificates_are_those_of_whole_solutions(law):
     whole = certify(law)
     assert certificate(law).decay_rate == whole.decay_rate

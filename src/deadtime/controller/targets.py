@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from deadtime.base.json_records import record
-
 if TYPE_CHECKING:
     from deadtime.controller.export import ExportedFmu
     from deadtime.controller.running import RunningLaw
@@ -40,6 +38,7 @@ def _some(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
 
 
 def _write_c(controller: RunningLaw, folder: Path, options: Mapping[str, Any]) -> Written:
+    from deadtime.base.json_records import record
     from deadtime.controller.export import export_c
 
     own = _some(options, "precision", "accuracy", "names", "rom_budget", "name", "prediction")
@@ -72,6 +71,8 @@ def _write_plant_fmu(controller: RunningLaw, path: Path, options: Mapping[str, A
 
 
 def _fmu(of: str, made: ExportedFmu) -> Written:
+    from deadtime.base.json_records import record
+
     facts = record(made, "path", "version", "binary")
     return Written(facts, [made.path], [f"FMU of the {of}: {made}"])
 
