@@ -106,7 +106,7 @@ def monte_carlo(
     signals = chosen.signals
     if sojourn is not None:  # the dwell time of what is drawn
         longest = chosen.limits.maximum_dwell
-        signals = SignalClass(sojourn.dwell.value, maximum_dwell=longest, at=signals.at)
+        signals = SignalClass(sojourn.dwell.value or None, maximum_dwell=longest, at=signals.at)
     drawn = drawn_as(model, signals, period)
     result = compare(
         chosen.plant,
