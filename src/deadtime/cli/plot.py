@@ -124,7 +124,7 @@ def _plan(
     sides: tuple[str | None, str | None],
     held: dict[str, str],
 ) -> tuple[Callable[[], xr.Dataset], dict[str, Callable[[xr.Dataset], Figure]], str]:
-    """What reads the store in one pass, what draws figures of that, and why bands are left out.
+    """A reader of the store in one pass, its figures, and the reason if bands are left out.
 
     Figures go by the names of their files. All that can be refused is refused here.
     """

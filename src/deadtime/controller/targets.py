@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Written(NamedTuple):
-    """What a target wrote: a record of it, its files, lines for readers, and its self-check."""
+    """The output of a target: a record of it, its files, lines for readers, and its self-check."""
 
     facts: Mapping[str, Any]
     files: Sequence[Path]

@@ -114,7 +114,7 @@ def frozen(form: _Form) -> _Form:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BeliefFilter(Frozen, ABC):
-    """What keeps a belief over the modes at samples: all that laws and controllers ask of one.
+    """A filter that keeps a belief over the modes at samples, as laws and controllers use it.
 
     Attributes
     ----------

@@ -13,6 +13,13 @@ from deadtime.base.frozen import Frozen
 from deadtime.plant.switched_system import SwitchedSystem
 
 
+def norm_of_entries(parts: np.ndarray) -> Float[np.ndarray, "*entries"]:
+    """(Σ_i parts_i²)^½ of each entry, rounded up."""
+    largest = np.abs(parts).max(axis=0, initial=0.0)
+    unit = np.where(largest > 0.0, largest, 1.0)
+    return unit * np.sqrt(((parts / unit) ** 2).sum(axis=0)) * (1.0 + 1e-12)
+
+
 @dataclass(frozen=True, eq=False)
 class PlantSet(Frozen, ABC):
     """Plants of which the true one may be any, and another in each period (immutable).
@@ -43,7 +50,7 @@ class PlantSet(Frozen, ABC):
     @property
     def radius(self) -> Float[np.ndarray, "mode n nm"]:
         """How far z moves each entry of [A B] at most, rounded up."""
-        raise NotImplementedError
+        return norm_of_entries(self.directions)
 
     @property
     def in_polytope(self) -> bool:
@@ -70,7 +77,7 @@ class PlantSet(Frozen, ABC):
         return np.concatenate((self.A[:, mode], self.B[:, mode]), axis=2)
 
     def with_inputs(self, count: int) -> PlantSet:
-        """The same, of its first inputs alone."""
+        """This set with its first inputs alone."""
         return replace(self, B=self.B[..., :count])
 
     def misfit(self) -> str:

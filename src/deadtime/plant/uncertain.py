@@ -21,13 +21,6 @@ _SYMMETRIC = 1e-6  # of a correlation: what a file's digits may leave
 _ROUNDED = 1e-10  # of an ellipsoid's axes
 
 
-def norm_of_entries(parts: np.ndarray) -> Float[np.ndarray, "*entries"]:
-    """(Σ_i parts_i²)^½ of each entry, rounded up."""
-    largest = np.abs(parts).max(axis=0)
-    unit = np.where(largest > 0.0, largest, 1.0)
-    return unit * np.sqrt(((parts / unit) ** 2).sum(axis=0)) * (1.0 + 1e-12)
-
-
 @dataclass(frozen=True, eq=False)
 class Ellipsoid(PlantSet):
     """The plants [A B] + Σ z_i axes_i with |z| ≤ 1 about the one vertex (immutable).
@@ -47,11 +40,6 @@ class Ellipsoid(PlantSet):
         return self.axes
 
     @property
-    def radius(self) -> Float[np.ndarray, "mode n nm"]:
-        """The half widths of the box about it, rounded up."""
-        return norm_of_entries(self.axes)
-
-    @property
     def in_words(self) -> tuple[str, str]:
         """As of every set."""
         return (
@@ -60,7 +48,7 @@ class Ellipsoid(PlantSet):
         ), f"an ellipsoid of {len(self.axes)} axes"
 
     def with_inputs(self, count: int) -> Ellipsoid:
-        """The same, of its first inputs alone."""
+        """This set with its first inputs alone."""
         n = self.A.shape[2]
         return replace(self, B=self.B[..., :count], axes=self.axes[..., : n + count])
 

@@ -60,7 +60,7 @@ switches at any time; sampling period 0.01 s; laws are told the mode 2 periods l
 
 
 def step_of(problem: Problem, wanted: float | None = None) -> float:
-    """What somebody wanted, or the period of a problem, seconds; `STEP` where its loop is ideal."""
+    """The period wanted, or that of a problem, seconds; `STEP` where its loop is ideal."""
     return problem.step or STEP if wanted is None else positive("step", wanted)
 
 

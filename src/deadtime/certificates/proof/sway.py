@@ -1,4 +1,4 @@
-"""What the z of a `PlantSet`, [A B] + Σ z_i directions_i with |z| ≤ 1, does to the rows E of steps.
+"""Effect of the z of a `PlantSet`, [A B] + Σ z_i directions_i, |z| ≤ 1, on the rows E of steps.
 
 On a cell E(p, z) = E(p, 0) + Σ z_i L_i, L_i the derivative by z_i somewhere on the cell and in the
 ball; over both it is enclosed by way of the entries θ of A and B,
@@ -29,8 +29,7 @@ from jaxtyping import Float
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.balls import congruent
-from deadtime.plant.plant_set import PlantSet
-from deadtime.plant.uncertain import norm_of_entries
+from deadtime.plant.plant_set import PlantSet, norm_of_entries
 
 ROUNDS = 60  # of fitting W and X in turn
 FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1
