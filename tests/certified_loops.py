@@ -12,6 +12,25 @@ from certificate_reference import steps
 from deadtime.certificates.proof import StretchEvidence
 
 PAPER = dt.problems.paper().plant
+# A problem file that is proved in no time.
+MILD_FILE = """
+[plant]
+delay = 0.234
+A = [[[-1.5]], [[-1.2]]]
+B = [[[1.0]], [[1.3]]]
+[gains]
+K = [[[-0.5]], [[-0.4]]]
+[[law]]
+kind = "averaged"
+[signal]
+kind = "periodic"
+modes = [0, 1]
+sojourns = [0.5, 0.5]
+[run]
+x0 = [1.0]
+horizon = 3.0
+step = 0.1
+"""
 
 
 def with_delay(plant, delay):

@@ -12,6 +12,7 @@ import pytest
 
 import deadtime as dt
 from certificate_reference import rewritten
+from certified_loops import MILD_FILE
 from deadtime.certificates import Verification
 from deadtime.certificates.proof.archive import digest
 from deadtime.cli.application import main
@@ -30,25 +31,6 @@ ANSWERS = {
     "mean": (True, 0.25, "Proved.", None),
     "oracle": (None, None, "The oracle knows the future: no certificate.", None),
 }
-
-MILD = """
-[plant]
-delay = 0.234
-A = [[[-1.5]], [[-1.2]]]
-B = [[[1.0]], [[1.3]]]
-[gains]
-K = [[[-0.5]], [[-0.4]]]
-[[law]]
-kind = "averaged"
-[signal]
-kind = "periodic"
-modes = [0, 1]
-sojourns = [0.5, 0.5]
-[run]
-x0 = [1.0]
-horizon = 3.0
-step = 0.1
-"""
 
 
 def run(capsys, *arguments):
@@ -384,7 +366,7 @@ def test_a_proof_that_takes_more_work_than_is_usual_is_saved_with_the_command_th
         monkeypatch.setattr(f"deadtime.certificates.proof.work.{name}", value)
     path = tmp_path / "c.json"
     file = tmp_path / "p.toml"
-    file.write_text(MILD, encoding="utf-8")
+    file.write_text(MILD_FILE, encoding="utf-8")
     code, out, _ = run(capsys, "certify", str(file), "--law", "averaged", "--out", str(path))
     assert code == 0
     command = re.search(r"More work than is usual: deadtime (verify .*)", out)[1].split()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from certified_loops import MILD_FILE
 from deadtime.cli.application import main
 
 
@@ -13,26 +14,7 @@ def run(capsys, *arguments):
     return stopped.value.code, captured.out, captured.err
 
 
-UNCERTAIN = """
-[plant]
-delay = 0.234
-A = [[[-1.5]], [[-1.2]]]
-B = [[[1.0]], [[1.3]]]
-[uncertainty]
-covariance = {covariance}
-[gains]
-K = [[[-0.5]], [[-0.4]]]
-[[law]]
-kind = "averaged"
-[signal]
-kind = "periodic"
-modes = [0, 1]
-sojourns = [0.5, 0.5]
-[run]
-x0 = [1.0]
-horizon = 3.0
-step = 0.1
-"""
+UNCERTAIN = MILD_FILE.replace("[gains]", "[uncertainty]\ncovariance = {covariance}\n[gains]")
 
 
 def test_certify_proves_all_that_a_file_leaves_open_or_says_that_it_does_not(tmp_path, capsys):
