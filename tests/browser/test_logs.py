@@ -45,7 +45,7 @@ def test_a_log_that_is_dropped_becomes_a_plant_with_its_delay_and_figures(page, 
     assert f"{low:.5g} … {high:.5g} s at 95 %" in found(page)
     for sentence in fit.sentences[1:]:  # the first is the heading
         assert sentence in found(page)
-    assert re.search("Law “averaged”, each mode held: Delay 0.026.*bears", found(page))
+    assert re.search("Law “averaged”, each mode held: Delay 0.026.*tolerates", found(page))
     names = page.locator(".found figure img").evaluate_all(
         "all => all.filter((one) => one.naturalWidth > 200).map((one) => one.alt)"
     )

@@ -234,12 +234,12 @@ def test_a_file_says_how_late_and_is_about_that_loop_alone(told_late, tmp_path):
     assert json.loads(path.read_text())["law"]["mode_lag"] == 2
     told = dt.verify(path, plant, law, mode_lag=2)
     assert told.proven
-    assert "the sampled mode, which it is told 2 periods late" in told.statement[2]
+    assert "the sampled mode, which is reported 2 periods late" in told.statement[2]
     assert dt.verify(path).proven
     for asked in ({"law": law}, {"mode_lag": 3}, {"mode_lag": 0}):
         other = dt.verify(path, **asked)
         assert not other.proven
-        assert "told the mode 2 periods late, not" in other.message
+        assert "a mode that is reported 2 periods late, not" in other.message
 
 
 @pytest.mark.parametrize("lag", [0, 1, 3, 6, 30])

@@ -42,7 +42,7 @@ def test_a_filter_refuses(options, message):
 
 def test_modes_that_nothing_tells_apart_are_refused_by_name_or_share_what_the_model_says():
     plant = dt.SwitchedSystem(THREE.A[[0, 1, 0]], THREE.B[[0, 1, 0]], 0.234)
-    with pytest.raises(dt.ArgumentError, match="modes 0 and 2 cannot be told apart"):
+    with pytest.raises(dt.ArgumentError, match="modes 0 and 2 cannot be distinguished"):
         dt.ModeFilter(plant, plants.markov(3), 0.1)
     later = dt.SwitchedSystem(plant.A, plant.B, [[0.2], [0.2], [0.3]])
     dt.ModeFilter(later, plants.markov(3), 0.1)  # the delay tells

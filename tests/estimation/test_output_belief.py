@@ -153,7 +153,10 @@ GROWING = dt.SwitchedSystem(
         ({"estimate": [1.0]}, r"estimate must have shape \(n,\) = \(2,\), got \(1,\)"),
         ({"model": plants.markov(3)}, "model must have the plant's 2 modes, got 3"),
         ({"disturbance": -1.0}, "disturbance must be ≥ 0, a variance or an intensity, got -1.0"),
-        ({"plant": HIDING}, "modes 0 and 1 cannot be told apart: the same state and inputs give"),
+        (
+            {"plant": HIDING},
+            "modes 0 and 1 cannot be distinguished: the same state and inputs give",
+        ),
         ({"plant": GROWING}, "mode 1 is not observable.* does not decay: measure more"),
         (
             {"C": dt.luenberger(CART, [[1.0, 0.0]], [-3.0, -4.0], 0.05)},

@@ -84,7 +84,10 @@ def test_the_price_of_noise_is_quadratic_and_doubles_where_it_says():
 def test_a_law_that_does_not_read_the_mode_is_said_not_to():
     result = assess("averaged")
     assert result.lag is None
-    assert result.sentences[-2] == "The law does not read the mode, so that it may be told late."
+    assert (
+        result.sentences[-2]
+        == "Mode detection delay has no effect: the law does not read the mode."
+    )
 
 
 def test_a_law_on_a_belief_is_told_no_mode_that_could_be_late():
@@ -99,7 +102,9 @@ def test_a_law_on_a_belief_is_told_no_mode_that_could_be_late():
     )
     assert told.lag is not None
     assert believed.lag is None
-    assert "The law does not read the mode, so that it may be told late." in believed.sentences
+    assert (
+        "Mode detection delay has no effect: the law does not read the mode." in believed.sentences
+    )
 
 
 def test_a_loop_that_is_lost_as_it_is_says_so():
@@ -112,7 +117,7 @@ def test_a_loop_that_is_lost_as_it_is_says_so():
         assert one.message == "the runs are lost as they are, with nothing added"
     assert result.delay.lower is None
     assert len(result.sentences) == 4
-    assert result.sentences[-1].startswith("What noise costs cannot be told")
+    assert result.sentences[-1].startswith("The cost of noise cannot be computed")
     plot_robustness(result)
 
 

@@ -355,7 +355,7 @@ def test_a_count_or_mode_that_makes_no_sense_is_refused(count, mode):
 def test_gains_beyond_the_digits_are_refused_not_guessed():
     plant = plants.paper(8.0)
     law = plants.LAWS["exact"](plant)
-    with pytest.raises(dt.ArgumentError, match=r"could not be told apart, so large are the law's"):
+    with pytest.raises(dt.ArgumentError, match=r"could not be separated: the law's gains"):
         dt.growth_rate(plants.paper(8.008), law, 0, step=None)
 
 

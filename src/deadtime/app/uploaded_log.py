@@ -218,7 +218,7 @@ def open_log(
         raise _without_folder(error, source) from None
     finally:
         source.unlink()
-    tell("looking how much delay the laws bear")
+    tell("computing the delay margins of the laws")
     saved = folder / f"{file_stem(name)}.toml"
     fit.save(saved, title=saved.stem)
     saved.write_bytes(saved.read_bytes() + _LAWS)

@@ -205,13 +205,13 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         falls = f"per period {falls}" if rate else falls
     pace = f" decays at least like exp(−{round_down(rate, 6)} t)" if rate else " decays to zero"
     rows = {
-        "none": "nothing (one row)",
-        "mode": "the sampled mode",
-        "mode_age": f"the sampled mode and its age in samples, {setting.ages} ages",
+        "none": "one row, independent of the mode",
+        "mode": "a row for each sampled mode",
+        "mode_age": f"a row for each sampled mode and its age in samples, {setting.ages} ages",
     }[setting.context]
     late = ""
     if signals.mode_lag:
-        late = f", which it is told {number_of(signals.mode_lag, 'period')} late"
+        late = f"; the mode is reported {number_of(signals.mode_lag, 'period')} late"
     kept = memory = ""
     if setting.memory:
         memory = ", memory of the law"
@@ -237,13 +237,13 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",
-        f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}{late}."
+        f"The law is its table: the stored binary64 numbers, exactly: {rows}{late}."
         f"{kept} "
         "Plant entries, delay and period are all reals within half a unit in the last place of the "
         "stored ones: the decimals that were written and the binary64 numbers alike. By the "
         "controller's clock a sojourn may be shorter than the dwell time"
-        f"{' or longer than the maximum' * ends} by the part "
-        f"{signals.clock_tolerance!r} of it. Arithmetic of the running loop is taken as exact.",
+        f"{' or longer than the maximum' * ends} by a relative "
+        f"{signals.clock_tolerance!r}. Arithmetic of the running loop is taken as exact.",
         how,
     )
 
@@ -256,5 +256,5 @@ def _measured(setting: Setting) -> str:
     return (
         f"at most {number_of(lost, 'sample')} in a row "
         f"{'is' if lost == 1 else 'are'} lost, whichever, by the table's rows of a "
-        "lost sample and with the mode that was told last"
+        "lost sample and with the mode that was reported last"
     )

@@ -206,8 +206,9 @@ def _why_no_table(law: Law) -> str:
     if law.outputs is None:
         return (
             f"{name} weighs its rows by a belief, which no signal decides: there is "
-            "no table to certify. What can be proved is its .law, told the mode at once or, with "
-            "mode_lag, some periods late; falsify searches in runs for signals that it grows under."
+            "no table to certify. What can be proved is its .law, with the mode reported at once "
+            "or, with mode_lag, some periods late; falsify searches in runs for signals that it "
+            "grows under."
         )
     return (
         f"{name} is no linear update of what it remembers (it weighs a belief, or runs a law that "
@@ -217,18 +218,18 @@ def _why_no_table(law: Law) -> str:
 
 
 def told_late(law: Law, mode_lag: int) -> str:
-    """Why a law that is told the mode late has no certificate, if so."""
+    """Why a law to which the mode is reported late has no certificate, if so."""
     if not mode_lag or same_outputs(law):
         return ""
     return (
         "The law measures other outputs in each mode, so what it makes of them depends on the "
-        "plant's mode and on the one that it is told: certify with one C for all modes, or without "
+        "plant's mode and on the reported one: certify with one C for all modes, or without "
         "mode_lag."
     )
 
 
 def too_many_told(setting: Setting) -> str:
-    """Why a mode told late, or not told, has no certificate with so many rows, if so."""
+    """Why a mode that is reported late, or never, has no certificate with so many rows, if so."""
     late, rows = setting.signals.mode_lag or setting.signals.lost_samples, len(setting.F)
     if late * rows <= MOST_TOLD:
         return ""

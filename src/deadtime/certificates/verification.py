@@ -83,7 +83,7 @@ class ExpectedClaim:
         if times or "chatter" in self.signals:
             own["clock_tolerance"] = CLOCK_TOLERANCE
         if self.law is not None or "lost_samples" in self.signals:
-            own["mode_lag"] = 0  # it is told the mode at once, unless it is said how late
+            own["mode_lag"] = 0  # the mode is reported at once, unless it is said how late
         asked = SignalClass(**(own | self.signals))
         return self._loop(setting, asked) or self._signals(setting, asked)
 
@@ -100,7 +100,7 @@ class ExpectedClaim:
         reads_mode = setting.context != "none" and setting.modes > 1
         if reads_mode and asked.mode_lag != signals.mode_lag:
             return (
-                f"the certificate is about a law that is told the mode {signals.mode_lag} periods "
+                f"the certificate is about a mode that is reported {signals.mode_lag} periods "
                 f"late, not {asked.mode_lag} (mode_lag=, --mode-lag)."
             )
         lost = asked.lost_samples

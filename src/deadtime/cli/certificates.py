@@ -87,7 +87,7 @@ def certify(
         spaces, with a number for each input (or a list for each mode), as in [0.3,0.1] [0.32,0.12].
         What is proved then holds for every delay in its range; each range lies in one period.
     mode_lag
-        How many periods late the laws are told the mode, as by the imperfection mode_delay.
+        How many periods late the mode is reported to the laws, as by the imperfection mode_delay.
     lost_samples
         How many samples in a row may be lost, at most, whichever: what is proved then holds for
         every loss of them, as by the imperfection dropout.
@@ -220,7 +220,7 @@ def verify(
     step
         The sampling period in seconds that it must have; by default that of the problem.
     mode_lag
-        How many periods late the law must be told the mode; with a problem 0 by default.
+        How many periods late the mode may be reported; with a problem 0 by default.
     lost_samples
         How many samples in a row it must allow to be lost.
     uncertain

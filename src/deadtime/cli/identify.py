@@ -140,7 +140,7 @@ def identify(
         said = list(fit.sentences)
         try:
             if whose is not None:
-                say("looking how much delay the law bears")
+                say("computing the delay margin of the law")
                 said.append(_verdict(fit, *whose))
         except ArgumentError as error:  # of the law: what the log tells is not lost with it
             failed = error

@@ -116,7 +116,7 @@ def _shell() -> Shell:
     if found in ("bash", "zsh", "fish"):
         return found
     raise ArgumentError(
-        "shell must be one of bash, zsh, fish where it cannot be told, got none: "
+        "shell must be one of bash, zsh, fish where it cannot be detected, got none: "
         "deadtime completion bash."
     )
 

@@ -226,7 +226,7 @@ def _covariance_of_estimate(running: RunningLaw, n: int) -> Float[np.ndarray, "n
 def _nothing_known(running: RunningLaw) -> str:
     """Why there is no prediction now."""
     if running._reads_row and running._mode < 0 and running.samples:
-        return "prediction needs the mode: no call has told one that the plant has."
+        return "prediction needs the mode: no mode of the plant has been reported yet."
     if running.samples and running.status > Status.SATURATED:
         return (
             "prediction needs the state of the last sample, which was not finite: the law has "

@@ -209,7 +209,7 @@ class RunningLaw(Stateful):
         """Probabilities that are given from elsewhere, to a law that reads some."""
         if self.believing is None:
             raise ArgumentError(
-                f"belief needs a BeliefPredictor; {self.law.label} is told the mode: leave it out."
+                f"belief needs a BeliefPredictor; {self.law.label} reads the mode: leave it out."
             )
         return self.believing.running.require(belief)
 

@@ -107,7 +107,7 @@ class BeliefPredictor(Law):
     ) -> Feedback:
         raise ArgumentError(
             "BeliefPredictor has no table: it weighs rows by a belief, which no mode decides. Ask "
-            "about its .law, which is told the mode."
+            "about its .law, which reads the mode."
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:

@@ -1,4 +1,4 @@
-"""ModeFilter: how likely each mode is, from states and past inputs, where nobody measures it.
+"""ModeFilter: how likely each mode is, from states and past inputs.
 
 Derived in docs/theory/mode-filter.md. Signs, lags and pieces are those of `deadtime.plant`.
 """
@@ -44,8 +44,8 @@ def require_distinct(plant: SwitchedSystem) -> None:
             acts = (plant.B[i] != 0.0).any(axis=0)
             if same and _alike(plant.delays[i][acts], plant.delays[j][acts]):
                 raise ArgumentError(
-                    f"modes {j} and {i} cannot be told apart: A, B and delays are the same, so x "
-                    "shows the same in both. Make one mode of them, or allow_alike = True: then "
+                    f"modes {j} and {i} cannot be distinguished: A, B and delays are the same, so "
+                    "x shows the same in both. Make one mode of them, or allow_alike = True: then "
                     "they share what the switching model gives them."
                 )
 
@@ -68,8 +68,8 @@ def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p
             acts = (np.abs(acting[0]) > least).any(axis=0)
             if same and _alike(plant.delays[i][acts], plant.delays[j][acts]):
                 raise ArgumentError(
-                    f"modes {j} and {i} cannot be told apart: the same state and inputs give the "
-                    f"same outputs in both, C A^k and C A^k B up to k = {2 * n - 1} and delays. "
+                    f"modes {j} and {i} cannot be distinguished: the same state and inputs give "
+                    f"the same outputs in both, C A^k and C A^k B up to k = {2 * n - 1} and delays. "
                     "Measure more, make one mode of them, or allow_alike = True: then they share "
                     "what the switching model gives them."
                 )

@@ -22,7 +22,7 @@ _MOVES = 1e-9  # of an input's variance: an input that its own past tells so wel
 
 
 def reasons(recording: Recording, j: int, longest: float) -> list[str]:
-    """Sentences on input j, whose delay, up to `longest` seconds, is hardly told."""
+    """Sentences on input j, whose delay, up to `longest` seconds, is hardly identifiable."""
     said = []
     part = max(recording.parts, key=lambda one: one.time.size)
     repeat = _repeat(part, recording.step, j, longest) if recording.even else None

@@ -124,7 +124,7 @@ class Identification(Findings):
         >>> fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
         >>> law = dt.AveragedPredictor(fit.plant, dt.place(fit.plant, [-1.0]))
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
-        Delay 0.2594 s (0.2589 … 0.26); the law bears 0 … 1.054 s: enough.
+        Delay 0.2594 s (0.2589 … 0.26); the law tolerates 0 … 1.054 s: enough.
         """
         period = self.step if step is None else positive("step", step)
         return verdict_of(self, margin, law, period)

@@ -96,7 +96,7 @@ def draw_likelihood(axes: Axes, fit: Findings) -> None:
 
 
 def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
-    """States as logged, as foretold a sample before, and as foretold from the first row on."""
+    """States as logged, predicted one sample ahead, and simulated from the first row on."""
     logged, ahead, free = _curves(fit, part)
     for i, own in enumerate(axes):
         x = logged[:, i]

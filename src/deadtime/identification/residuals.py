@@ -90,7 +90,7 @@ class FittedModel(NamedTuple):
     def forecast(
         self, part: Part, C: SensorMatrix
     ) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
-        """States foretold from those a sample before, and from the first known one on; else NaN."""
+        """States predicted one sample ahead, and simulated from the first known one; else NaN."""
         plant, states = self.plant, part.output @ np.linalg.pinv(C).T
         k = np.flatnonzero(fed(part, float(plant.delays.max()), float(plant.delays.min())))
         ahead, free = np.full(states.shape, np.nan), np.full(states.shape, np.nan)

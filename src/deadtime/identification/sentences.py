@@ -393,7 +393,9 @@ def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> s
     drawn = drawn_stability(fit.uncertain, law, step)
     if drawn.all_stable:
         return f"{said} {drawn.sentence}"
-    return f"{said} {drawn.sentence} Not enough: log for longer, or design a law that bears more."
+    return (
+        f"{said} {drawn.sentence} Not enough: log for longer, or design a law that tolerates more."
+    )
 
 
 def delays_beside(
@@ -422,15 +424,15 @@ def delays_beside(
         off = ends - D[..., None]
         said = f"Delays are off by {off.min():+.2g} … {off.max():+.2g} s at 95 %"
     if margin.lower is None or margin.upper is None:
-        return f"{said}; the law bears no delay at all, not even the likeliest: design another."
+        return f"{said}; the law tolerates no delay at all, not even the likeliest: design another."
     shift = margin.lower - margin.nominal, margin.upper - margin.nominal
     left, right = float((ends[..., 0] - D).min()), float((ends[..., 1] - D).max())
     enough = shift[0] <= left and right <= shift[1] and not doubt
     why = f"not enough, for {doubt}" if doubt else _end(enough, interval.shape[1] > 1)
     if one:
-        return f"{said}; the law bears {margin.lower:.4g} … {margin.upper:.4g} s: {why}."
+        return f"{said}; the law tolerates {margin.lower:.4g} … {margin.upper:.4g} s: {why}."
     together = "" if j is not None else ", of all together"
-    said = f"{said}; the law bears {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
+    said = f"{said}; the law tolerates {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
     if failure is None or not enough:
         alike = (
             "enough if all err alike; nothing is said of errors that differ: verdict(margin, law) "

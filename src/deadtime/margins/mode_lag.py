@@ -220,9 +220,9 @@ def _result(
     proof = None if certified is None else asked.proof(certified)
     witness = None if refuted is None else asked.worst(refuted)
     if certified is None:
-        text = f"Not proved even where the mode is told at once: {asked.proof(0).message}"
+        text = f"Not proved even if the mode is reported at once: {asked.proof(0).message}"
     else:
-        text = f"Proved stable with the mode told {_in_words(certified, step)} late"
+        text = f"Proved stable with the mode reported {_in_words(certified, step)} late"
     if certified == most:
         text += ", the longest lag that was asked about"
     if refuted is not None:

@@ -187,10 +187,10 @@ def robustness(
     progress("detection lag")
     lag = None
     if _is_told_the_mode(law, step, signal):
-        lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
+        lag = _whole(setting, ModeDelay, most, "the mode may be reported", "late")
     progress("noise")
     if drops.tolerated is None:
-        noise = NoisePrice.unknown("what noise costs cannot be told: the runs fail without it")
+        noise = NoisePrice.unknown("the cost of noise cannot be computed: the runs fail without it")
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
     margins = "but for the imperfections of every run, " if setting.imperfections else ""
@@ -198,7 +198,7 @@ def robustness(
     sentences += [sentence_of(dear[asked]) for asked in left_out]
     sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
     if lag is None:
-        sentences.append("The law does not read the mode, so that it may be told late.")
+        sentences.append("Mode detection delay has no effect: the law does not read the mode.")
     sentences.append(sentence_of(noise.message))
     once = tuple(dict.fromkeys(sentences))
     return Robustness(

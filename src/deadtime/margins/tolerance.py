@@ -280,7 +280,7 @@ def noise_price(setting: RobustnessRuns, unit: float) -> NoisePrice:
         trial *= 4.0
     doubling = math.sqrt(base / slope) if 0.0 < slope < math.inf else math.nan
     if not 0.0 < doubling < math.inf:
-        text = "the price of measurement noise could not be told: no noise tried costs more"
+        text = "the price of measurement noise could not be computed: no noise tried costs more"
         return NoisePrice(np.zeros(1), base_cost[None], base, slope, math.nan, text)
     std = doubling * np.array([0.0, 0.25, 0.5, 1.0, 2.0])
     cost = np.array([base_cost, *(setting.costs([Noise(s)]) for s in std[1:])])
@@ -290,7 +290,7 @@ def noise_price(setting: RobustnessRuns, unit: float) -> NoisePrice:
         _CROOKED * slope * std[-1] ** 2
     ):
         text = (
-            f"the price of measurement noise could not be told: {setting.priced} does not grow "
+            f"the price of measurement noise could not be computed: {setting.priced} does not grow "
             "with its variance, as where inputs are at their limits"
         )
         return NoisePrice(std, cost, base, slope, math.nan, text)

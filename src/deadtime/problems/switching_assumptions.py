@@ -47,11 +47,11 @@ class AssumedSignals(NamedTuple):
         >>> problem = dt.problems.paper()
         >>> signals_of(problem, problem.signal, mode_lag=2).in_words(problem.modes, 0.01)
         "Every signal that stays in each mode for at least 0.2 s (the problem's dwell time), \
-switches at any time; sampling period 0.01 s; laws are told the mode 2 periods late."
+switches at any time; sampling period 0.01 s; the mode is reported 2 periods late."
         """
         stays, switches = (with_names(one, modes) for one in self.signals.in_words(len(modes)))
         lag, lost = self.signals.mode_lag, self.signals.lost_samples
-        late = f"; laws are told the mode {number_of(lag, 'period')} late" * (lag > 0)
+        late = f"; the mode is reported {number_of(lag, 'period')} late" * (lag > 0)
         late += f"; up to {number_of(lost, 'sample')} in a row may be lost" * (lost > 0)
         return (
             f"Every signal that {stays} ({self.dwell.source}), {switches}; sampling period "

@@ -343,7 +343,7 @@ def _gains_when_shorter(runs: list[Pairs], times: tuple[float, ...]) -> Claim:
 def claim_about_distance(
     evidence: AuditEvidence, count: int, seed: int, progress: Progress
 ) -> Claim:
-    """Whether law (80) bears modes farther apart than (2) does."""
+    """Whether law (80) tolerates modes farther apart than (2) does."""
     problem = evidence.problem
     signals = random_signals(problem, evidence.dwell_time, count, seed)
     runs, epsilons = [], []
@@ -375,7 +375,7 @@ def _bears_more(runs: list[Pairs], epsilons: list[float]) -> Claim:
     own = [f"α = {DISTANCES[r - 1]:g}" if r else "none" for r in reach[:, 0]]
     return Claim(
         key="distance",
-        title="(80) bears more distant modes than (2)",
+        title="(80) tolerates more distant modes than (2)",
         where="Section III, last paragraph",
         statement="Law (80) may be the more robust one when the modes differ more.",
         test="With the modes' difference scaled by α = 0.5, 1, 1.5, 2 and gains placed anew, law "

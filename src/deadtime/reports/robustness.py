@@ -82,7 +82,7 @@ def plot_robustness(
         _noise_panel(panels[0, 2], result)
         _cost_panel(panels[1, 0], result.drops, "samples lost (%)", 100.0)
         _cost_panel(panels[1, 1], result.late, "samples late (periods)", 1.0)
-        _cost_panel(panels[1, 2], result.lag, "mode told late (periods)", 1.0)
+        _cost_panel(panels[1, 2], result.lag, "mode detection delay (periods)", 1.0)
         for panel, heading in zip(panels.flat, HEADINGS, strict=True):
             panel.set_title(heading)
         keys = [Line2D([], [], color=COLOURS[i % 6], linestyle=LINES[i % len(LINES)],
@@ -195,7 +195,7 @@ def _noise_panel(panel: Axes, result: Robustness) -> None:
     panel.set_ylabel("cost, relative")
     noise = result.noise
     if not math.isfinite(noise.doubling):
-        _nothing(panel, "could not\nbe told")
+        _nothing(panel, "could not be\ncomputed")
         return
     std, cost = noise.std[1:], noise.cost[1:] / noise.base
     panel.fill_between(std, cost.min(axis=1), cost.max(axis=1), color=COLOURS[0], alpha=0.25)

@@ -104,7 +104,7 @@ def growth_rate(
     step : float or None
         Sampling period h, in seconds; None for the ideal loop, updated continuously.
     mode_lag : int
-        How many periods late the law is told the mode. One that lasts is told in the end, and its
+        How many periods late the mode is reported. One that lasts is told in the end, and its
         age is past all that a table tells apart: no lag changes the rate. It is a parameter so that
         whoever asks about a loop with a lag may ask for its rates, too.
 
@@ -244,8 +244,8 @@ def _ideal(plant: SwitchedSystem, law: Law, mode: int) -> float:
     found = rightmost(loop, 1)
     if not found.complete or found.errors[0] > _PRECISION * loop.unit:
         raise ArgumentError(
-            "step must be given: the characteristic roots of the ideal loop could not be told "
-            f"apart, so large are the law's gains over a delay of {law.plant.longest_delay:g} s."
+            "step must be given: the characteristic roots of the ideal loop could not be separated"
+            f": the law's gains are too large over a delay of {law.plant.longest_delay:g} s."
         )
     return float(found.roots[0].real)
 

@@ -66,7 +66,7 @@ class SignalClass:
         the controller's clock counts it; from 1e-8 to 0.1, of a search for signals from 0. So a
         mode that begins just after a sample may end at the sample a dwell time later.
     mode_lag : int
-        L, in periods: the law is told the mode of L samples ago, as in a run with
+        L, in periods: the reported mode is that of L samples ago, as in a run with
         `imperfections.ModeDelay(L)`. For a law that does not read the mode it changes nothing.
     lost_samples : int
         L, at most that many samples in a row may be lost, whichever: at a lost one the law learns

@@ -140,7 +140,7 @@ class Proposal:
 class Freedom:
     """How much freedom the search has.
 
-    Left eigenvectors per mode, pieces of S in age, and directions of the rows told apart.
+    Left eigenvectors per mode, pieces of S in age, and directions of distinct rows.
     """
 
     eigenvectors: int

@@ -113,7 +113,7 @@ def solve(
 ) -> Solution | None:
     """Solve the program; None if the solver has no answer.
 
-    `roughly`: only so far that a positive margin is told from none.
+    `roughly`: only as far as needed to tell whether the margin is positive.
     """
     from scipy.sparse import csr_matrix, vstack
 

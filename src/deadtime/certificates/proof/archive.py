@@ -163,7 +163,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object whose keys are all different: which of two values counts is nobody's to guess."""
+    """An object whose keys are all different: a repeated key would be ambiguous."""
     content = dict(pairs)
     if len(content) < len(pairs):
         raise ValueError("a key occurs twice")
@@ -219,7 +219,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
 
 
 def _require_keys(name: str, content: dict[str, Any], keys: str) -> None:
-    """Refuse entries that nobody checks: a file may claim nothing else."""
+    """Refuse entries that are not checked."""
     extra = sorted(set(content) - set(keys.split()))
     if extra:
         raise ValueError(f"{extra[0]!r:.40} is no entry of {name or 'a certificate'}")
@@ -311,6 +311,6 @@ def _array(packed: dict[str, Any]) -> np.ndarray:
 
 
 def digest(content: dict[str, Any]) -> str:
-    """SHA-256 of the content, however it is laid out."""
+    """SHA-256 of the content, whatever its formatting."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -7,10 +7,10 @@ meets:
     full steps to the next knot; from the last one, where a mode may last, one full step to it;
     full steps to an age at which the plant may switch, a mixed step to j, a_0 full steps there.
 
-A law that is told the mode of L samples ago acts in the first L of these a_0 ≥ L steps by what i
-was, at ages that are known, and is told j from the node on: so nothing before a node matters
-after it. Where samples may be lost a node is a mode, an age and how many samples were lost last,
-every age is a knot, and every stretch one period.
+If the reported mode is that of L samples ago, the law acts in the first L of these a_0 ≥ L steps by
+what i was, at ages that are known, and j is reported from the node on: so nothing before a node
+matters after it. Where samples may be lost a node is a mode, an age and how many samples were lost
+last, every age is a knot, and every stretch one period.
 
 With M the product of the matrices of the L periods of a stretch, what is proved is
 

@@ -31,11 +31,11 @@ the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ
 takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
 switch per period is not described. In `stretches` V may rise at a switch, and has no level.
 
-A law that is told the mode of L samples ago acts at (i, a) by (i, a − L) where a ≥ L. Else it goes
-by what was seen b = L − a samples before i was. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
-so that the k-th sojourn back is told only if b > (k − 1) p, and then at an age of at least k p − b.
-Where b ≤ p that is the mode before, and one row if rows go by the mode and there are two. In the
-graph any row that may be told may act: V knows the mode and its age and not what was before. Of
+If the reported mode is that of L samples ago, the law at (i, a) uses (i, a − L) where a ≥ L. Else
+it uses the mode seen b = L − a samples before i. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
+so that the k-th sojourn back is reported only if b > (k − 1) p, and then at an age of at least k p
+− b. Where b ≤ p that is the mode before, and one row if rows go by the mode and there are two. In
+the graph any row that may be told may act: V knows the mode and its age and not what was before. Of
 dwell times of their own p is the least, and the k-th mode back one from which k switches lead here.
 
 Where up to L samples in a row may be lost, a node is (i, a, l): the last l samples were lost. A

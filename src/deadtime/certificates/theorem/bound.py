@@ -127,8 +127,9 @@ def theorem_bound(
         P and Q of inequality (4). Default: `common_lyapunov`; for "sharp" the best of a range
         of common P.
     form : {"corrected", "printed", "sharp"}
-        "printed": as the text has them, slips included, for comparison only. "corrected": the
-        slips mended. "sharp": better constants for the same statement, docs/theory/constants.md.
+        "printed": as the text has them, errors included, for comparison only. "corrected": the
+        errors corrected. "sharp": better constants for the same statement
+        (docs/theory/constants.md).
 
     Returns
     -------
@@ -168,9 +169,9 @@ def theorem_bound(
     if not stated:
         raise ArgumentError(
             "plant must have the same delays in all modes for theorem_bound, got "
-            f"delay={plant.delay_text}: the theorem goes by the distance ε of the modes' matrices, "
-            "and modes with the same matrices, ε = 0, may grow where their delays differ. Ask "
-            "certify, which looks at this loop."
+            f"delay={plant.delay_text}: the theorem depends on the distance ε of the modes' "
+            "matrices, and modes with the same matrices, ε = 0, may grow where their delays "
+            "differ. Ask certify, which looks at this loop."
         )
     if form not in stated:
         raise ArgumentError(

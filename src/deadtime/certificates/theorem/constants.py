@@ -1,4 +1,4 @@
-"""The constants of arXiv 2503.08446 as its text prints them, and with its slips mended.
+"""The constants of arXiv 2503.08446 as its text prints them, and corrected.
 
     δ₁ = ε e^{M_A D}(M_K (D/τ_d + 2) D e^{εD} + 1)                                        (47)
     δ₂ = ε e^{M_A D}(M_K [e^{εD} D M_B (1 + e^{M_A D}(D/τ_d + 1)) + 1] + M_B)             (54)
@@ -6,7 +6,7 @@
     b = 2(M_B|P|)²/λ_min(Q)                                                               (67)
     κ = max{λ_max(P), b e^D}/min{λ_min(P), b}                                             (74)
 
-The slips in these constants are two: ε*, (62), drops the + 1 of (71), and ρ, (75). See
+There are two errors in these constants: ε*, (62), drops the + 1 of (71), and ρ, (75). See
 docs/errata.md. Norms are spectral.
 """
 
@@ -99,7 +99,7 @@ class PaperConstants(FunctionalConstants):
     Attributes
     ----------
     corrected : bool
-        Whether the slips in ε* and ρ are mended.
+        Whether ε* and ρ are corrected.
     """
 
     M_A: float

@@ -38,7 +38,7 @@ class Growth(NamedTuple):
 
 
 class Growing(Protocol):
-    """A loop whose growth along cycles can be told."""
+    """A loop whose growth along cycles can be computed."""
 
     @property
     def step(self) -> float:
@@ -61,7 +61,7 @@ class SampledLoop:
     shift : float
         1/s; a rate near those that are sought, so that numbers stay near 1.
     lag : int
-        How many samples ago the mode was that the law is told.
+        How many samples late the mode is reported.
     """
 
     plant: SwitchedSystem

@@ -18,9 +18,9 @@ A sojourn is cut from sample to sample, so a late one has, at its first sample, 
 before, which is taken to have lasted for the shortest sojourn (exact where rows do not depend on
 the age by then; what is found is evaluated on the loop itself).
 
-A law that is told the mode L samples late acts for the mode before at the first L samples of every
-sojourn, and at one more of a late one. For a lag longer than sojourns last that is a guess; it
-ranks cycles, and is not trusted.
+If the mode is reported L samples late, a law acts for the mode before at the first L samples of
+every sojourn, and at one more of a late one. For a lag longer than sojourns last that is a guess;
+it ranks cycles, and is not trusted.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A Markov chain that nobody sees, for kernels: how likely each mode was, and the likeliest path.
+"""A hidden Markov chain, for kernels: how likely each mode was, and the likeliest path.
 
 Sample k has the mode σ_k, and the period from it to the next one the density
 

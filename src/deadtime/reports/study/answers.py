@@ -161,8 +161,8 @@ def worth_of_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
         fight = duel(data, aware, law)
         better, worse, _, total = tally(fight.verdict)
         sentences.append(
-            f"Told the dwell time, {the_law(law)} does better in {of_cells(better, total)} and "
-            f"worse in {worse}. {_along_the_dwell_time(fight)}"
+            f"With the dwell time known, {the_law(law)} does better in {of_cells(better, total)} "
+            f"and worse in {worse}. {_along_the_dwell_time(fight)}"
         )
         sentences += [_gain(fight), *_cost(fight), *_stability(data, aware, law)]
         tables.append(table(_caption(the_law(aware), the_law(law)), fight, ("better", "worse")))
