@@ -96,7 +96,7 @@ def fmas_of(law: dt.Law, setting: Setting) -> float:
     rows, taps, m, _ = feedback.input_gain.shape
     metrics = n + 1 + m + 1 + 2
     plant = n * wide + wide * (wide + 1) // 2 + wide
-    if law.foresees:
+    if law.needs_preview:
         return metrics + plant + 2 * n * n + m * (n + m) + n * wide + 2 * (n**3 + n * n)
     form = window_form(feedback)
     if form is None:

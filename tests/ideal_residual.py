@@ -31,14 +31,14 @@ def integrate(A, forcing, x, begin, end, breaks):
 def rough(run, delays, lead=0.0, deep=3):
     """Where u may jump or bend: 0, switches, jumps of u₀, and shifts by delays anyone reads.
 
-    A law that foresees switches so many seconds ahead (a number, or several) jumps there, too.
+    A law with a preview of switches so many seconds ahead (a number, or several) jumps there, too.
     """
     end = run.record.inputs.edges[-1]
     shifts = np.unique(np.concatenate([np.ravel(d) for d in delays]))
     apart = [np.abs(row[:, None] - row).ravel() for d in delays for row in np.atleast_2d(d)]
     shifts = np.unique(np.concatenate((shifts, *apart)))[1:]
-    foreseen = np.subtract.outer(run.signal.times, lead).ravel()
-    front = np.array([0.0, run.record.inputs.edges[0], *run.signal.times, *foreseen])
+    previewed = np.subtract.outer(run.signal.times, lead).ravel()
+    front = np.array([0.0, run.record.inputs.edges[0], *run.signal.times, *previewed])
     found = [front]
     for _ in range(deep):
         front = np.unique(np.add.outer(front, shifts).round(13))
@@ -93,7 +93,7 @@ def feedback(run, t, A, B, delays, K, bends):
     return answer
 
 
-def foreseen(run, t, believed, system, K, bends):
+def previewed(run, t, believed, system, K, bends):
     """u(t) of the exact law along a signal that it believes in.
 
     `believed` are (start, system) pairs, `system` the A, B and delays of all, K (systems, m, n).

@@ -3,13 +3,13 @@
 import numpy as np
 from scipy import stats
 
-import believing_laws
+import belief_laws
 import deadtime as dt
 import plants
 
 STEP = 0.1
 GENERIC = plants.generic()
-OWN = dt.SwitchedSystem(GENERIC.A, GENERIC.B, believing_laws.DELAYS)
+OWN = dt.SwitchedSystem(GENERIC.A, GENERIC.B, belief_laws.DELAYS)
 K = plants.gains(GENERIC)
 SEMI = dt.SemiMarkov(stats.expon(loc=0.3, scale=0.2), modes=3)
 

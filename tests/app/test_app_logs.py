@@ -191,7 +191,7 @@ def test_a_log_that_is_refused_changes_nothing(own, workers):
 def test_a_plant_of_a_log_that_takes_too_long_to_run_is_for_the_command(own, workers):
     page = Page(own, workers)
     before = page.outcome
-    page.log._on_told((IdentifiedPlant(page.document, (), (), (), (), ()), 9.0))
+    page.log._on_progress((IdentifiedPlant(page.document, (), (), (), (), ()), 9.0))
     assert re.search(
         r"The plant of \w+\.csv takes 9\.0 s .* use `deadtime identify`", page.message.object
     )

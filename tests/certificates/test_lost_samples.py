@@ -171,13 +171,13 @@ def test_every_row_that_acts_in_a_run_is_in_the_graph(context, ages, most, chatt
     signals = dt.SignalClass(0.35, transitions=ways, lost_samples=most, chatter=chatter)
     graph = SwitchGraph.of(3, signals, STEP, context, ages)
     if chatter > 1:
-        told = {(i, lost, row, then) for i in range(3) for row, lost, then in graph._told(i, 1)}
+        told = {(i, lost, row, then) for i in range(3) for row, lost, then in graph._reported(i, 1)}
     else:
         told = {
             (i, a, lost, row, then)
             for i in range(3)
             for a in range(graph.last + 1)
-            for row, lost, then in graph._told(i, a)
+            for row, lost, then in graph._reported(i, a)
         }
     rng = np.random.default_rng(1)
     for _ in range(20):
@@ -204,7 +204,7 @@ def test_both_verifiers_have_the_same_rows_at_every_node():
         assert [clock.last for clock in graph.clocks] == loop.last
         for i in range(graph.modes):
             for a in range(loop.last[i] + 1):
-                assert set(graph._told(i, a)) == set(loop.told(i, a)), (path.name, i, a)
+                assert set(graph._reported(i, a)) == set(loop.told(i, a)), (path.name, i, a)
 
 
 def unstable():

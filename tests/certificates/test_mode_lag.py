@@ -208,7 +208,7 @@ def paper_loop(alpha=0.5, delay=1.0):
 
 
 @pytest.fixture(scope="module")
-def told_late():
+def reported_late():
     """A certificate of a loop that is told the mode two periods late."""
     found = dt.certify(*paper_loop(), 0.5, STEP, mode_lag=2, decay_rate=0.0, search_signals=False)
     assert found.proven
@@ -228,9 +228,9 @@ def test_without_a_lag_and_for_laws_that_do_not_read_the_mode_the_file_is_the_sa
             assert "mode_lag" not in json.loads(path.read_text())["law"]
 
 
-def test_a_file_says_how_late_and_is_about_that_loop_alone(told_late, tmp_path):
+def test_a_file_says_how_late_and_is_about_that_loop_alone(reported_late, tmp_path):
     plant, law = paper_loop()
-    path = told_late.save(tmp_path / "late.json")
+    path = reported_late.save(tmp_path / "late.json")
     assert json.loads(path.read_text())["law"]["mode_lag"] == 2
     told = dt.verify(path, plant, law, mode_lag=2)
     assert told.proven
@@ -243,8 +243,8 @@ def test_a_file_says_how_late_and_is_about_that_loop_alone(told_late, tmp_path):
 
 
 @pytest.mark.parametrize("lag", [0, 1, 3, 6, 30])
-def test_another_lag_written_into_a_file_proves_nothing(lag, told_late, tmp_path):
-    path = told_late.save(tmp_path / "late.json")
+def test_another_lag_written_into_a_file_proves_nothing(lag, reported_late, tmp_path):
+    path = reported_late.save(tmp_path / "late.json")
     rewritten(path, "law", {"mode_lag": lag})
     if lag == 0:
         with pytest.raises(dt.DeadtimeError, match=r"law\.mode_lag 0 must be left out"):

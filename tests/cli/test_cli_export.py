@@ -62,7 +62,7 @@ def test_json_says_what_was_written(tmp_path, monkeypatch, capsys):
     [
         ([], "nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE"),
         (["--c", "out", "--law", "best"], "law must be one of averaged, "),
-        (["--c", "out", "--law", "oracle"], "ExactPredictor foresees the signal"),
+        (["--c", "out", "--law", "oracle"], "ExactPredictor needs a preview"),
         (["--c", "out", "--rom-budget", "20"], "rom_budget = 20 bytes is too small: the tables"),
         (["--c", "/proc/out"], "folder '/proc/out' cannot be written"),
         (["--fmu", "/proc/law.fmu"], "path '/proc/law.fmu' cannot be written"),

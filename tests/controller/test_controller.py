@@ -196,7 +196,10 @@ def test_out_is_written_in_place_and_answers_are_not_shared():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: dt.Controller(plants.LAWS["exact"](GENERIC), STEP), "ExactPredictor foresees"),
+        (
+            lambda: dt.Controller(plants.LAWS["exact"](GENERIC), STEP),
+            "ExactPredictor needs a preview",
+        ),
         (
             lambda: dt.Controller(
                 dt.StateDependentPredictor(

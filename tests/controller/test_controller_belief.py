@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from believing_laws import GAINS, GENERIC, LAWS, MARKOV, PLANT, STEP, believing, paper, record
+from belief_laws import GAINS, GENERIC, LAWS, MARKOV, PLANT, STEP, on_belief, paper, record
 from deadtime.controller import Status
 
 
@@ -56,7 +56,7 @@ def test_in_the_loop_it_gives_the_inputs_and_the_belief_of_simulate(name):
 
 
 def test_it_does_so_with_a_factorised_table_over_a_long_delay():
-    law = believing(dt.ExpectedPredictor(GENERIC, GAINS, MARKOV), MARKOV, GENERIC, 0.005)
+    law = on_belief(dt.ExpectedPredictor(GENERIC, GAINS, MARKOV), MARKOV, GENERIC, 0.005)
     assert law.law.digital(0.005).factor is not None
     u0 = np.random.default_rng(4).normal(size=(2, law.law.digital(0.005).taps))
     loop(law, GENERIC, u0, 2.0)

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-import believing_laws
+import belief_laws
 import deadtime as dt
 import observed_laws
 import plants
@@ -23,10 +23,10 @@ MAKERS = {
     "mode and age": (lambda: controller(plants.LAWS["mean, dwell-aware"](plants.generic())), 3),
     "observer": (lambda: controller(observed_laws.observed()), 2),
     "servo": (lambda: controller(observed_laws.servo()), 2),
-    "belief": (lambda: controller(believing_laws.LAWS["mode"]()), 3),
-    "belief from outputs": (lambda: controller(believing_laws.from_outputs()), 2),
-    "mode filter": (lambda: believing_laws.LAWS["mode"]().filter.start(), 3),
-    "output filter": (lambda: believing_laws.from_outputs().filter.start(), 2),
+    "belief": (lambda: controller(belief_laws.LAWS["mode"]()), 3),
+    "belief from outputs": (lambda: controller(belief_laws.from_outputs()), 2),
+    "mode filter": (lambda: belief_laws.LAWS["mode"]().filter.start(), 3),
+    "output filter": (lambda: belief_laws.from_outputs().filter.start(), 2),
 }
 COPIES = {
     "copy": copy.copy,

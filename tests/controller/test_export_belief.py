@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from believing_laws import GAINS, GENERIC, LAWS, MARKOV, PLANT, STEP, believing, paper, record
+from belief_laws import GAINS, GENERIC, LAWS, MARKOV, PLANT, STEP, on_belief, paper, record
 from c_code import Library, needs_compiler, needs_frama_c
 from deadtime.controller import Status
 from deadtime.controller.export.compiler import WARNINGS, compiler, self_check
@@ -30,7 +30,7 @@ def exact():
 
 
 def factorised():
-    return believing(dt.ExpectedPredictor(GENERIC, GAINS, MARKOV), MARKOV, GENERIC, 0.005)
+    return on_belief(dt.ExpectedPredictor(GENERIC, GAINS, MARKOV), MARKOV, GENERIC, 0.005)
 
 
 EVERY = LAWS | {"exact": exact, "factorised": factorised, "paper": paper}

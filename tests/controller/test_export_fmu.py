@@ -12,7 +12,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from believing_laws import LAWS, STEP, from_outputs, record
+from belief_laws import LAWS, STEP, from_outputs, record
 from c_code import needs_compiler
 from deadtime.controller.export import Names, export_plant_fmu
 from deadtime.controller.export.compiler import compiler

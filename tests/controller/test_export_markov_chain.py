@@ -11,20 +11,20 @@ pytestmark = needs_compiler
 STEP = 0.05
 
 
-def law_of(believing):
+def law_of(on_belief):
     plant = plants.paper()
     model = dt.MarkovChain([[0.95, 0.05], [0.1, 0.9]], STEP)
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model)
-    if not believing:
+    if not on_belief:
         return law
     return dt.BeliefPredictor(law, dt.ModeFilter(plant, model, STEP, disturbance=1e-4, noise=1e-3))
 
 
-@pytest.mark.parametrize("believing", [False, True], ids=["told the mode", "on a belief"])
-def test_the_exported_c_answers_as_the_controller_does_along_a_run(tmp_path, believing):
-    law = law_of(believing)
+@pytest.mark.parametrize("on_belief", [False, True], ids=["told the mode", "on a belief"])
+def test_the_exported_c_answers_as_the_controller_does_along_a_run(tmp_path, on_belief):
+    law = law_of(on_belief)
     kinds = [dt.imperfections.WhiteDisturbance(1e-4), dt.imperfections.Noise(1e-3)]
-    model = law.law.model if believing else law.model
+    model = law.law.model if on_belief else law.model
     signal = model.sample(12.0, seed=3)
     run = dt.simulate(
         law.plant, law, signal, [-1.0, 1.0], 10.0, STEP, imperfections=kinds, seed=2

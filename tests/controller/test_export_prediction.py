@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-import believing_laws
+import belief_laws
 import c_code
 import deadtime as dt
 import plants
@@ -28,8 +28,8 @@ CASES = {
     "by mode and age": lambda: (dt.ExpectedPredictor(GENERIC, K, SEMI), STEP),
     "delays of their own": lambda: (dt.AveragedPredictor(OWN, K), STEP),
     "an observer": lambda: (observed(), STEP),
-    "a belief": lambda: (believing_laws.LAWS["mode"](), believing_laws.STEP),
-    "a bank": lambda: (believing_laws.from_outputs(), believing_laws.STEP),
+    "a belief": lambda: (belief_laws.LAWS["mode"](), belief_laws.STEP),
+    "a bank": lambda: (belief_laws.from_outputs(), belief_laws.STEP),
 }
 
 

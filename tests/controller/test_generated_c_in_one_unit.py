@@ -10,7 +10,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from believing_laws import LAWS as BELIEVING, from_outputs
+from belief_laws import LAWS as BELIEVING, from_outputs
 from c_code import needs_compiler
 from deadtime.controller.export import compiler as compiling
 from deadtime.controller.export.c_text import exact

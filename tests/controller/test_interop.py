@@ -113,7 +113,7 @@ def test_without_an_input_the_plant_is_its_exponential():
 
 def test_what_is_no_table_and_what_is_no_mode_are_refused_by_name():
     rule = dt.StateDependentPredictor(GENERIC, plants.gains(GENERIC), lambda x: int(x[0] > 0.0))
-    for law, why in ((plants.LAWS["exact"](GENERIC), "foresees"), (rule, "is no table")):
+    for law, why in ((plants.LAWS["exact"](GENERIC), "needs a preview"), (rule, "is no table")):
         with pytest.raises(dt.ArgumentError, match=why):
             law_to_control(law, STEP)
     system = plant_to_control(GENERIC, STEP)

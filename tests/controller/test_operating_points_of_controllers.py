@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import believing_laws
+import belief_laws
 import deadtime as dt
 import observed_laws
 import plants
@@ -147,7 +147,7 @@ def test_a_run_says_and_draws_what_its_states_are_deviations_from(heater, capsys
 
 def kinds():
     generic, servo = plants.generic(), observed_laws.servo()
-    belief = believing_laws.LAWS["mode"]()
+    belief = belief_laws.LAWS["mode"]()
     return {
         "factorised": (plants.LAWS["averaged"](generic), 0.0066),
         "dense": (plants.LAWS["expected"](generic), 0.1),
@@ -326,7 +326,7 @@ def test_a_point_of_other_sizes_is_refused(point, message):
 
 
 def test_sensors_that_differ_by_mode_have_no_operating_point():
-    law = believing_laws.from_outputs()
+    law = belief_laws.from_outputs()
     with pytest.raises(ArgumentError, match="operating_point must have the same outputs in every"):
         dt.Controller(law, law.filter.step, operating_point=OperatingPoint([1.0, 1, 1], [0.0, 0]))
 

@@ -10,7 +10,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from believing_laws import OUTPUTS, PLANT, SEMI, STEP, X0, from_outputs
+from belief_laws import OUTPUTS, PLANT, SEMI, STEP, X0, from_outputs
 from c_code import Library, needs_compiler, needs_frama_c
 from deadtime.controller import Status
 from deadtime.controller.export.compiler import self_check

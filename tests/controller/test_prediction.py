@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-import believing_laws
+import belief_laws
 import deadtime as dt
 import plants
 from deadtime.feedback.prediction_rows import prediction_table
@@ -116,12 +116,12 @@ def test_a_forecast_of_switches_ends_in_each_mode_as_its_rates_say():
 
 
 def test_a_belief_predicts_as_it_weighs_the_modes_now():
-    law = believing_laws.LAWS["ages"]()
+    law = belief_laws.LAWS["ages"]()
     controller, x = served(law, law.filter.step)
     found, table = controller.prediction, prediction_table(law.law, law.filter.step)
     past = controller._past.recent.ravel()
     p, moved = np.zeros((2, 3)), np.zeros((2, 3, 3))
-    for row, share in enumerate(controller.believing.running.state.weight):
+    for row, share in enumerate(controller.on_belief.running.state.weight):
         for j in range(2):
             at = row, table.of_input[j]
             p[j] += share * table.probability[at]
@@ -132,9 +132,9 @@ def test_a_belief_predicts_as_it_weighs_the_modes_now():
 
 
 def test_a_bank_predicts_each_mode_from_its_own_estimate():
-    controller, _ = served(believing_laws.from_outputs(), believing_laws.STEP)
+    controller, _ = served(belief_laws.from_outputs(), belief_laws.STEP)
     found = controller.prediction
-    gained = np.einsum("ji,ija,jia->j", found.probabilities, believing_laws.GAINS, found.by_mode)
+    gained = np.einsum("ji,ija,jia->j", found.probabilities, belief_laws.GAINS, found.by_mode)
     plants.close(gained, controller._asked, 1e-12)
 
 

@@ -6,7 +6,7 @@ from scipy import stats
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
-import believing_laws
+import belief_laws
 import deadtime as dt
 import plants
 from predictions import GENERIC, OWN, SEMI, STEP, K, past_of, served
@@ -184,10 +184,10 @@ def test_many_runs_scatter_as_the_covariance_says():
 
 
 def test_a_belief_spreads_by_what_each_mode_now_would():
-    law = believing_laws.LAWS["mode"]()
+    law = belief_laws.LAWS["mode"]()
     plain = dt.SwitchedSystem(GENERIC.A, GENERIC.B, 0.17)
     inner = dt.ExpectedPredictor(plain, K, MARKOV)
-    law = believing_laws.believing(inner, MARKOV, plain, STEP)
+    law = belief_laws.on_belief(inner, MARKOV, plain, STEP)
     controller, x = served(law)
     own = [dt.Controller(inner, STEP) for _ in range(3)]
     rng = np.random.default_rng(0)
@@ -208,11 +208,11 @@ def test_a_belief_spreads_by_what_each_mode_now_would():
 def test_a_bank_brings_the_covariance_of_every_mode():
     plain = dt.SwitchedSystem(GENERIC.A, GENERIC.B, 0.17)
     given = {"covariance": 0.1, "disturbance": 0.02, "noise": 0.01}
-    filt = dt.OutputModeFilter(plain, MARKOV, STEP, believing_laws.OUTPUTS, **given)
+    filt = dt.OutputModeFilter(plain, MARKOV, STEP, belief_laws.OUTPUTS, **given)
     law = dt.BeliefPredictor(dt.ExpectedPredictor(plain, K, dt.Markov(np.zeros((3, 3)))), filt)
     controller, _ = served(law)
     found = controller.prediction
-    x, P = controller.believing.running.x, controller.believing.running.P
+    x, P = controller.on_belief.running.x, controller.on_belief.running.P
     for mode, A in enumerate(plain.A):  # which stays: the law believes in no switches
         want = carried(A, P[mode], 0.17) + added(A, 0.02 * np.eye(3), 0.17)
         plants.close(found.covariance_by_mode()[0, mode], want, 1e-9)

@@ -55,9 +55,9 @@ def test_no_mode_is_read():
 def test_a_rule_may_decide_the_mode_that_is_not_told():
     plant, model = plants.paper(), plants.markov(2)
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model)
-    believing = dt.BeliefPredictor(law, dt.ModeFilter(plant, model, 0.02))
+    on_belief = dt.BeliefPredictor(law, dt.ModeFilter(plant, model, 0.02))
     rule = dt.HalfSpace([1.0, 0.4], 0.0)
-    run = dt.simulate(plant, believing, rule, [-1.0, 1.0], 4.0, 0.02)
+    run = dt.simulate(plant, on_belief, rule, [-1.0, 1.0], 4.0, 0.02)
     assert run.belief.shape == (2, 201)
     assert run.signal.switches > 0
     assert (run.belief.argmax(axis=0) == run.mode).mean() > 0.95
@@ -67,10 +67,10 @@ def test_with_little_noise_the_cost_is_that_of_the_measured_mode():
     """Switches fall anywhere, so that most are seen in the next state, as a sensor sees them."""
     plant, model, costs = plants.paper(), dt.Markov([[0.0, 1.25], [1.25, 0.0]]), []
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model)
-    believing = dt.BeliefPredictor(law, dt.ModeFilter(plant, model, 0.02, initial=[0.5, 0.5]))
+    on_belief = dt.BeliefPredictor(law, dt.ModeFilter(plant, model, 0.02, initial=[0.5, 0.5]))
     for seed in range(12):
         signal = model.sample(15.0, seed=seed)
-        runs = (dt.simulate(plant, one, signal, [-1, 1], 15.0, 0.02) for one in (law, believing))
+        runs = (dt.simulate(plant, one, signal, [-1, 1], 15.0, 0.02) for one in (law, on_belief))
         costs.append([run.metrics()["cost"] for run in runs])
     measured, believed = np.array(costs).T
     assert abs(believed.sum() / measured.sum() - 1.0) < 0.01

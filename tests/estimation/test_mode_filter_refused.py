@@ -84,7 +84,7 @@ def test_a_filter_that_runs_refuses_and_stays_as_it_was(options, message):
             FILTER,
             r"AveragedPredictor \(averaged\) does not read the mode",
         ),
-        (dt.ExactPredictor(PLANT, plants.gains(PLANT)), FILTER, "ExactPredictor foresees"),
+        (dt.ExactPredictor(PLANT, plants.gains(PLANT)), FILTER, "ExactPredictor needs a preview"),
         (
             dt.StateDependentPredictor(PLANT, plants.gains(PLANT), dt.HalfSpace([1.0, 0.0], 0.0)),
             FILTER,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-import believing_laws
+import belief_laws
 import deadtime as dt
 import mode_paths
 import plants
@@ -136,20 +136,20 @@ def test_runs_of_a_batch_are_single_runs(of):
 @pytest.mark.parametrize("of", mostly_long(["states", "outputs"], "states"))
 def test_the_c_answers_as_the_controller(tmp_path, of):
     # A state without noise costs a bank digits in C and Python alike, whatever the others have.
-    W, model = 0.1 * EACH + 0.005 * np.eye(3), believing_laws.MARKOV
+    W, model = 0.1 * EACH + 0.005 * np.eye(3), belief_laws.MARKOV
     if of == "states":
-        inner = dt.ExpectedPredictor(believing_laws.PLANT, believing_laws.GAINS, model)
-        law = believing_laws.believing(inner, model, disturbance=W)
+        inner = dt.ExpectedPredictor(belief_laws.PLANT, belief_laws.GAINS, model)
+        law = belief_laws.on_belief(inner, model, disturbance=W)
     else:
-        law = believing_laws.from_outputs(disturbance=W)
-    controller = dt.Controller(law, believing_laws.STEP)
+        law = belief_laws.from_outputs(disturbance=W)
+    controller = dt.Controller(law, belief_laws.STEP)
     exported = controller.export_c(tmp_path)
     assert exported.check.passed, exported.check
     assert "MODEL_NOISE[3][3][3][3]" in (tmp_path / "controller_tables.h").read_text()
     library = Library(tmp_path, law.plant)
     library.n = len(law.filter.noise)
     library.reset()
-    run = believing_laws.record(law, 3.0)
+    run = belief_laws.record(law, 3.0)
     for y in run.measured.T:
         found, status = library.run([y], [-7], [None], [None])
         u = controller.update(y)

@@ -364,7 +364,7 @@ SMALL = plants.paper()
         ),
         (
             lambda: dt.Controller(observed("exact"), STEP),
-            "law must be a table that a controller can run; ExactPredictor foresees",
+            "law must be a table that a controller can run; ExactPredictor needs a preview",
         ),
         (
             lambda: dt.Controller(observed(), STEP).update([1.0, 2.0, 3.0], 0),

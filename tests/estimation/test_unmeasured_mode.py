@@ -42,8 +42,8 @@ def medians(mean, s, count):
     K, model = plants.gains(plant), dt.Markov([[0.0, 1.0 / mean], [1.0 / mean, 0.0]])
     law, noise = dt.ExpectedPredictor(plant, K, model), WhiteDisturbance(s**2)
     filt = dt.ModeFilter(plant, model, STEP, disturbance=s**2, switches="samples")
-    believing, averaged = dt.BeliefPredictor(law, filt), dt.AveragedPredictor(plant, K)
-    loops = (law, []), (believing, []), (law, [ModeDelay(5)]), (averaged, [])
+    on_belief, averaged = dt.BeliefPredictor(law, filt), dt.AveragedPredictor(plant, K)
+    loops = (law, []), (on_belief, []), (law, [ModeDelay(5)]), (averaged, [])
     found = np.empty((len(loops), count))
     for k, signal in enumerate(on_the_grid(mean, count)):
         for i, (one, kinds) in enumerate(loops):

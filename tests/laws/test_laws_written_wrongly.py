@@ -71,8 +71,8 @@ def test_a_table_that_is_none_for_the_plant_is_refused(use, answer, message):
 def test_other_methods_are_held_to_what_they_return():
     with pytest.raises(dt.ArgumentError, match=r"Mine\.ideal must return a Functional or Forecast"):
         dt.simulate(PLANT, law_with(ideal=answering(3)), SIGNAL, [1.0, 0.0], 1.0, None)
-    with pytest.raises(dt.ArgumentError, match=r"Mine\.foresight must return a Foresight or None"):
-        simulate(law_with(foresight=answering(True)))
+    with pytest.raises(dt.ArgumentError, match=r"Mine\.preview must return a Preview or None"):
+        simulate(law_with(preview=answering(True)))
 
 
 class Called(dt.StateDependentPredictor):

@@ -111,7 +111,7 @@ def test_what_cannot_be_filtered_is_refused_by_name():
     with pytest.raises(dt.ArgumentError, match="step must be given: LowPassPredictor feeds back"):
         dt.simulate(plant, filtered, plants.off_grid(), np.ones(3), 1.0, step=None)
     oracle = dt.ExactPredictor(plant, plants.gains(plant), plants.off_grid())
-    with pytest.raises(dt.ArgumentError, match="must not foresee a signal of its own"):
+    with pytest.raises(dt.ArgumentError, match="must not assume a signal of its own"):
         dt.growth_rate(plant, dt.LowPassPredictor(oracle, 0.1), 0, H)
 
 

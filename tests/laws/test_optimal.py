@@ -219,7 +219,7 @@ def test_an_input_that_may_come_to_act_the_other_way_round_is_no_use(b):
 # -- simulation --------------------------------------------------------------------------------
 
 
-def test_foreseeable_switching_costs_exactly_what_is_foreseen():
+def test_predictable_switching_costs_exactly_what_is_previewed():
     plant = plants.generic(0.234)
     model = dt.SemiMarkov([0.3, 0.4, 0.5], np.roll(np.eye(3), 1, axis=1))
     law = OptimalPredictor(plant, model, np.eye(3), 0.5 * np.eye(2))

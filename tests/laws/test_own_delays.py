@@ -60,7 +60,7 @@ class Case:
         return laws
 
     def futures(self, mode, age):
-        """Modes at the samples to come, as many as are foreseen, and how likely they are.
+        """Modes at the samples to come, as many as are previewed, and how likely they are.
 
         A sojourn lasts one sample more than the shortest, or two, equally likely.
         """

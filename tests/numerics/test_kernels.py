@@ -19,7 +19,7 @@ from deadtime.numerics.compiling import where_compiling_starts
 from deadtime.numerics.exponential import discretise, gramian
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
-from deadtime.plant.pieces import gramian_up_to, gramians, lay_cuts, transitions
+from deadtime.plant.pieces import gramian_up_to, gramians, sample_cuts, transitions
 from deadtime.switching.grid import cuts_of
 
 
@@ -53,7 +53,7 @@ def test_both_ways_give_the_same_bits(monkeypatch, plant):
     cuts = cuts_of(signal, sampled)
     table = sampled.along(cuts, 8)
     place = sampled.every_stretch, cuts.step, cuts.offset, cuts.mode, 2
-    for one, other in zip(*python_and_compiled(lay_cuts, *place), strict=True):
+    for one, other in zip(*python_and_compiled(sample_cuts, *place), strict=True):
         assert np.array_equal(one, other)
     given = plant.A, plant.B, table, cuts.offset, cuts.mode
     M = gramians(*given, plant.identity)
@@ -299,7 +299,7 @@ def test_two_processes_that_compile_one_kernel_lose_nothing(tmp_path):
 
 def test_the_cache_follows_intrinsics_and_what_makes_them():
     from deadtime.numerics.compiling import _stamp
-    from deadtime.scenarios.laid import fill_switched
+    from deadtime.scenarios.by_period import fill_switched
 
     files = {part[0] for part in _stamp(fill_switched)}
     assert {"laid.py", "intrinsics.py", "code.py"} <= files

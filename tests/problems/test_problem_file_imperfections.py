@@ -133,8 +133,8 @@ def test_the_truth_of_a_file_is_what_runs_and_the_plant_what_laws_believe(tmp_pa
 def test_commanded_inputs_can_be_what_laws_are_told_of(tmp_path):
     limits = '\n[[imperfection]]\nkind = "saturation"\nlow = -1\nhigh = 1\n'
     told = load(tmp_path, PLAIN + limits).simulate("averaged")
-    untold = load(tmp_path, PLAIN.replace("seed = 7", 'predict = "commanded"') + limits)
-    assert (untold.simulate("averaged").states != told.states).any()
+    unidentified = load(tmp_path, PLAIN.replace("seed = 7", 'predict = "commanded"') + limits)
+    assert (unidentified.simulate("averaged").states != told.states).any()
 
 
 def test_the_command_line_runs_imperfect_files(tmp_path, capsys, monkeypatch):

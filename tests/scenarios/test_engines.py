@@ -44,9 +44,9 @@ def loop_of(plant=TRUTH, actuators=()):
 
 def table_of(engine, loop, law, own=SIGNALS):
     samples = loop.whole + 1
-    if law.foresight(H, own[0], samples) is not None:
+    if law.preview(H, own[0], samples) is not None:
         ahead = ModelAhead(law, law.sampled_plant(H), samples)
-        return engine.foresee(ahead, SignalBatch.of(own))
+        return engine.answer_with_preview(ahead, SignalBatch.of(own))
     return engine.table(law.digital(H, own[0], samples))
 
 

@@ -15,7 +15,7 @@ from deadtime.imperfections import (
     WhiteDisturbance,
 )
 from deadtime.imperfections.base import Sizes
-from deadtime.imperfections.received import Heard
+from deadtime.imperfections.received import ReceivedData
 from deadtime.scenarios import scenario_seed
 from shares import mostly_long
 
@@ -54,7 +54,7 @@ def test_what_tracks_is_run_one_by_one_within_a_first_period_alone():
 
 def test_runs_of_one_sample_are_each_told_their_own_wrong_mode():
     names = np.array([[1, 2, 0], [2, 0, 1], [2, 0, 0]])
-    heard = Heard.perfect(1, Sizes(3, 3, 2, H))._replace(named=names[:, None])
+    heard = ReceivedData.perfect(1, Sizes(3, 3, 2, H))._replace(named=names[:, None])
     true = np.array([[0], [0], [2]])
     np.testing.assert_array_equal(heard.modes(true), [[1], [2], [0]])
     for run, own in enumerate(heard.each(3)):

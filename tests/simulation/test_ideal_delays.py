@@ -43,7 +43,7 @@ def expected(law, run, t, bends):
     if isinstance(law, dt.ExactPredictor):
         believed = list(zip(run.signal.times, run.signal.modes, strict=True))
         parts = model.A, model.B, model.delays
-        return ideal_residual.foreseen(run, t, believed, parts, law.gains, bends)
+        return ideal_residual.previewed(run, t, believed, parts, law.gains, bends)
     if getattr(law, "dwell_time", None):
         return dwelling(law, run, t, bends)
     one = ideal_residual.feedback
@@ -73,7 +73,7 @@ def dwelling(law, run, t, bends):
         believed = (
             [(-1.0, mode), (until, model.modes + b)] if until > t else [(-1.0, model.modes + b)]
         )
-        answer += (1.0 if mean else law.weights[b]) * ideal_residual.foreseen(
+        answer += (1.0 if mean else law.weights[b]) * ideal_residual.previewed(
             run, t, believed, parts, np.tile(K, (len(parts[0]), 1, 1)), bends
         )
     return answer

@@ -95,9 +95,9 @@ def over_the_instant(law, run, t, bends):
     system = model.A, model.B, model.delays
     mode = int(run.signal(np.array([t]))[0])
     if mode == 1:
-        return ideal_residual.foreseen(run, t, [(-1.0, 1)], system, law.gains, bends)
+        return ideal_residual.previewed(run, t, [(-1.0, 1)], system, law.gains, bends)
     last = model.longest_delay
-    answer = np.exp(-RATE * last) * ideal_residual.foreseen(
+    answer = np.exp(-RATE * last) * ideal_residual.previewed(
         run, t, [(-1.0, 0)], system, law.gains, bends
     )
     # The integrand is not smooth where what acts first after the switch is a jump or bend of u.
@@ -113,7 +113,7 @@ def over_the_instant(law, run, t, bends):
             s = begin + 0.5 * (end - begin) * (z + 1.0)
             density = 0.5 * (end - begin) * w * RATE * np.exp(-RATE * s)
             believed = [(-1.0, 0), (t + s, 1)]
-            answer += density * ideal_residual.foreseen(run, t, believed, system, law.gains, bends)
+            answer += density * ideal_residual.previewed(run, t, believed, system, law.gains, bends)
     return answer
 
 

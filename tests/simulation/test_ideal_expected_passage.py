@@ -111,7 +111,7 @@ def test_of_one_input_it_is_the_mean_of_the_exact_feedback(order):
     system = model.A, model.B, model.delays
 
     def along(t, believed):
-        return ideal_residual.foreseen(run, t, believed, system, law.gains, bends)
+        return ideal_residual.previewed(run, t, believed, system, law.gains, bends)
 
     for t in (0.02, 0.33, 0.62):
         if run.signal(np.array([t]))[0] == last:

@@ -334,7 +334,7 @@ def test_identical_modes_make_the_averaged_law_exact():
         ),
         (
             lambda p, K: dt.ExactPredictor(p, K, dt.SwitchingSignal([0.0, 1.0], [0, 1])),
-            r"law must not foresee a signal of its own that switches",
+            r"law must not assume a signal of its own that switches",
         ),
     ],
 )

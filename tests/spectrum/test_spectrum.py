@@ -244,7 +244,7 @@ def test_a_loop_that_comes_to_rest_grows_at_minus_infinity():
         (
             {"law": dt.ExactPredictor(plants.generic(), plants.gains(plants.generic()),
                                       dt.SwitchingSignal([0.0, 1.0], [0, 1]))},
-            r"law must not foresee a signal of its own that switches",
+            r"law must not assume a signal of its own that switches",
         ),
     ],
 )  # fmt: skip

@@ -322,7 +322,10 @@ def test_the_law_family_is_the_caller_s():
         ({"law": 3}, r"law must be a function \(plant, gains\) -> law, got 3"),
         ({"dearest": 1.0}, "dearest must be above 1"),
         ({"gains": np.zeros((2, 1, 1))}, r"gains must hold one \(m, n\) matrix per mode, 1"),
-        ({"law": lambda plant, gains: dt.ExactPredictor(plant, gains)}, "ExactPredictor foresees"),
+        (
+            {"law": lambda plant, gains: dt.ExactPredictor(plant, gains)},
+            "ExactPredictor needs a preview",
+        ),
         (
             {"law": lambda plant, K: dt.StateDependentPredictor(plant, K, lambda x: 0)},
             "law must make laws that are tables, got StateDependentPredictor",

@@ -12,7 +12,7 @@ from typing import Any
 import panel as pn
 import panel_material_ui as pmui
 
-from deadtime.app.workers import Job, Told, Workers
+from deadtime.app.workers import Job, Progress, Workers
 
 
 class BackgroundJobs:
@@ -29,11 +29,11 @@ class BackgroundJobs:
         failed: Callable[[BaseException], None],
         job: Job,
         *given: Any,
-        told: Told | None = None,
+        on_progress: Progress | None = None,
     ) -> None:
         """Run a job in another process, then go on here with its result or its error.
 
-        Nothing comes of one that was stopped. `told` is called with what the job tells on its way.
+        Nothing comes of one that was stopped. `on_progress` is called with what the job reports.
         """
         browser, ticket = pn.state.curdoc, object()
 
@@ -58,12 +58,12 @@ class BackgroundJobs:
             if not future.cancelled():
                 here(partial(finish, future))
 
-        def on_told(said: Any) -> None:
-            if told is not None:
-                here(partial(told, said))
+        def pass_on(said: Any) -> None:
+            if on_progress is not None:
+                here(partial(on_progress, said))
 
         self._out[ticket] = None  # it may be heard of before it is known by its future
-        more = {"told": on_told} if told else {}
+        more = {"on_progress": pass_on} if on_progress else {}
         future = self._workers.submit(limit, job, *given, **more)
         if ticket in self._out:
             self._out[ticket] = future

@@ -217,10 +217,10 @@ class LogCard:
         self._page.say(f"Identifying the plant of {file_stem(self._name)}.csv …")
         self._jobs.begin(
             LIMIT, self._on_done, self._on_failed,
-            try_log, self._name, self._content, self._asked, told=self._on_told,
+            try_log, self._name, self._content, self._asked, on_progress=self._on_progress,
         )  # fmt: skip
 
-    def _on_told(self, said: str | tuple[IdentifiedPlant, float]) -> None:
+    def _on_progress(self, said: str | tuple[IdentifiedPlant, float]) -> None:
         if isinstance(said, str):
             self._busy(said)
             return

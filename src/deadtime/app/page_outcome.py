@@ -153,7 +153,7 @@ def _oracle_measure(problem: Problem, runs: Mapping[str, Trajectory]) -> float |
     if not isinstance(problem.signal, SwitchingSignal):
         return None
     for name, law in problem.laws.items():
-        if law.foresees and name in runs:
+        if law.needs_preview and name in runs:
             return runs[name].metrics(problem.weight)[measure]
     try:
         run = problem.run(_oracle(problem))

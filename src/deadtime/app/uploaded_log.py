@@ -132,7 +132,7 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
     ArgumentError
         If it is too large, no table, or has no times.
     """
-    source = _laid(name, content, folder)
+    source = _write_upload(name, content, folder)
     try:
         frame = read_table(source, MOST_ROWS + 1).rename(columns=lambda c: str(c).strip())
     except DeadtimeError as error:
@@ -201,7 +201,7 @@ def open_log(
     ArgumentError
         If it is malformed, or does not tell the plant; the line is named.
     """
-    source = _laid(name, content, folder)
+    source = _write_upload(name, content, folder)
     modes = asked.modes
     try:
         fit = identify(
@@ -253,7 +253,7 @@ def report_of(fit: Identification, found: IdentifiedPlant, command: str) -> tupl
     return likelihood, page.encode()
 
 
-def _laid(name: str, content: bytes, folder: Path) -> Path:
+def _write_upload(name: str, content: bytes, folder: Path) -> Path:
     if len(content) > MOST_BYTES:
         raise too_large(name, len(content))
     source = folder / f"{file_stem(name)}.csv"
@@ -269,7 +269,7 @@ def _verdicts(fit: Identification, saved: Path) -> tuple[str, ...]:
     """Delays that each law of the problem tolerates, beside those that the log leaves open."""
     said, refused = [], ""
     for name, law in load_problem(saved).laws.items():
-        if law.foresees:  # to compare with: no plant offers what it knows
+        if law.needs_preview:  # to compare with: no plant offers what it knows
             continue
         try:
             said.append(law_beside(fit, name, law))

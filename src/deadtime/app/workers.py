@@ -20,7 +20,7 @@ from weakref import WeakSet
 from deadtime.base.errors import ArgumentError, DeadtimeError
 
 Job = Callable[..., Any]
-Told = Callable[[Any], None]
+Progress = Callable[[Any], None]
 _MEMORY = 8 * 2**30  # bytes of addresses, of which libraries alone take two
 _TRIES = 3  # processes that may end before they begin a job
 
@@ -39,7 +39,7 @@ class _Job(NamedTuple):
     limit: float
     job: Job
     given: tuple
-    told: Told | None
+    on_progress: Progress | None
 
 
 class _NotBegunError(Exception):
@@ -67,7 +67,9 @@ class Workers:
         self._all.add(worker)
         self._idle.put(worker)
 
-    def submit(self, limit: float, job: Job, *given: Any, told: Told | None = None) -> Future[Any]:
+    def submit(
+        self, limit: float, job: Job, *given: Any, on_progress: Progress | None = None
+    ) -> Future[Any]:
         """Run a job when there is a process for it.
 
         Parameters
@@ -88,7 +90,7 @@ class Workers:
         """
         future: Future[Any] = Future()
         with self._lock:
-            self._waiting[future] = _Job(limit, job, given, told)
+            self._waiting[future] = _Job(limit, job, given, on_progress)
         self._threads.submit(self._run_next)
         return future
 
@@ -191,7 +193,7 @@ class _Worker:
             If the process ends, or has ended, before it begins the job.
         """
         try:
-            self._pipe.send((asked.job, asked.given, asked.told is not None))
+            self._pipe.send((asked.job, asked.given, asked.on_progress is not None))
             self._pipe.recv()  # begun: what it imports before that is not the job's fault
         except (EOFError, OSError):
             self.end()
@@ -206,10 +208,10 @@ class _Worker:
                         "problem smaller, or use the command line, which has no limit."
                     )
                 kind, answer = self._pipe.recv()
-                if kind != "told":
+                if kind != "progress":
                     break
-                if asked.told is not None:
-                    asked.told(answer)
+                if asked.on_progress is not None:
+                    asked.on_progress(answer)
         except (EOFError, OSError):
             self.end()
             raise ArgumentError(
@@ -239,7 +241,7 @@ def _serve(pipe: Connection) -> None:
         while True:
             job, given, tells = pipe.recv()
             pipe.send(("begun", None))
-            more = {"tell": lambda said: pipe.send(("told", said))} if tells else {}
+            more = {"tell": lambda said: pipe.send(("progress", said))} if tells else {}
             try:
                 answer = ("done", job(*given, **more))
             except DeadtimeError as error:

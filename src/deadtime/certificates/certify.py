@@ -31,9 +31,9 @@ from deadtime.certificates.reach import (
     neutral,
     out_of_reach,
     plants_of,
-    told_late,
+    reported_late,
     too_large,
-    too_many_told,
+    too_many_reported,
     why_unmoved,
 )
 from deadtime.feedback import Feedback, Law
@@ -142,7 +142,7 @@ def certify(
     table = None if reason else recurrence_of(law, step)
     if table is None:
         return Certificate(None, reason)
-    late = told_late(law, asked.mode_lag)
+    late = reported_late(law, asked.mode_lag)
     if late:
         return Certificate(None, late)
     if modes == 1 or table.context == "none":
@@ -161,7 +161,7 @@ def certify(
         asked,
         table.memory,
     )
-    reason = too_many_told(setting) or too_large(setting.order)
+    reason = too_many_reported(setting) or too_large(setting.order)
     if reason:
         return Certificate(None, reason)
     return _decide(law, table, setting, decay_rate, search_signals, progress)
@@ -268,8 +268,8 @@ def _evidence(
 
 def _levels(setting: Setting) -> list[Freedom | None]:
     """The kinds of function to try, quickest first; None: along stretches."""
-    remembers = setting.memory or setting.signals.lost_samples
-    early = remembers or setting.signals.chatter > 1
+    has_state = setting.memory or setting.signals.lost_samples
+    early = has_state or setting.signals.chatter > 1
     levels: tuple[Freedom | None, ...] = EARLY_LEVELS if early else LEVELS
     if setting.context == "mode_age":
         last = setting.transitions.last
@@ -278,7 +278,7 @@ def _levels(setting: Setting) -> list[Freedom | None]:
     along = StretchSearch.suits(setting)
     small = setting.order <= whole(setting) and setting.signals.chatter == 1
     if along and small:  # V of others is there
-        quick = setting.inputs and not remembers
+        quick = setting.inputs and not has_state
         levels = (*levels[: levels.index(None)], None) if quick else (None,)
     many = setting.order > LARGE or setting.family.ranges or setting.signals.lost_samples
     most = 2 if many else 4

@@ -18,7 +18,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof.box import DelayInterval
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import least_periods
-from deadtime.certificates.proof.validate import MOST_TOLD
+from deadtime.certificates.proof.validate import MOST_REPORTED
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import same_outputs
@@ -182,10 +182,10 @@ def out_of_reach(modes: int, law: Law, signals: SignalClass, step: float) -> str
     """Why there can be no certificate, if so."""
     if not law.is_linear:
         return _why_no_table(law)
-    if law.foresees:
+    if law.needs_preview:
         return (
-            f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
-            "is no one loop to certify."
+            f"{type(law).__name__} needs a preview of the signal, so its table is one for each signal: "
+            "there is no one loop to certify."
         )
     dwell_time = min(signals.limits(modes).dwell_time)
     tolerance = signals.clock_tolerance
@@ -217,7 +217,7 @@ def _why_no_table(law: Law) -> str:
     )
 
 
-def told_late(law: Law, mode_lag: int) -> str:
+def reported_late(law: Law, mode_lag: int) -> str:
     """Why a law to which the mode is reported late has no certificate, if so."""
     if not mode_lag or same_outputs(law):
         return ""
@@ -228,10 +228,10 @@ def told_late(law: Law, mode_lag: int) -> str:
     )
 
 
-def too_many_told(setting: Setting) -> str:
+def too_many_reported(setting: Setting) -> str:
     """Why a mode that is reported late, or never, has no certificate with so many rows, if so."""
     late, rows = setting.signals.mode_lag or setting.signals.lost_samples, len(setting.F)
-    if late * rows <= MOST_TOLD:
+    if late * rows <= MOST_REPORTED:
         return ""
     name = "mode_lag" if setting.signals.mode_lag else "lost_samples"
     periods = " periods" if setting.signals.mode_lag else ""

@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             2, f"error: out of memory ({_one_line(error) or 'no details'}): ask for less at once."
         )
     except Exception as error:
-        _stop(70, _unforeseen(error))
+        _stop(70, _unexpected(error))
     raise SystemExit(code if isinstance(code, int) else 0)
 
 
@@ -151,7 +151,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def _unforeseen(error: Exception) -> str:
+def _unexpected(error: Exception) -> str:
     """A bug in a line: what it was, and who wants to know."""
     if os.environ.get("DEADTIME_DEBUG"):
         traceback.print_exception(error)

@@ -110,10 +110,10 @@ def export(
         }
     if json_output:
         point = chosen.operating_point
-        told: dict[str, Any] = {"law": called, "step": controller.step}
-        told["operating_point"] = None if point is None else {"x": point.x, "u": point.u}
-        told |= {key: one.facts for key, one in made.items()}
-        print_json(told, [file for one in made.values() for file in one.files])
+        result: dict[str, Any] = {"law": called, "step": controller.step}
+        result["operating_point"] = None if point is None else {"x": point.x, "u": point.u}
+        result |= {key: one.facts for key, one in made.items()}
+        print_json(result, [file for one in made.values() for file in one.files])
     else:
         print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}{_built_in(chosen)}")
         for sentence in observer_reads_mode(chosen, [called]):

@@ -200,8 +200,8 @@ def _moments(table: PredictionTable, known: Known) -> tuple[np.ndarray, np.ndarr
 def _known(running: RunningLaw) -> Known:
     """The rows that apply, the state in each and the past inputs."""
     past = running._past.recent.copy()
-    if running.believing is not None:
-        share, x, P = running.believing.known(len(running.table.state_gain))
+    if running.mode_belief is not None:
+        share, x, P = running.mode_belief.known(len(running.table.state_gain))
         row = np.flatnonzero(share)
         found = Known(row, share[row], x[row], P[row], past)
     else:

@@ -61,14 +61,14 @@ class RunningLaw(Stateful):
         form, memory = tables.bank or tables.belief, tables.memory
         self.table = tables.feedback
         self.observing = None if memory is None else Observing(memory, law.reference)
-        self.believing = None if form is None else ModeBelief(form, self.table)
+        self.mode_belief = None if form is None else ModeBelief(form, self.table)
         tracked = None if self.observing is None else self.observing.memory.tracked
         self.operating_point, size = operating_point, self.table.state_gain.shape[2]
         self.rest = RestValues.of(law, size, tracked, operating_point)
         self.limits = limits_of(limits, law.plant.inputs)
         self.low, self.high = (limit - self.rest.u for limit in self.limits)
         self._past = past_inputs(self.table)
-        self._reads_row = self.table.context != "none" and self.believing is None
+        self._reads_row = self.table.context != "none" and self.mode_belief is None
         self.reads_mode = self._reads_row or bool(self.observing and self.observing.reads_mode)
         self.measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
         self._clock, self._nothing = Clock(self.step), np.full(self.measured, np.nan)
@@ -84,8 +84,8 @@ class RunningLaw(Stateful):
             history = history - self.rest.u
         self._age, self._mode = count("mode_age", mode_age, 0), -1
         self._past.clear()
-        if self.believing:
-            self.believing.begin()
+        if self.mode_belief:
+            self.mode_belief.begin()
         for u in history[:-1]:
             self._push(u)
         self._u[:] = history[-1]
@@ -152,7 +152,7 @@ class RunningLaw(Stateful):
         x = x - self.rest.given
         applied = None if applied is None else applied - self.rest.u
         reference = None if reference is None else reference - self.rest.reference
-        told = None if belief is None else self._require_belief(belief)
+        given_belief = None if belief is None else self._require_belief(belief)
         periods = self._clock.periods(time)
         if not periods:
             self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
@@ -160,16 +160,16 @@ class RunningLaw(Stateful):
         # The missed periods before this one: past inputs are pushed in the order of time.
         self._pass(applied, periods - 1)
         self._x[:] = x
-        status = self._remember(applied)
+        status = self._record(applied)
         # A refused mode outranks an applied input that is not finite.
         status = self._see(mode) or status
-        if self.believing:
-            self._believe(x, told)
+        if self.mode_belief:
+            self._believe(x, given_belief)
         if self.observing:
             status = self._observe(x, reference, status)
         else:
             usable = bool(np.isfinite(x).all())
-            if not status and (usable or (self.believing and self.believing.running.usable(x))):
+            if not status and (usable or (self.mode_belief and self.mode_belief.running.usable(x))):
                 status = self._compute(x)
             if status <= Status.SATURATED and not usable:
                 status = Status.BAD_STATE
@@ -207,18 +207,18 @@ class RunningLaw(Stateful):
 
     def _require_belief(self, belief: ArrayLike) -> Float[np.ndarray, "mode age"]:
         """Probabilities that are given from elsewhere, to a law that reads some."""
-        if self.believing is None:
+        if self.mode_belief is None:
             raise ArgumentError(
                 f"belief needs a BeliefPredictor; {self.law.label} reads the mode: leave it out."
             )
-        return self.believing.running.require(belief)
+        return self.mode_belief.running.require(belief)
 
     def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
         """Periods without a call: observer and belief run over all, the window holds the last."""
-        follows = self.observing is not None or self.believing is not None
+        follows = self.observing is not None or self.mode_belief is not None
         for _ in range(missed if follows else min(missed, self.table.taps)):
-            self._remember(applied)
-            if self.believing:
+            self._record(applied)
+            if self.mode_belief:
                 self._believe(self._nothing, None)
             if self.observing:
                 self.observing.see(self._latest, self._nothing, self._mode, None, self.samples)
@@ -227,7 +227,7 @@ class RunningLaw(Stateful):
         self.samples += 0 if follows else missed
         self._age = min(self._age + missed, self.table.ages)
 
-    def _remember(self, applied: Float[np.ndarray, " m"] | None) -> Status:
+    def _record(self, applied: Float[np.ndarray, " m"] | None) -> Status:
         """The input of the period that ends becomes the latest of the past ones."""
         u = self._u if applied is None else applied
         finite = bool(np.isfinite(u).all())
@@ -237,17 +237,17 @@ class RunningLaw(Stateful):
 
     def _push(self, u: Float[np.ndarray, " m"]) -> None:
         self._past.push(u)
-        if self.believing:
-            self.believing.push(u)
+        if self.mode_belief:
+            self.mode_belief.push(u)
 
     def _believe(
-        self, x: Float[np.ndarray, " n"], told: Float[np.ndarray, "mode age"] | None
+        self, x: Float[np.ndarray, " n"], given_belief: Float[np.ndarray, "mode age"] | None
     ) -> None:
         """Set the belief at this sample: updated by x, or the one that was passed."""
-        assert self.believing is not None
-        self.believing.see(x)
-        if told is not None:
-            self.believing.running.now[:] = told
+        assert self.mode_belief is not None
+        self.mode_belief.see(x)
+        if given_belief is not None:
+            self.mode_belief.running.now[:] = given_belief
 
     def _see(self, mode: int | None) -> Status:
         """Follow the sampled mode and its age."""
@@ -279,8 +279,8 @@ class RunningLaw(Stateful):
 
     def _compute(self, x: np.ndarray) -> Status:
         """u_k within the limits, or the last one where it is not finite."""
-        if self.believing:
-            self.believing.ask(self._past, x, self._asked)
+        if self.mode_belief:
+            self.mode_belief.ask(self._past, x, self._asked)
         else:
             row = self.table.row(self._mode, self._age) if self._reads_row else 0
             self._past.row(row, x, self._asked)
@@ -292,7 +292,7 @@ class RunningLaw(Stateful):
     @property
     def belief(self) -> Float[np.ndarray, " mode"] | None:
         """How likely each mode is at the last sample; None of a law that keeps no belief."""
-        return None if self.believing is None else self.believing.running.by_mode
+        return None if self.mode_belief is None else self.mode_belief.running.by_mode
 
     @cached_property
     def prediction_table(self) -> PredictionTable:
@@ -315,7 +315,7 @@ class RunningLaw(Stateful):
             "input": self._u.copy(),
             **self._past.snapshot(),
             **(self.observing.snapshot() if self.observing else {}),
-            **(self.believing.snapshot() if self.believing else {}),
+            **(self.mode_belief.snapshot() if self.mode_belief else {}),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -324,9 +324,9 @@ class RunningLaw(Stateful):
         Raises `ArgumentError` for a state of another law or step.
         """
         require_state(state, self.state, self.law.plant.modes)
-        if self.believing:
+        if self.mode_belief:
             # Refuses what is no belief, before anything is changed.
-            self.believing.load(state, int(state["samples"]) > 0)
+            self.mode_belief.load(state, int(state["samples"]) > 0)
         self._past.load(state)
         if self.observing:
             self.observing.load(state)

@@ -9,8 +9,8 @@ import numpy as np
 from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Law
-from deadtime.feedback.belief import BeliefFilter, Believing
-from deadtime.feedback.law import Remembering, Update
+from deadtime.feedback.belief import BeliefFilter, UpdateWithBelief
+from deadtime.feedback.law import Update, UpdateWithEstimates
 from deadtime.feedback.memory import Tables
 from deadtime.loop.running_belief import RunningBank, RunningBelief, running_belief
 from deadtime.switching import SwitchingSignal
@@ -132,7 +132,7 @@ class BeliefPredictor(Law):
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Update | Remembering:
+    ) -> Update | UpdateWithEstimates:
         self.require_step(step)
         feedback = self.law.digital(step)
         kind = BeliefUpdate if self.outputs is None else OutputBeliefUpdate
@@ -140,7 +140,7 @@ class BeliefPredictor(Law):
         return kind(feedback, running)
 
 
-class BeliefUpdate(Believing):
+class BeliefUpdate(UpdateWithBelief):
     """A `BeliefPredictor` that runs: from x_k, or y_k, and the past inputs to u_k; told no mode."""
 
     def __init__(self, feedback: Feedback, running: RunningBelief) -> None:
@@ -157,7 +157,7 @@ class BeliefUpdate(Believing):
         return u
 
 
-class OutputBeliefUpdate(BeliefUpdate, Remembering):
+class OutputBeliefUpdate(BeliefUpdate, UpdateWithEstimates):
     """A `BeliefUpdate` on outputs that keeps its estimates."""
 
     _running: RunningBank

@@ -68,9 +68,9 @@ def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p
             acts = (np.abs(acting[0]) > least).any(axis=0)
             if same and _alike(plant.delays[i][acts], plant.delays[j][acts]):
                 raise ArgumentError(
-                    f"modes {j} and {i} cannot be distinguished: the same state and inputs give "
-                    f"the same outputs in both, C A^k and C A^k B up to k = {2 * n - 1} and delays. "
-                    "Measure more, make one mode of them, or allow_alike = True: then they share "
+                    f"modes {j} and {i} cannot be distinguished. The same state and inputs give "
+                    f"the same outputs in both: C A^k and C A^k B up to k = {2 * n - 1}, and "
+                    "delays. Measure more, make one mode of them, or allow_alike = True: then they share "
                     "what the switching model gives them."
                 )
 

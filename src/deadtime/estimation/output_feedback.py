@@ -14,7 +14,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.estimation.observer import Observer
 from deadtime.estimation.servo import Drawable, Reference, Servo
 from deadtime.feedback import Feedback, Forecast, Law
-from deadtime.feedback.law import Remembering, Update
+from deadtime.feedback.law import Update, UpdateWithEstimates
 from deadtime.feedback.memory import Memory, MemorySizes, Tables
 from deadtime.loop.running_observer import RunningObserver
 from deadtime.numerics.streams import stream
@@ -183,12 +183,12 @@ class OutputFeedback(Law):
         return self.law.digital(self.observer.step).context == "none"
 
     @property
-    def foresees(self) -> bool:
-        return self.law.foresees
+    def needs_preview(self) -> bool:
+        return self.law.needs_preview
 
     @property
-    def foreseen(self) -> SwitchingSignal | None:
-        return self.law.foreseen
+    def previewed(self) -> SwitchingSignal | None:
+        return self.law.previewed
 
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
@@ -271,7 +271,7 @@ class OutputFeedback(Law):
         return OutputUpdate(inner, observer, self.reference, step)
 
 
-class OutputUpdate(Remembering):
+class OutputUpdate(UpdateWithEstimates):
     """An `OutputFeedback` that runs: from y_k, the past inputs, mode and age to u_k."""
 
     def __init__(

@@ -64,7 +64,7 @@ class Belief(NamedTuple):
         """None: it is updated by states."""
 
 
-class Believing(ABC):
+class UpdateWithBelief(ABC):
     """An `Update` that keeps a belief over the modes in place of a reported mode.
 
     Attributes

@@ -176,7 +176,7 @@ class Forecast:
     settled: Functional
 
     @classmethod
-    def foreseeing(
+    def with_preview(
         cls,
         plant: SwitchedSystem,
         K: Float[np.ndarray, "mode m n"],

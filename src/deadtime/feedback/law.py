@@ -19,7 +19,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback.belief import BeliefFilter
 from deadtime.feedback.ideal_form import Forecast, Functional
 from deadtime.feedback.memory import Tables
-from deadtime.feedback.preview import Foresight
+from deadtime.feedback.preview import Preview
 from deadtime.feedback.table import Feedback, Known
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
@@ -31,7 +31,7 @@ MOST_BYTES = 1e9  # of a table
 Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 
-class Remembering(ABC):
+class UpdateWithEstimates(ABC):
     """An `Update` with a memory: it takes what is measured, NaN included, and estimates the rest.
 
     Attributes
@@ -52,7 +52,7 @@ _ANSWERS = {
     "digital": (Feedback,),
     "ideal": (Functional, Forecast),
     "online": (Callable,),
-    "foresight": (Foresight, NoneType),
+    "preview": (Preview, NoneType),
 }
 
 
@@ -158,7 +158,7 @@ class Law(Frozen, ABC):
         """Why it has no table that can run in real time; nothing of a law that has."""
         if not self.is_linear:
             return f"{type(self).__name__} is no table"
-        return f"{type(self).__name__} foresees the signal" if self.foresees else ""
+        return f"{type(self).__name__} needs a preview of the signal" if self.needs_preview else ""
 
     @property
     def observer_alone_reads_mode(self) -> bool:
@@ -166,12 +166,12 @@ class Law(Frozen, ABC):
         return False
 
     @property
-    def foresees(self) -> bool:
+    def needs_preview(self) -> bool:
         """Whether it must know how the mode will switch, and so cannot run in real time."""
         return False
 
     @property
-    def foreseen(self) -> SwitchingSignal | None:
+    def previewed(self) -> SwitchingSignal | None:
         """The signal of its preview, where that is one of its own and not the run's."""
         return None
 
@@ -220,17 +220,17 @@ class Law(Frozen, ABC):
     @abstractmethod
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Update | Remembering:
+    ) -> Update | UpdateWithEstimates:
         """The law as a function to be called once a period, for loops that must go step by step.
 
-        Of a law that measures outputs it is a `Remembering`, to be called with y in place of x.
+        Of a law that measures outputs it is an `UpdateWithEstimates`, called with y in place of x.
         `signal` and `steps` as in `digital`. Raises `ArgumentError` for a law that must know the
         future and does not get it.
         """
 
-    def foresight(
+    def preview(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Foresight | None:
+    ) -> Preview | None:
         """The preview of a law that knows the signal; None for every other law.
 
         `signal` and `steps` as in `digital`.
@@ -292,9 +292,9 @@ class TableLaw(Law):
         return True
 
     def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
-        foresight = self.foresight(step, signal, steps)
-        feedback = None if foresight else self.digital(step, signal, steps)
-        return Tables(feedback, foresight=foresight)
+        preview = self.preview(step, signal, steps)
+        feedback = None if preview else self.digital(step, signal, steps)
+        return Tables(feedback, preview=preview)
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
@@ -323,7 +323,7 @@ def require_input(asked: Any, inputs: int) -> Float[np.ndarray, " m"]:
 Digital = Callable[..., Feedback]
 
 
-def remember_table(digital: Digital) -> Digital:
+def cache_table(digital: Digital) -> Digital:
     """Keep the last table of a law whose table depends on the step only and takes long to fill."""
 
     @wraps(digital)

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.feedback.belief import BankForm, Belief
-from deadtime.feedback.preview import Foresight
+from deadtime.feedback.preview import Preview
 from deadtime.feedback.table import Feedback
 
 
@@ -100,6 +100,6 @@ class Tables(NamedTuple):
 
     feedback: Feedback | None
     memory: Memory | None = None
-    foresight: Foresight | None = None
+    preview: Preview | None = None
     belief: Belief | None = None
     bank: BankForm | None = None

@@ -21,7 +21,7 @@ from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 
 
-class Foresight(NamedTuple):
+class Preview(NamedTuple):
     """The preview of a law that knows the signal: model, gains and signal.
 
     sampled : the law's model at its period

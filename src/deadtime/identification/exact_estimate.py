@@ -60,7 +60,7 @@ def estimate_of_plant(
     spare: Int[np.ndarray, " mode"],
     recording: Recording,
     *,
-    told: Sequence[np.ndarray] | None = None,
+    usable: Sequence[np.ndarray] | None = None,
     ends: Float[np.ndarray, "unknown 2"] | None = None,
 ) -> Estimate:
     """Estimate and intervals at a peak, states being exact, with S what a period adds.
@@ -72,7 +72,7 @@ def estimate_of_plant(
     plant, constant = log.layout.plant(theta), log.layout.constant_of(theta)
     model = FittedModel(plant, constant, log.nodes)
     white = model.residuals(recording, log.within, np.linalg.cholesky(S))
-    for one, k in zip(white, told or (), strict=told is not None):
+    for one, k in zip(white, usable or (), strict=usable is not None):
         one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan
     W = continuous(plant.A, S, recording.step)
     return Estimate.at(

@@ -109,10 +109,10 @@ class Experiment(Frozen):
         layout, chain = prospect.layout, prospect.chain
         every = {name: prospect.errors(one)[layout.at_delays] for name, one in peers.items()}
         errors = prospect.errors(r)
-        told = {"experiment": errors[layout.at_delays], **every}
-        told = {name: read_only(one) for name, one in told.items()}
+        deviations = {"experiment": errors[layout.at_delays], **every}
+        deviations = {name: read_only(one) for name, one in deviations.items()}
         largest = prospect.reach(r).max(axis=0)
-        said = _sentences(plant, step, layout, told, clock, largest)
+        said = _sentences(plant, step, layout, deviations, clock, largest)
         if chain.V.any():
             noise = ", ".join(f"{v:.3g}" for v in np.sqrt(chain.V))
             said += (f"Sensors are taken to be noisy, with deviations of {noise}.",)
@@ -123,7 +123,9 @@ class Experiment(Frozen):
             )
         time = step * np.arange(len(r))
         closed = not chain.open
-        return cls(plant, time, r.T, chain.mode, told, clock, errors, largest, closed, said, layout)
+        return cls(
+            plant, time, r.T, chain.mode, deviations, clock, errors, largest, closed, said, layout
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -179,7 +181,7 @@ def _sentences(
     plant: SwitchedSystem,
     step: float,
     layout: Layout,
-    told: Mapping[str, np.ndarray],
+    deviations: Mapping[str, np.ndarray],
     clock: int,
     largest: np.ndarray,
 ) -> tuple[str, ...]:
@@ -188,14 +190,16 @@ def _sentences(
     held = "" if clock == 1 else f", each value held for {clock} periods"
     said = []
     for place, name in enumerate(names):
-        own, prbs, edge = (1e3 * float(told[key][place]) for key in ("experiment", "prbs", "step"))
+        own, prbs, edge = (
+            1e3 * float(deviations[key][place]) for key in ("experiment", "prbs", "step")
+        )
         said.append(
             f"Standard error of {name} to be expected: {own:.3g} ms; of the best binary sequence "
             f"(PRBS{held}) {_milliseconds(prbs)}, of a step {_milliseconds(edge)}."
         )
     D = plant.delays if layout.per_mode else plant.delays[0]
     off = np.abs(D - step * np.rint(D / step)).ravel()
-    near = [n for n, o, e in zip(names, off, told["experiment"], strict=True) if o < 2.0 * e]
+    near = [n for n, o, e in zip(names, off, deviations["experiment"], strict=True) if o < 2.0 * e]
     if near:
         are, its = ("are", "their intervals") if len(near) > 1 else ("is", "its interval")
         said.append(

@@ -122,23 +122,23 @@ class Chain(NamedTuple):
         """Cov ξ of every sample, of what is random in it, from rest."""
         n, use = self.n, self.random
         M = self.M[:, :use, :use]
-        told = (self.E @ self.U[:, :, :n])[:, :use]
-        told = told * self.V @ told.swapaxes(1, 2)
+        measured = (self.E @ self.U[:, :, :n])[:, :use]
+        measured = measured * self.V @ measured.swapaxes(1, 2)
         now = np.zeros((use, use))
         for k, kind in enumerate(self.kind.tolist()):
             yield now
-            now = M[kind] @ now @ M[kind].T + told[kind]
+            now = M[kind] @ now @ M[kind].T + measured[kind]
             now[:n, :n] += self.S[self.mode[k]]
 
     def deviations(self) -> Float[np.ndarray, "sample y"]:
         """The standard deviations of states and inputs, (T, n + m), that noise makes from rest."""
         n, use = self.n, self.random
         U = self.U[:, :, :use]
-        told = np.einsum("cmn,n->cm", self.U[:, :, :n] ** 2, self.V)
+        measured = np.einsum("cmn,n->cm", self.U[:, :, :n] ** 2, self.V)
         variance = np.zeros((self.kind.size, n + U.shape[1]))
         for k, (kind, now) in enumerate(zip(self.kind.tolist(), self.covariances(), strict=True)):
             variance[k, :n] = np.diagonal(now)[:n]
-            variance[k, n:] = np.diagonal(U[kind] @ now @ U[kind].T) + told[kind]
+            variance[k, n:] = np.diagonal(U[kind] @ now @ U[kind].T) + measured[kind]
         return np.sqrt(np.maximum(variance, 0.0))
 
 
@@ -451,10 +451,10 @@ class _Joint(NamedTuple):
         n, use, i, kind = self.chain.n, self.use, self.chain.mode[k], self.chain.kind[k]
         Z, M = self.chain.Z[kind][:, :use], self.chain.M[kind][:use, :use]
         P = self.chain.P[i]
-        told = self.chain.Z[kind][:, :n].copy()  # what e does to ẑ: the law is told y, not x̂
-        told[:n] = one.K
-        of_xi, of_eta = M[:, :n].copy(), self.by_P[i] @ told
-        of_xi[:n] = P @ told
+        measured = self.chain.Z[kind][:, :n].copy()  # what e does to ẑ: the law is told y, not x̂
+        measured[:n] = one.K
+        of_xi, of_eta = M[:, :n].copy(), self.by_P[i] @ measured
+        of_xi[:n] = P @ measured
         of_eta[self.tables.wide] += P[:, :n] @ one.by_K
         by_z = (self.by_P[i] @ Z).reshape(-1, use)
 

@@ -51,7 +51,7 @@ class Information(NamedTuple):
     held: FisherMatrix
     left: FisherMatrix
     known: FisherMatrix
-    told: float
+    least_left: float
     of_noise: Float[np.ndarray, " mode"]
 
     @property
@@ -141,9 +141,9 @@ def information_of(log: HiddenLog, theta: Vector, cells: Cells) -> Information:
         J[a] = (down - up) / (2.0 * step)
     J = 0.5 * (J + J.T)
     held, _ = lifted(J[:size, :size], known)
-    left, told = lifted(left_of(J, np.arange(size)), known)
+    left, least_left = lifted(left_of(J, np.arange(size)), known)
     of_noise = left_of(J, np.arange(size, steps.size - len(noise.jumps)))
-    return Information(held, left, known, told, noise.shares(of_noise, weight.sum(axis=0)))
+    return Information(held, left, known, least_left, noise.shares(of_noise, weight.sum(axis=0)))
 
 
 def lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
@@ -182,7 +182,7 @@ class Decoded(Generic[Log]):
     recording: Recording
 
 
-class ModesTold(NamedTuple):
+class ModesEstimate(NamedTuple):
     """An estimate, how likely each mode was in every row, and how many times longer intervals are.
 
     These are the plant's longest, beside those with known modes.
@@ -229,26 +229,26 @@ def _ordered_by_path(
     return order, recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
 
 
-def estimated(found: Decoded[HiddenLog]) -> ModesTold:
+def estimated(found: Decoded[HiddenLog]) -> ModesEstimate:
     """With exact states."""
     log, theta, record = found.log, found.theta, found.recording
     layout, cells = log.layout, log.cells(theta)
     posterior = log.posterior(theta, cells)
     best = Maximum(theta, log.evaluate(theta, cells), np.zeros(theta.size, bool))
-    told = information_of(log, theta, cells)
+    information_left = information_of(log, theta, cells)
     counts = posterior.weight.sum(axis=0)
     spare = np.maximum(counts - layout.n - layout.m - 1, 1.0)
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
-    known = told.left * share[:, None] * share
-    spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
+    known = information_left.left * share[:, None] * share
+    spread = spread_of(information_left.held, layout.names(), known, layout.of_each(spare))
     peak = Peak(log=log, best=best, window=found.fit.window, spread=spread, start=_start(found))
     S = log.S * (counts / spare)[:, None, None]
-    free = np.maximum(spare * told.of_noise, 1.0).astype(np.int64)
-    estimate = estimate_of_plant(peak, S, free, record, told=log.periods.usable)
-    return ModesTold(estimate, posterior.node, told.widening)
+    free = np.maximum(spare * information_left.of_noise, 1.0).astype(np.int64)
+    estimate = estimate_of_plant(peak, S, free, record, usable=log.periods.usable)
+    return ModesEstimate(estimate, posterior.node, information_left.widening)
 
 
-def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
+def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesEstimate:
     """With noisy sensors."""
     fit, log, theta, record = found.fit, found.log, found.theta, found.recording
     layout, window, starts = log.layout, fit.window, fit.given
@@ -256,18 +256,22 @@ def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesTold:
     path = log.along(record)
     of_path = path.evaluate_in(*window)(cells)(theta)
     path = replace(path, within=log.within)
-    told = _information(log, theta, starts, cells, of_path.information + _vague(log))
+    information_left = _information(log, theta, starts, cells, of_path.information + _vague(log))
     observations = sum(int(np.isfinite(part.output).sum()) for part in record.parts)
     spare = max(observations - theta.size, 1)
     every = np.full(theta.size, float(spare))
-    spread = spread_of(told.held, layout.names(), told.left * (spare / observations), every)
+    spread = spread_of(
+        information_left.held, layout.names(), information_left.left * (spare / observations), every
+    )
     now = log.evaluate(theta, starts, cells)
-    best = Maximum(theta, now._replace(information=told.held), np.zeros(theta.size, bool))
+    best = Maximum(
+        theta, now._replace(information=information_left.held), np.zeros(theta.size, bool)
+    )
     posterior = log.posterior(theta, starts)
     rows = np.maximum(np.vstack(posterior.node).sum(axis=0), 1.0).astype(np.int64)
     peak = Peak(log=log, best=best, window=window, spread=spread, start=_start(found))
     estimate = estimate_of_sensors(peak, theta, path, rows)
-    return ModesTold(estimate, posterior.node, told.widening)
+    return ModesEstimate(estimate, posterior.node, information_left.widening)
 
 
 def _start(found: Decoded) -> Start:
@@ -307,8 +311,8 @@ def _information(
     J = J / scale / scale[:, None]
     J[:size, :size] += vague
     held, _ = lifted(J[:size, :size], known)
-    left, told = lifted(left_of(J, np.arange(size)), known)
-    return Information(held, left, known, told, np.ones(log.layout.modes))
+    left, least_left = lifted(left_of(J, np.arange(size)), known)
+    return Information(held, left, known, least_left, np.ones(log.layout.modes))
 
 
 def _vague(log: HiddenNoisyLog) -> FisherMatrix:

@@ -16,7 +16,7 @@ from deadtime.identification.estimate import HiddenModes, IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.hidden_estimate import (
     Decoded,
-    ModesTold,
+    ModesEstimate,
     decoded,
     estimated,
     estimated_with_noise,
@@ -137,29 +137,29 @@ def _chosen(
     sensed: Sensed,
     within: bool,
     decode: Callable[[HiddenFit[Log]], Decoded[Log]],
-    estimate: Callable[[Decoded[Log]], ModesTold],
+    estimate: Callable[[Decoded[Log]], ModesEstimate],
 ) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
     """The best fit as an answer."""
     best, found, left_out = best_of(tried, decode)
     said = of_numbers(best.layout.modes, tried, left_out)
     if found is None:
         return None, said
-    told, record, chain = estimate(found), found.recording, found.log.jumps.chain
+    by_mode, record, chain = estimate(found), found.recording, found.log.jumps.chain
     modes = HiddenModes(
         np.concatenate([part.time for part in record.parts]),
         np.concatenate([part.mode for part in record.parts]),
-        np.vstack(told.node),
+        np.vstack(by_mode.node),
         chain,
         np.array([one.layout.modes for one in tried.fits]),
         np.array([one.bic for one in tried.fits]),
         found.fit.values,
         best.begun.starts,
         best.begun.agreed,
-        told.widening,
+        by_mode.widening,
     )
     said = (*said, *of_sureness(modes, within))
     model, why = _switching(record, chain)
-    given = told.estimate, record, model, why, sensed.C, sensed.named, said
+    given = by_mode.estimate, record, model, why, sensed.C, sensed.named, said
     return IdentifiedLog(*given, modes=modes), said
 
 

@@ -115,7 +115,7 @@ class Prospect(Frozen):
         unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
         scaled = F * unit[:, None] * unit
         first = self.layout.size - self.layout.delays
-        if not _is_told(scaled):
+        if not _is_identified(scaled):
             return -np.inf, np.zeros(F.shape)
         value, by_F = np.linalg.slogdet(scaled)[1], np.linalg.inv(scaled)
         if self.criterion == "delay":
@@ -131,13 +131,13 @@ def errors_of(F: FisherMatrix) -> Vector:
     """Roots of the diagonal of F⁻¹; infinite where F is singular."""
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
     scaled = F * unit[:, None] * unit
-    if not _is_told(scaled):
+    if not _is_identified(scaled):
         return np.full(len(F), np.inf)
     values, vectors = np.linalg.eigh(scaled)
     return unit * np.sqrt((vectors**2 / values).sum(axis=1))
 
 
-def _is_told(scaled: np.ndarray) -> bool:
+def _is_identified(scaled: np.ndarray) -> bool:
     """Whether an information, scaled to a diagonal of ones, has a part in every direction."""
     return bool(np.isfinite(scaled).all()) and bool(np.linalg.eigvalsh(scaled)[0] > _UNSEEN)
 

@@ -245,9 +245,9 @@ class Peak(Frozen):
                 continue
             F = found.found.information.copy()
             F[place[row], place[row]] += 12.0 / h**2
-            told = log.told(found.theta, F)
+            identified = log.identified(found.theta, F)
             try:
-                covariance = inverse(F[np.ix_(told, told)])[:size, :size]
+                covariance = inverse(F[np.ix_(identified, identified)])[:size, :size]
             except np.linalg.LinAlgError:
                 continue
             variance = np.diagonal(covariance) * inflation

@@ -65,7 +65,7 @@ _FEW = 4_000  # samples that tell where the largest maximum is
 _FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
 _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # of log likelihood that is still worth a step
-_TOLD = 1.0  # information on a logarithm: one that is told to less than a factor of e stays
+_IDENTIFIED = 1.0  # information on a logarithm: one that is told to less than a factor of e stays
 _FEWEST = 3.0  # degrees of freedom: of fewer Student's has no variance
 
 
@@ -172,17 +172,19 @@ def _spread(
     What is known has no variance, noise that the log does not tell any.
     """
     F, names, size, free = best.found.information, log.layout.names(), log.layout.size, log.free
-    seen = log.told(best.theta, F)
+    seen = log.identified(best.theta, F)
     own, named = np.ix_(seen, seen), [names[a] for a in seen if a < size]
     require_seen(F[own], named)
     less = restricted(log, some, best, window, most)
     of = spread_of(F[own], named, less.information[own], less.spare[seen])
     covariance = np.zeros(F.shape)
-    untold = np.setdiff1d(free, seen)
-    cross = F[np.ix_(untold, seen)]
+    unidentified = np.setdiff1d(free, seen)
+    cross = F[np.ix_(unidentified, seen)]
     beside = np.einsum("as,st,at->a", cross, inverse(F[own]), cross)
-    least = 1e-12 * np.diagonal(F)[untold] + np.finfo(float).tiny
-    covariance[untold, untold] = 1.0 / np.maximum(np.diagonal(F)[untold] - beside, least)
+    least = 1e-12 * np.diagonal(F)[unidentified] + np.finfo(float).tiny
+    covariance[unidentified, unidentified] = 1.0 / np.maximum(
+        np.diagonal(F)[unidentified] - beside, least
+    )
     covariance[own] = of.covariance
     reach, inflation = np.full(len(F), of.reach.min()), np.ones(len(F))
     reach[seen], inflation[seen] = of.reach, of.inflation
@@ -228,13 +230,13 @@ def restricted(
     cells, size = log.cells(best.theta), log.layout.size
     evaluate, own = log.evaluate_in(*window)(cells), some.evaluate_in(*window)(cells)
     noise, unit = np.arange(size, log.size), log.unit(best.theta)[size:]
-    told = np.diagonal(best.found.information)[size:] * unit**2 > _TOLD
-    moves = _moves(own, best.theta, noise[told], unit[told])[:, :size, :size]
+    identified = np.diagonal(best.found.information)[size:] * unit**2 > _IDENTIFIED
+    moves = _moves(own, best.theta, noise[identified], unit[identified])[:, :size, :size]
     moves *= log.recording.samples / some.recording.samples
     free, C = log.free[log.free < size], np.zeros((size, size))
     C[np.ix_(free, free)] = inverse(best.found.information[np.ix_(free, free)])
     gradient = np.zeros(log.size)
-    gradient[noise[told]] = -0.5 * np.einsum("ab,cba->c", C, moves)
+    gradient[noise[identified]] = -0.5 * np.einsum("ab,cba->c", C, moves)
 
     def tilted(theta: np.ndarray) -> Evaluation:
         found = evaluate(theta)
@@ -242,7 +244,7 @@ def restricted(
         return Evaluation(found.value + more, found.score + gradient, found.information)
 
     low, high = log.limits
-    still = np.concatenate((log.layout.delay_places, noise[~told]))
+    still = np.concatenate((log.layout.delay_places, noise[~identified]))
     low[still], high[still] = best.theta[still], best.theta[still]
     after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
     value = after.found.value - float(gradient @ (after.theta - best.theta))
@@ -252,7 +254,7 @@ def restricted(
     F = after.found.information * fewer[:, None] * fewer
     slopes = np.zeros((size, moves.shape[0]))
     slopes[free] = -np.einsum("ab,cbd,da->ac", C, moves, C)[free] / np.diagonal(C)[free, None]
-    error = np.linalg.pinv(F[np.ix_(noise[told], noise[told])])
+    error = np.linalg.pinv(F[np.ix_(noise[identified], noise[identified])])
     variance = np.einsum("ac,cd,ad->a", slopes, error, slopes)  # of the logarithms of variances
     spare = np.full(log.size, most)
     spare[:size] = np.maximum(2.0 / np.maximum(variance, 2.0 / most), min(_FEWEST, most))
@@ -355,8 +357,8 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
         own = log.evaluate_in(*bounds)(cells)(best.theta).value
         curves[row][cell - first] = max(curves[row][cell - first], own)
         vectors[row][cell - first] = best.theta
-    told = np.array(curves), log.acting.size, np.array(vectors)
-    start = Start(best.theta[: log.layout.size], cells, first, *told)
+    identified = np.array(curves), log.acting.size, np.array(vectors)
+    start = Start(best.theta[: log.layout.size], cells, first, *identified)
     return estimated_of(log, best, window, start)
 
 

@@ -90,10 +90,10 @@ def _delays(found: Estimate, recording: Recording) -> list[str]:
         if hardly:
             several = bool(found.several[place])
             apart = ", and others that lie apart explain it nearly as well" if several else ""
-            told = f"The log hardly tells {name[0].lower()}{name[1:]}{apart}"
+            identified = f"The log hardly tells {name[0].lower()}{name[1:]}{apart}"
             why = reasons(recording, place % len(recording.inputs), high - low)
             advice = "" if why else ": move the input more, or log for longer"
-            said += [f"{told}{advice}{_beyond(right, high, _EDGE * (high - low))}.", *why]
+            said += [f"{identified}{advice}{_beyond(right, high, _EDGE * (high - low))}.", *why]
         elif edge and counts_milliseconds(recording):
             said += reasons(recording, place % len(recording.inputs), high - low)
     return said

@@ -17,7 +17,7 @@ from .disturbances import (
     StepDisturbance as StepDisturbance,
     WhiteDisturbance as WhiteDisturbance,
 )
-from .received import Additive as Additive, Heard as Heard, Relaying as Relaying
+from .received import Additive as Additive, ReceivedData as ReceivedData, Relaying as Relaying
 from .sensors_and_actuators import (
     Dropout as Dropout,
     Jitter as Jitter,

@@ -213,13 +213,13 @@ def once(check: Callable[[Any, Size], Checked]) -> Callable[[Any, Size], Checked
     """
 
     @functools.wraps(check)
-    def remembered(one: Any, size: Size) -> Checked:
+    def memory_size(one: Any, size: Size) -> Checked:
         found = vars(one).setdefault("_found", {})
         if size not in found:
             found[size] = check(one, size)
         return found[size]
 
-    return remembered
+    return memory_size
 
 
 def per_signal(name: str, value: ArrayLike, size: int) -> np.ndarray:

@@ -36,7 +36,7 @@ _BLOCK = 64  # samples
 Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in the next ones
 
 
-class Heard(NamedTuple):
+class ReceivedData(NamedTuple):
     """The measurements and modes that reach a law at every sample of a run.
 
     Of many runs, each array has an axis of them in front; axes of length 1 stand for all runs, and
@@ -64,19 +64,19 @@ class Heard(NamedTuple):
     named: Int[np.ndarray, "sample mode"]
 
     @classmethod
-    def of_many(cls, samples: int, sizes: Sizes) -> Heard:
+    def of_many(cls, samples: int, sizes: Sizes) -> ReceivedData:
         """Every sample of all runs at once and as it is."""
         each, noise = np.arange(samples)[None], np.zeros((1, 1, sizes.states))
         return cls(each, noise, each, np.arange(sizes.modes)[None, None])
 
-    def each(self, runs: int) -> Iterator[Heard]:
+    def each(self, runs: int) -> Iterator[ReceivedData]:
         """One for each of so many runs."""
         samples = self.samples
         shapes = [(runs, samples), (runs, samples, self.noise.shape[-1]), (runs, samples)]
         shapes.append((runs, samples, self.named.shape[-1]))
         whole = [np.broadcast_to(part, shape) for part, shape in zip(self, shapes, strict=True)]
         for run in range(runs):
-            yield Heard(*(part[run] for part in whole))
+            yield ReceivedData(*(part[run] for part in whole))
 
     @property
     def samples(self) -> int:
@@ -84,27 +84,30 @@ class Heard(NamedTuple):
         return self.sample.shape[-1]
 
     @classmethod
-    def perfect(cls, samples: int, sizes: Sizes) -> Heard:
+    def perfect(cls, samples: int, sizes: Sizes) -> ReceivedData:
         """Every sample at once and as it is."""
         each, noise = np.arange(samples), np.zeros((samples, sizes.states))
         named = np.broadcast_to(np.arange(sizes.modes), (samples, sizes.modes))
         return cls(each, noise, each, named)
 
-    def at(self, sample: Int[np.ndarray, "*runs sample"]) -> Heard:
+    def at(self, sample: Int[np.ndarray, "*runs sample"]) -> ReceivedData:
         """Those of other samples, one for each; nothing at −1."""
         found = mode_of = self._through(self.sample, sample)
         if self.mode_of is not self.sample:
             mode_of = self._through(self.mode_of, sample)
         noise, named = _of_samples(self.noise, sample), _of_samples(self.named, sample)
-        return Heard(found, noise, mode_of, named)
+        return ReceivedData(found, noise, mode_of, named)
 
-    def _through(self, heard: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    def _through(self, received: np.ndarray, sample: np.ndarray) -> np.ndarray:
         """Which samples are heard at samples of which these are heard, −1 for none."""
-        if heard.size == self.samples and (heard.reshape(-1) == np.arange(self.samples)).all():
+        if (
+            received.size == self.samples
+            and (received.reshape(-1) == np.arange(self.samples)).all()
+        ):
             return sample
-        return np.where(sample < 0, -1, at_samples(heard, sample))
+        return np.where(sample < 0, -1, at_samples(received, sample))
 
-    def with_modes_of(self, sample: Int[np.ndarray, " sample"]) -> Heard:
+    def with_modes_of(self, sample: Int[np.ndarray, " sample"]) -> ReceivedData:
         """These measurements with the modes of other samples."""
         mode_of, named = at_samples(self.mode_of, sample), _of_samples(self.named, sample)
         return self._replace(mode_of=mode_of, named=named)
@@ -152,7 +155,7 @@ class Relaying(ABC):
     """
 
     @abstractmethod
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+    def relay(self, received: ReceivedData, sizes: Sizes, rng: np.random.Generator) -> ReceivedData:
         """The measurements through it; a longer run of the same numbers begins as a shorter one."""
 
     @final
@@ -161,44 +164,46 @@ class Relaying(ABC):
         seen: list[Seen] = []
         nothing = np.full(sizes.states, np.nan)
 
-        def draw(samples: int) -> Heard:
-            return relayed(self, Heard.perfect(samples, sizes), sizes, copy.deepcopy(rng))
+        def draw(samples: int) -> ReceivedData:
+            return relayed(self, ReceivedData.perfect(samples, sizes), sizes, copy.deepcopy(rng))
 
-        heard = draw(_BLOCK)
+        received = draw(_BLOCK)
 
         def sense(now: Seen) -> Seen:
-            nonlocal heard
+            nonlocal received
             k = len(seen)
             seen.append(now)
-            if k == heard.samples:
-                heard = draw(2 * k)
-            j, i = heard.sample[k], heard.mode_of[k]
+            if k == received.samples:
+                received = draw(2 * k)
+            j, i = received.sample[k], received.mode_of[k]
             mode = -1 if i < 0 else seen[i].mode
             return Seen(
-                nothing if j < 0 else seen[j].x + heard.noise[k],
-                -1 if mode < 0 else int(heard.named[k, mode]),
+                nothing if j < 0 else seen[j].x + received.noise[k],
+                -1 if mode < 0 else int(received.named[k, mode]),
             )
 
         return sense
 
 
-def relayed(by: Relaying, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+def relayed(
+    by: Relaying, received: ReceivedData, sizes: Sizes, rng: np.random.Generator
+) -> ReceivedData:
     """Its measurements; refused where they do not fit, as compiled loops index with them."""
-    found = by.relay(heard, sizes, rng)
+    found = by.relay(received, sizes, rng)
     if type(by).__module__.startswith("deadtime."):
         return found  # tested to fit; looking again would cost a third of drawing it
-    _require_fit(f"{type(by).__name__}.relay", found, len(heard.sample), sizes)
+    _require_fit(f"{type(by).__name__}.relay", found, len(received.sample), sizes)
     kinds = np.int64, float, np.int64, np.int64
-    return Heard(*(part.astype(kind) for part, kind in zip(found, kinds, strict=True)))
+    return ReceivedData(*(part.astype(kind) for part, kind in zip(found, kinds, strict=True)))
 
 
 def _require_fit(name: str, found: object, samples: int, sizes: Sizes) -> None:
-    """Refuse what is no `Heard` of so many samples."""
-    if not isinstance(found, Heard):
+    """Refuse what is no `ReceivedData` of so many samples."""
+    if not isinstance(found, ReceivedData):
         raise ArgumentError(f"{name} must return a Heard, got {type(found).__name__}.")
     each, one = np.arange(samples), (samples,)
     shapes = one, (samples, sizes.states), one, (samples, sizes.modes)
-    for field, array, shape in zip(Heard._fields, found, shapes, strict=True):
+    for field, array, shape in zip(ReceivedData._fields, found, shapes, strict=True):
         words, kinds = ("floats", "f") if field == "noise" else ("integers", "iu")
         if not isinstance(array, np.ndarray):
             raise ArgumentError(f"{name} must return arrays, got {field} = {brief(array)}.")
@@ -227,13 +232,13 @@ class DrawnRelaying(Drawing, Relaying):
 
     @abstractmethod
     def relay_from(
-        self, numbers: Float[np.ndarray, "*runs count"], heard: Heard, sizes: Sizes
-    ) -> Heard:
+        self, numbers: Float[np.ndarray, "*runs count"], received: ReceivedData, sizes: Sizes
+    ) -> ReceivedData:
         """The measurements through it in runs that drew these numbers, which it may overwrite."""
 
     @final
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-        return self.relay_from(self.draw(sizes, heard.samples, rng), heard, sizes)
+    def relay(self, received: ReceivedData, sizes: Sizes, rng: np.random.Generator) -> ReceivedData:
+        return self.relay_from(self.draw(sizes, received.samples, rng), received, sizes)
 
 
 class Additive(Relaying):
@@ -243,9 +248,11 @@ class Additive(Relaying):
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
         """A function of a count that draws noise (count, n), the same in blocks or one by one."""
 
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+    def relay(self, received: ReceivedData, sizes: Sizes, rng: np.random.Generator) -> ReceivedData:
         with np.errstate(over="ignore", invalid="ignore"):
-            return heard._replace(noise=heard.noise + self.sampler(sizes, rng)(heard.samples))
+            return received._replace(
+                noise=received.noise + self.sampler(sizes, rng)(received.samples)
+            )
 
 
 def is_known(each: Imperfection) -> bool:

@@ -27,7 +27,7 @@ from deadtime.imperfections.base import (
     per_signal,
     probability_of,
 )
-from deadtime.imperfections.received import Additive, Draw, DrawnRelaying, Heard
+from deadtime.imperfections.received import Additive, Draw, DrawnRelaying, ReceivedData
 from deadtime.numerics.kernels import kernel
 from deadtime.numerics.numbers import where
 
@@ -51,15 +51,15 @@ class Noise(DrawnRelaying, Additive, SensorImperfection):
     def count(self, sizes: Sizes, samples: int) -> int:
         return samples * sizes.states
 
-    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
-        std, before = self._check(sizes.states), heard.noise
-        whole = *before.shape[:-2], heard.samples, sizes.states
+    def relay_from(self, numbers: np.ndarray, received: ReceivedData, sizes: Sizes) -> ReceivedData:
+        std, before = self._check(sizes.states), received.noise
+        whole = *before.shape[:-2], received.samples, sizes.states
         before = np.broadcast_to(before, whole).reshape(*before.shape[:-2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
             # In place, as numbers of many runs are long, and over rows that are long.
-            numbers *= np.tile(std, heard.samples)
+            numbers *= np.tile(std, received.samples)
             numbers += before
-        return heard._replace(noise=numbers.reshape(*numbers.shape[:-1], *whole[-2:]))
+        return received._replace(noise=numbers.reshape(*numbers.shape[:-1], *whole[-2:]))
 
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
         std = self._check(sizes.states)
@@ -90,9 +90,9 @@ class Dropout(DrawnRelaying, SensorImperfection):
     def count(self, sizes: Sizes, samples: int) -> int:
         return samples
 
-    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+    def relay_from(self, numbers: np.ndarray, received: ReceivedData, sizes: Sizes) -> ReceivedData:
         p = probability_of("Dropout.probability", self.probability)
-        return heard.at(np.where(numbers < p, -1, np.arange(heard.samples)))
+        return received.at(np.where(numbers < p, -1, np.arange(received.samples)))
 
 
 @dataclass(frozen=True)
@@ -113,16 +113,16 @@ class LateSamples(DrawnRelaying, SensorImperfection):
     def count(self, sizes: Sizes, samples: int) -> int:
         return samples
 
-    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+    def relay_from(self, numbers: np.ndarray, received: ReceivedData, sizes: Sizes) -> ReceivedData:
         late = whole("LateSamples.periods", self.periods)
         p = probability_of("LateSamples.probability", self.probability)
-        each, delayed = np.arange(heard.samples), numbers < p
+        each, delayed = np.arange(received.samples), numbers < p
         newest = np.where(delayed, -1, each)
         # Of those that are due at a sample its own is newer, where that is there.
         due = each[: max(0, each.size - late)]
         came = np.where(delayed[..., : due.size], due, -1)
         newest[..., late:] = np.maximum(newest[..., late:], came)
-        return heard.at(np.maximum.accumulate(newest, axis=-1))
+        return received.at(np.maximum.accumulate(newest, axis=-1))
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,11 @@ class ModeDelay(DrawnRelaying, SensorImperfection):
     def count(self, sizes: Sizes, samples: int) -> int:
         return 0
 
-    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+    def relay_from(self, numbers: np.ndarray, received: ReceivedData, sizes: Sizes) -> ReceivedData:
         periods = whole("ModeDelay.periods", self.periods)
         if periods > _MOST:
             raise ArgumentError(f"ModeDelay.periods must be at most {_MOST:,}, got {periods}.")
-        return heard.with_modes_of(np.maximum(np.arange(heard.samples) - periods, 0))
+        return received.with_modes_of(np.maximum(np.arange(received.samples) - periods, 0))
 
 
 @dataclass(frozen=True)
@@ -162,19 +162,19 @@ class WrongMode(DrawnRelaying, SensorImperfection):
     def count(self, sizes: Sizes, samples: int) -> int:
         return samples * (2 if sizes.modes > 2 else 1)  # of two modes there is no choice to draw
 
-    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+    def relay_from(self, numbers: np.ndarray, received: ReceivedData, sizes: Sizes) -> ReceivedData:
         p, others = probability_of("WrongMode.probability", self.probability), sizes.modes - 1
         if others == 0:
-            return heard
-        drawn = numbers.reshape(*numbers.shape[:-1], heard.samples, 2 if others > 1 else 1)
+            return received
+        drawn = numbers.reshape(*numbers.shape[:-1], received.samples, 2 if others > 1 else 1)
         wrong, other = drawn[..., 0] < p, np.zeros((), np.int64)
         if others > 1:
             other = (drawn[..., 1] * others).astype(np.int64)
         named = np.empty((*wrong.shape, sizes.modes), np.int64)
         for mode in range(sizes.modes):
-            taken = heard.named[..., mode]
+            taken = received.named[..., mode]
             named[..., mode] = np.where(wrong, other + (other >= taken), taken)
-        return heard._replace(named=named)
+        return received._replace(named=named)
 
 
 @dataclass(frozen=True)

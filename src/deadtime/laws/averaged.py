@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_probabilities, require_shape
 from deadtime.feedback import Feedback, Forecast, Functional
-from deadtime.feedback.law import Law, TableLaw, check_dwell_time, remember_table
+from deadtime.feedback.law import Law, TableLaw, cache_table, check_dwell_time
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import Known
 from deadtime.gains.state_feedback import check_gains
@@ -155,7 +155,7 @@ class AveragedPredictor(TableLaw):
         notes = ["minimax"] * self.tuned + ["dwell-aware"] * (self.dwell_time is not None)
         return ", ".join(["averaged", *notes])
 
-    @remember_table
+    @cache_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:

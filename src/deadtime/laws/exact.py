@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Foresight
+from deadtime.feedback import Feedback, Forecast, Preview
 from deadtime.feedback.law import Law, TableLaw
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import require_finite_gains
@@ -78,11 +78,11 @@ class ExactPredictor(TableLaw):
         return "oracle"
 
     @property
-    def foresees(self) -> bool:
+    def needs_preview(self) -> bool:
         return True
 
     @property
-    def foreseen(self) -> SwitchingSignal | None:
+    def previewed(self) -> SwitchingSignal | None:
         return self.signal
 
     def _require_signal(self, signal: SwitchingSignal | None, last: float) -> SwitchingSignal:
@@ -103,15 +103,15 @@ class ExactPredictor(TableLaw):
             )
         return known
 
-    def foresight(
+    def preview(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Foresight | None:
+    ) -> Preview | None:
         sampled, known = self._known(step, signal, steps)
         if not self.plant.has_one_delay:
             return None
         _ = self._finite
         m = self.plant.inputs
-        return Foresight(sampled, self.gains, np.zeros((m, m)), known)
+        return Preview(sampled, self.gains, np.zeros((m, m)), known)
 
     def _known(
         self, step: float, signal: SwitchingSignal | None, steps: int | None
@@ -143,11 +143,11 @@ class ExactPredictor(TableLaw):
         from deadtime.laws.tables.along_signal import rows_along
 
         (sampled, known), samples = self._known(step, signal, steps), cast(int, steps)
-        foresight = self.foresight(step, signal, steps)
-        if foresight is None:
+        preview = self.preview(step, signal, steps)
+        if preview is None:
             F, G = rows_along(sampled, self.gains, known, samples)
         else:
-            F, G = foresight.rows(samples)
+            F, G = preview.rows(samples)
         return Feedback(F, G, "step", sampled.step)
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
@@ -161,4 +161,4 @@ class ExactPredictor(TableLaw):
         last = [int(known.modes[-1])]
         own = plant.like(plant.A[last], plant.B[last], plant.delays[last])
         settled = constant_functional(own, self.gains[last], np.ones(1))
-        return Forecast.foreseeing(plant, self.gains, known, settled)
+        return Forecast.with_preview(plant, self.gains, known, settled)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Functional
-from deadtime.feedback.law import Law, TableLaw, remember_table, require_room, room
+from deadtime.feedback.law import Law, TableLaw, cache_table, require_room, room
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import Known
 from deadtime.gains.state_feedback import check_gains
@@ -106,7 +106,7 @@ class ExpectedPredictor(TableLaw):
     def label(self) -> str:
         return "expected"
 
-    @remember_table
+    @cache_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, real_array, require_unmasked
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Factor, Feedback, Forecast, Foresight, Law
+from deadtime.feedback import Factor, Feedback, Forecast, Law, Preview
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.table import Known
 from deadtime.plant import SwitchedSystem
@@ -86,17 +86,17 @@ class LowPassPredictor(TableLaw):
         return f"{self.law.label}, low-pass"
 
     @property
-    def foresees(self) -> bool:
-        return self.law.foresees
+    def needs_preview(self) -> bool:
+        return self.law.needs_preview
 
     @property
-    def foreseen(self) -> SwitchingSignal | None:
-        return self.law.foreseen
+    def previewed(self) -> SwitchingSignal | None:
+        return self.law.previewed
 
-    def foresight(
+    def preview(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Foresight | None:
-        inner = self.law.foresight(step, signal, steps)
+    ) -> Preview | None:
+        inner = self.law.preview(step, signal, steps)
         if inner is None:
             return None
         kept, passed = self._filter(inner.sampled.step)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Functional
-from deadtime.feedback.law import Law, TableLaw, check_dwell_time, remember_table
+from deadtime.feedback.law import Law, TableLaw, cache_table, check_dwell_time
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import Known
 from deadtime.gains.state_feedback import check_gains, require_hurwitz
@@ -112,7 +112,7 @@ class MeanPredictor(TableLaw):
         A, B = self.mean
         return self.plant.like(A[None], B[None], self.plant.mean().delays)
 
-    @remember_table
+    @cache_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Functional
-from deadtime.feedback.law import Law, TableLaw, remember_table
+from deadtime.feedback.law import Law, TableLaw, cache_table
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import Known
 from deadtime.gains.state_feedback import check_gains
@@ -73,7 +73,7 @@ class SingleModePredictor(TableLaw):
         own, plant = slice(self.mode, self.mode + 1), self.plant
         return plant.like(plant.A[own], plant.B[own], plant.delays[own])
 
-    @remember_table
+    @cache_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:

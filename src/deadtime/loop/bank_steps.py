@@ -119,11 +119,11 @@ def begin_bank(form, bank, y):
 
 
 @kernel(eager=True, forceinline=True)
-def advance_bank(form, bank, y, told, row):
-    """One period: y_k at its end, and the inputs, u_{k−1} in row `row` of the ring `told`."""
+def advance_bank(form, bank, y, known_inputs, row):
+    """Advance by a period: y_k at its end; u_{k−1} is in row `row` of the ring `known_inputs`."""
     modes, n, seen = bank.x.shape[0], bank.wide.size, False
     lag = form.chain.lag
-    gather(lag, lag.size, told.shape[1], bank.chain.sent, told, row)
+    gather(lag, lag.size, known_inputs.shape[1], bank.chain.sent, known_inputs, row)
     _predict(form, bank)
     copy(flat(bank.ahead_x), flat(bank.pair_x))
     copy(flat(bank.ahead_P), flat(bank.pair_P))

@@ -61,12 +61,12 @@ class BeliefState(NamedTuple):
 
 
 @kernel(eager=True, forceinline=True)
-def advance_belief(form, state, before, x, told, row):
+def advance_belief(form, state, before, x, known_inputs, row):
     """π_k in `state.now`, from π_{k−1}, x_{k−1} `before`, x_k and the inputs, u_{k−1} in row `row`.
 
     Where a state is not finite, or nothing moves, nothing is learnt: the chain goes on by itself.
     """
-    gather(form.lag, form.lag.size, told.shape[1], state.sent, told, row)
+    gather(form.lag, form.lag.size, known_inputs.shape[1], state.sent, known_inputs, row)
     seen = _predict(form, state, before, x)
     for i in range(form.Phi.shape[0]):
         seen = seen & _weigh(form, state, before, x, i)
@@ -82,16 +82,16 @@ def begin_belief(form, state):
 
 
 @inner_kernel
-def gather(lag, lags, m, sent, told, row):
+def gather(lag, lags, m, sent, known_inputs, row):
     """The inputs that act in the period that ended, out of their ring."""
     for p in range(lags):
         # A lag beyond the ring reaches before time 0: row + 1, the next to be written, still holds
         # the value from there.
-        place = row - min(lag[p], told.shape[0] - 1)
+        place = row - min(lag[p], known_inputs.shape[0] - 1)
         if place < 0:
-            place += told.shape[0]
+            place += known_inputs.shape[0]
         for b in range(m):
-            sent[p, b] = told[place, b]
+            sent[p, b] = known_inputs[place, b]
 
 
 @inner_kernel
@@ -317,13 +317,13 @@ def share_rows(state):
 
 
 @kernel
-def believe(form, state, k, past, told, measured, trace):
+def believe(form, state, k, past, known_inputs, measured, trace):
     """The belief at sample k of a run, its shares of the rows, and π_k over modes in the trace.
 
-    u_k is in row past + k of `told`, and what was seen of x at sample k in row k of `measured`.
+    u_k is in row past + k of `known_inputs`, and x measured at sample k in row k of `measured`.
     """
     if k > 0:
-        advance_belief(form, state, measured[k - 1], measured[k], told, past + k - 1)
+        advance_belief(form, state, measured[k - 1], measured[k], known_inputs, past + k - 1)
     share_rows(state)
     for i in range(state.now.shape[0]):
         total = 0.0

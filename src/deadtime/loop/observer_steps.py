@@ -69,14 +69,14 @@ def select_mode(table, own, known, mode):
 
 
 @kernel(eager=True, forceinline=True)
-def predict_observer(memory, state, told, row):
-    """Take the estimate over the period that ends, u_{k−1} in row `row` of the ring `told`."""
+def predict_observer(memory, state, known_inputs, row):
+    """Predict over the period that ends; u_{k−1} is in row `row` of the ring `known_inputs`."""
     sizes = memory.sizes
     # `own` is one row of numbers: Φ, then Γ lag by lag, C, L and the law's answer to q, each row by
     # row. Offsets are counted by hand, as slices of it would cost more than the sums.
     n, m, lags = sizes.n, sizes.m, sizes.lags
     own, z, ahead, sent = state.own, state.z, state.spare, state.sent
-    gather(memory.lag, lags, m, sent, told, row)
+    gather(memory.lag, lags, m, sent, known_inputs, row)
     for i in range(n):
         total = 0.0
         for j in range(n):
@@ -162,14 +162,14 @@ def _integrate(memory, state, applied, at_push):
 
 
 @kernel
-def observe(memory, state, mode, known, k, told, past, y, estimates):
+def observe(memory, state, mode, known, k, known_inputs, past, y, estimates):
     """z at sample k of a run, in its row of the estimates; `mode` is that of every sample.
 
-    `told` are the inputs that the law knows of, u_k in row past + k.
+    `known_inputs` are the inputs that the law knows of, u_k in row past + k.
     """
     if k > 0:
-        predict_observer(memory, state, told, past + k - 1)
+        predict_observer(memory, state, known_inputs, past + k - 1)
     select_mode(memory.matrices, state.own.reshape(-1, 1), known, mode[k : k + 1])
-    correct_observer(memory, state, y, told[past + k - 1], memory.reference[k], k)
+    correct_observer(memory, state, y, known_inputs[past + k - 1], memory.reference[k], k)
     for i in range(state.z.size):
         estimates[k, i] = state.z[i]

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback.table import age_after, row_at
-from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes, TimingImperfection
+from deadtime.imperfections import Imperfection, ReceivedData, Relaying, Sizes, TimingImperfection
 from deadtime.imperfections.received import is_known, relayed
 from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.numerics.kernels import kernel
@@ -108,7 +108,7 @@ class DrawnImperfections(NamedTuple):
         Whether the law takes the inputs that it asked for to be those applied.
     """
 
-    heard: Heard
+    received: ReceivedData
     lags: MeasurementLags | None
     limits: InputLimits
     commanded: bool
@@ -116,12 +116,12 @@ class DrawnImperfections(NamedTuple):
     @classmethod
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> DrawnImperfections:
         """The arrays of a run; everything random is drawn from the streams."""
-        commanded, heard = tells_commands(predict), Heard.perfect(samples, sizes)
+        commanded, received = tells_commands(predict), ReceivedData.perfect(samples, sizes)
         for each, rng in pairs:
             if isinstance(each, Relaying):
-                heard = relayed(each, heard, sizes, rng)
+                received = relayed(each, received, sizes, rng)
         lags = MeasurementLags.of_run(pairs, sizes, samples)
-        return cls(heard, lags, InputLimits.of([each for each, _ in pairs], sizes), commanded)
+        return cls(received, lags, InputLimits.of([each for each, _ in pairs], sizes), commanded)
 
 
 def tells_commands(predict: str) -> bool:

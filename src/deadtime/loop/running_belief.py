@@ -52,11 +52,13 @@ class RunningBelief:
         self.begun, self.before[:] = False, np.nan
         begin_belief.function(self.form, self.state)
 
-    def see(self, x: Float[np.ndarray, " n"], told: Float[np.ndarray, "past m"], row: int) -> None:
+    def see(
+        self, x: Float[np.ndarray, " n"], known_inputs: Float[np.ndarray, "past m"], row: int
+    ) -> None:
         """One sample: x_k, and the inputs, u_{k−1} in row `row`; what is not finite is missing."""
         self.seen[:] = x
         if self.begun:
-            advance_belief(self.form, self.state, self.before, self.seen, told, row)
+            advance_belief(self.form, self.state, self.before, self.seen, known_inputs, row)
         self.before[:], self.begun = self.seen, True
 
     def share(self) -> Float[np.ndarray, " row"]:
@@ -123,11 +125,13 @@ class RunningBank(RunningBelief):
         super().begin()
         start_anew.function(self.bank, self.all, False)
 
-    def see(self, x: Float[np.ndarray, " p"], told: Float[np.ndarray, "past m"], row: int) -> None:
+    def see(
+        self, x: Float[np.ndarray, " p"], known_inputs: Float[np.ndarray, "past m"], row: int
+    ) -> None:
         """One sample: y_k, and the inputs, u_{k−1} in row `row`; what is not finite is missing."""
         self.seen[:] = x
         if self.begun:
-            advance_bank(self.bank, self.all, self.seen, told, row)
+            advance_bank(self.bank, self.all, self.seen, known_inputs, row)
         else:
             begin_bank(self.bank, self.all, self.seen)
         self.begun = True

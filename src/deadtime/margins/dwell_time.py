@@ -34,7 +34,7 @@ SHORT = 1e-9  # periods
 CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
 DOUBLINGS = 6  # of that, before giving up
 SAME = 1e-12  # of a dwell time, in 1/τ_d and back
-LAID_OUT = MOST_PERIODS * (1.0 - 1e-9)  # of the longest dwell time, which round-off may miss
+MOST_ROUNDED = MOST_PERIODS * (1.0 - 1e-9)  # of the longest dwell time, which round-off may miss
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ def least_dwell_time(
             "plant must have two modes or more, got one: without switches there is no dwell time. "
             "growth_rate says whether its loop is stable."
         )
-    if law.foresees or recurrence_of(law, step) is None:
+    if law.needs_preview or recurrence_of(law, step) is None:
         raise ArgumentError(
             "law must be a table whose rows do not depend on the future, got "
             f"{type(law).__name__}: no dwell time of its loop can be certified."
@@ -254,7 +254,7 @@ def least_dwell_time(
     if worst.grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    most = min(shape.longest, LAID_OUT * step / max(shape.weights) / shape.signals.chatter)
+    most = min(shape.longest, MOST_ROUNDED * step / max(shape.weights) / shape.signals.chatter)
     # After a calm dwell time not much is left of what a switch stirred up.
     calm = max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
     longest = _certified_dwell_time(questions, min(calm if rates else 0.5 * most, most), most)

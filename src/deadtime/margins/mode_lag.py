@@ -135,7 +135,7 @@ def longest_mode_lag(
             "mode_lag is what is sought, and lost_samples tell the mode late by themselves: leave "
             f"them out, got mode_lag = {sought.mode_lag}, lost_samples = {sought.lost_samples}."
         )
-    table = None if law.foresees else recurrence_of(law, step)
+    table = None if law.needs_preview else recurrence_of(law, step)
     if table is None:
         raise ArgumentError(
             "law must be a table whose rows do not depend on the future, got "

@@ -186,7 +186,7 @@ def robustness(
     late = _whole(setting, LateSamples, most, "every sample may be", "late")
     progress("detection lag")
     lag = None
-    if _is_told_the_mode(law, step, signal):
+    if _is_mode_reported(law, step, signal):
         lag = _whole(setting, ModeDelay, most, "the mode may be reported", "late")
     progress("noise")
     if drops.tolerated is None:
@@ -206,7 +206,7 @@ def robustness(
     )
 
 
-def _is_told_the_mode(law: Law, step: float, signal: SwitchingSignal | Rule) -> bool:
+def _is_mode_reported(law: Law, step: float, signal: SwitchingSignal | Rule) -> bool:
     """Whether a law, or the observer before it, acts on a mode that somebody measures."""
     if law.filter is not None:
         return False

@@ -122,7 +122,7 @@ class PieceTable(NamedTuple):
         return [(int(mode), float(a), float(b)) for mode, a, b in parts if b > a]
 
 
-class LaidCuts(NamedTuple):
+class CutPieces(NamedTuple):
     """The pieces of the periods with switches, and the entries that are no whole stretch.
 
     Piece first[i] + j is the j-th of period[i]. Entries of one's own are numbered after the
@@ -140,7 +140,7 @@ class LaidCuts(NamedTuple):
 
 
 @kernel
-def lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
+def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
     """Lay the first `switches` switches; parts of a period under the same inputs are one entry."""
     whole, longest, m = stretches.start.size, 0, stretches.lag.shape[1]
     for i in range(stretches.first.size - 1):
@@ -183,7 +183,7 @@ def lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
                 s += 1
         i += 1
     first[i] = q
-    return LaidCuts(
+    return CutPieces(
         period[:i],
         first[: i + 1],
         entry[:q],
@@ -318,39 +318,39 @@ def pieces_along(
     `whole` are Φ and Γ of the stretches, where they are known.
     """
     switches = int(np.searchsorted(cut_step, periods))
-    laid = lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches)
-    cut = np.concatenate((np.zeros((stretches.start.size, 2), np.int64), laid.cut))
+    pieces = sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches)
+    cut = np.concatenate((np.zeros((stretches.start.size, 2), np.int64), pieces.cut))
     known = whole_stretches(A, B, stretches) if whole is None else whole
-    own = _transitions_of(A, B, laid, cut_offset, cut_mode)
+    own = _transitions_of(A, B, pieces, cut_offset, cut_mode)
     Phi, Gamma = (np.concatenate(both) for both in zip(known, own, strict=True))
     mode = cut_mode[np.searchsorted(cut_step[:switches], np.arange(periods))]
     counts = np.diff(stretches.first)[mode]
-    counts[laid.period] = np.diff(laid.first)
+    counts[pieces.period] = np.diff(pieces.first)
     first = np.concatenate(([0], np.cumsum(counts)))
     entry = consecutive(stretches.first[mode], first)
-    entry[consecutive(first[laid.period], laid.first)] = laid.entry
+    entry[consecutive(first[pieces.period], pieces.first)] = pieces.entry
     return PieceTable(
         first,
         entry,
         Phi,
         Gamma,
-        np.concatenate((stretches.lag, stretches.lag[laid.stretch])),
-        np.concatenate((stretches.start, laid.start)),
-        np.concatenate((stretches.stop, laid.stop)),
-        np.concatenate((_modes_of(stretches), laid.mode)),
+        np.concatenate((stretches.lag, stretches.lag[pieces.stretch])),
+        np.concatenate((stretches.start, pieces.start)),
+        np.concatenate((stretches.stop, pieces.stop)),
+        np.concatenate((_modes_of(stretches), pieces.mode)),
         cut,
     )
 
 
 def _transitions_of(
-    A: np.ndarray, B: np.ndarray, laid: LaidCuts, cut_offset: np.ndarray, cut_mode: np.ndarray
+    A: np.ndarray, B: np.ndarray, pieces: CutPieces, cut_offset: np.ndarray, cut_mode: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Φ and Γ of the entries that are no whole stretch; few of them are kept."""
-    if not laid.mode.size:
+    if not pieces.mode.size:
         return np.empty((0, *A.shape[1:])), np.empty((0, *B.shape[1:]))
-    entries = map(read_only, (laid.start, laid.stop, laid.mode, laid.cut))
+    entries = map(read_only, (pieces.start, pieces.stop, pieces.mode, pieces.cut))
     given = A, B, *entries, cut_offset, cut_mode
-    if laid.mode.size > FEW or cut_mode.size > FEW:
+    if pieces.mode.size > FEW or cut_mode.size > FEW:
         return transitions(*given)
     return _kept_transitions(tuple((one.dtype.char, one.shape, one.tobytes()) for one in given))
 

@@ -210,10 +210,10 @@ class LawRuns:
     def __init__(self, data: xr.Dataset | Comparison) -> None:
         diverged: Any
         if isinstance(data, Comparison):
-            self.names, self._told, self._keep = list(data.names), data.attributes, data.keep
+            self.names, self._text_of, self._keep = list(data.names), data.attributes, data.keep
             self._metrics, diverged = data.results.metrics, data.results.diverged
         else:
-            self.names, self._told = [str(name) for name in data["law"].values], data.attrs
+            self.names, self._text_of = [str(name) for name in data["law"].values], data.attrs
             self._keep = lambda one: one.transpose("law", "scenario").values
             self._metrics, diverged = data, data["diverged"]
         self.lost: Bool[np.ndarray, "law scenario"] = self._keep(diverged).astype(bool)
@@ -255,9 +255,9 @@ class LawRuns:
 
     def grown(self) -> Bool[np.ndarray, "law scenario"]:
         """Where a law diverged, or |x| grew."""
-        if "grows_above" not in self._told:
+        if "grows_above" not in self._text_of:
             return self.lost
-        start = float(self._told["grows_above"])
+        start = float(self._text_of["grows_above"])
         above = start if math.isfinite(start) else GROWN * self.losses("peak").min(axis=0)
         rises = (self._values("decay_rate") < 0.0) & (self._values("final_norm") > above)
         return self.lost | rises

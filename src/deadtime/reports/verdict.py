@@ -57,7 +57,7 @@ def verdict(result: Comparison) -> list[str]:
     sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
     sentences += [_baseline(result, name) for name in _names_of(result, DelayedStateFeedback)[:1]]
     singles = _names_of(result, SingleModePredictor)
-    sentences += [_believing_one_mode(result, singles)] if singles else []
+    sentences += [_belief_and_one_mode(result, singles)] if singles else []
     sentences += [
         _against_the_oracle(result, name) for name in _names_of(result, ExactPredictor)[:1]
     ]
@@ -246,7 +246,7 @@ def _times(result: Comparison, name: str, other: str) -> str:
     return f"{amount(cost / base)} times" if base > 0.0 else "many times"
 
 
-def _believing_one_mode(result: Comparison, singles: list[str]) -> str:
+def _belief_and_one_mode(result: Comparison, singles: list[str]) -> str:
     modes = result.problem.modes
     ratios = []
     for name in singles:
@@ -269,7 +269,7 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
     costs = {
         name: math.inf if result.runs[name].diverged else row["cost"]
         for name, row in result.metrics.items()
-        if not result.problem.laws[name].foresees
+        if not result.problem.laws[name].needs_preview
     }
     best = min(costs, key=lambda name: costs[name])
     # Named only if it is cheaper than those that are named anyway.

@@ -20,9 +20,9 @@ from deadtime.scenarios.periods import (
     WIDE,
     Acting,
     CellSeries,
-    Laid,
     Maps,
     Records,
+    SignalPeriods,
     acting_of,
     balanced_norm,
     pack,
@@ -127,9 +127,9 @@ class Loop:
 
     def place(self, signals: SignalBatch) -> Records:
         """In which period, and when in it, the switches of signals fall."""
-        from deadtime.scenarios.laid import lay
+        from deadtime.scenarios.by_period import sample_signals
 
-        return lay(
+        return sample_signals(
             signals.first,
             signals.times,
             signals.modes,
@@ -139,7 +139,7 @@ class Loop:
             self.plant.modes,
         )
 
-    def lay(self, signals: SignalBatch) -> Laid:
+    def sample_signals(self, signals: SignalBatch) -> SignalPeriods:
         """Signals sampled on the periods up to the horizon."""
         records, tables = self.place(signals), self.tables
         assert tables is not None
@@ -150,13 +150,13 @@ class Loop:
         maps[:modes, : own.shape[1]] = own
         self._fill_cuts(maps[modes:], records, signals.modes, tables)
         ages = np.floor(snap_all(np.minimum(signals.initial_age / self.step, OLDEST)))
-        return Laid(records, maps, ages.astype(np.int64))
+        return SignalPeriods(records, maps, ages.astype(np.int64))
 
     def _fill_cuts(
         self, maps: np.ndarray, records: Records, modes: np.ndarray, tables: CellSeries
     ) -> None:
         """Fill in the cut periods: with one switch from series, the others step by step."""
-        from deadtime.scenarios.laid import compose_cuts, fill_switched
+        from deadtime.scenarios.by_period import compose_cuts, fill_switched
 
         last, series, acting = records.last, tables.switched, self.acting
         alone = ~last & (records.until - records.sojourn == 2) & (series.shape[2] > 0)
@@ -183,7 +183,7 @@ class Loop:
         until: Float[np.ndarray, " part"],
     ) -> Float[np.ndarray, "part n z"]:
         """x(t_k + τ) = M z_k: the M of cut periods `cut`, `until` being τ, seconds."""
-        from deadtime.scenarios.laid import follow_cuts
+        from deadtime.scenarios.by_period import follow_cuts
 
         assert self.tables is not None
         _, n, m = self.acting.B.shape
@@ -193,10 +193,12 @@ class Loop:
         follow_cuts(moves, cut, until, records, modes, self.acting, pieces, cell, width)
         return moves
 
-    def lay_nothing(self) -> Laid:
-        """No signals, as `lay` lays them, but without a compiler."""
+    def without_signals(self) -> SignalPeriods:
+        """No signals, as `sample_signals` lays them, but without a compiler."""
         assert self.tables is not None
         few = np.zeros(0, np.int32)
         cuts = few, few, np.zeros(0, np.bool_), np.zeros(0)
         records = Records(np.zeros(1, np.int64), few, few, few, *cuts)
-        return Laid(records, np.zeros((self.plant.modes, self.tables.width)), np.zeros(0, np.int64))
+        return SignalPeriods(
+            records, np.zeros((self.plant.modes, self.tables.width)), np.zeros(0, np.int64)
+        )

@@ -17,9 +17,9 @@ from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.drawn import Rooms
 from deadtime.scenarios.forces import ForceMaps, forces_of
-from deadtime.scenarios.lane_types import Hearing
-from deadtime.scenarios.periods import Laid
-from deadtime.scenarios.received_lanes import HeardBlock
+from deadtime.scenarios.lane_types import MeasurementLanes
+from deadtime.scenarios.periods import SignalPeriods
+from deadtime.scenarios.received_lanes import BlockMeasurements
 from deadtime.scenarios.scenario_sums import Instants, Path, metrics_of, needs_own_run
 from deadtime.scenarios.side_by_side import from_scenario, groups
 from deadtime.scenarios.source import Source, scenario_seed
@@ -71,28 +71,28 @@ class Block:
         Where `stopped` says so in between, the block is left and counts as not done.
         """
         signals = self.source.batch(first, count)
-        laid, later, along = None, self.helper.laws, self.engine.along
+        by_period, later, along = None, self.helper.laws, self.engine.along
         tables = {
             name: along(law, signals) for name, law in self.tables.items() if name not in later
         }
         if self.tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
-            laid = [loop.lay(signals) for loop in loops]
-        heard = force = instants = None
-        if laid is not None and self.loop.late_times is not None:
-            instants = Instants.of(self.loop, self.loop.late_times, signals, laid[0].records)
-        if laid is not None and self.loop.forced:
-            records = laid[0].records
+            by_period = [loop.sample_signals(signals) for loop in loops]
+        received = force = instants = None
+        if by_period is not None and self.loop.late_times is not None:
+            instants = Instants.of(self.loop, self.loop.late_times, signals, by_period[0].records)
+        if by_period is not None and self.loop.forced:
+            records = by_period[0].records
             maps = self._force_maps
             force = forces_of(
                 maps, self.imperfections, signals, records, self.seed, first, self.rooms
             )
-        if laid is not None and any(
+        if by_period is not None and any(
             isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
         ):
-            by_mode, given = any(map(_by_mode, tables.values())), (signals, laid[0])
-            heard = {
-                size: HeardBlock(
+            by_mode, given = any(map(_by_mode, tables.values())), (signals, by_period[0])
+            received = {
+                size: BlockMeasurements(
                     self.loop,
                     self.imperfections,
                     *given,
@@ -112,9 +112,9 @@ class Block:
                     return 0
                 tables[name] = along(self.tables[name], signals)
             left: Sequence[int] = range(count)
-            if laid is not None and name in tables:
+            if by_period is not None and name in tables:
                 left = self._at_once(
-                    row, tables[name], laid, heard, force, instants, first, stopped
+                    row, tables[name], by_period, received, force, instants, first, stopped
                 )
             for i in left:
                 if stopped():
@@ -139,15 +139,15 @@ class Block:
         self,
         row: int,
         table: EngineTable,
-        laid: Sequence[Laid],
-        heard: Mapping[int, HeardBlock] | None,
+        by_period: Sequence[SignalPeriods],
+        received: Mapping[int, BlockMeasurements] | None,
         force: np.ndarray | None,
         instants: Instants | None,
         first: int,
         stopped: Stopped,
     ) -> Sequence[int]:
         """Run a law by the engine; which scenarios are left to `simulate`."""
-        results, count = self.results, laid[0].scenarios
+        results, count = self.results, by_period[0].scenarios
         whole = results.x is None and self._followed[row] is None and instants is None
         samples, numbers = self.loop.whole + 1, table.shape.x + table.shape.u
         few = LANES * max(1, _ROOM // (samples * numbers * LANES))
@@ -158,28 +158,30 @@ class Block:
             if stopped():
                 return []
             these = slice(first + start, first + min(start + size, count))
-            hearing = Hearing()
-            if heard is not None:
-                hearing = heard[table.measured].hearing(
+            measurements = MeasurementLanes()
+            if received is not None:
+                measurements = received[table.measured].measurements(
                     table.feedback, start, these.stop - these.start, table.memory is not None
                 )
             felt = None if force is None else from_scenario(force, start, count)
-            given, late = (start, these.stop - these.start, hearing, felt), None
+            given, late = (start, these.stop - these.start, measurements, felt), None
             if whole:
-                figures = self.engine.run(table, laid[0], *given)
+                figures = self.engine.run(table, by_period[0], *given)
             else:
-                figures, path = self.engine.path(table, laid[0], *given, room=room)
-                self._keep(row, path, laid[0], start, these)
+                figures, path = self.engine.path(table, by_period[0], *given, room=room)
+                self._keep(row, path, by_period[0], start, these)
                 late = None if instants is None else instants.squares(path, felt, start)
             weighed = None
             if self.weighed is not None:
-                weighed = self.weighed[1].run(table, laid[1], *given)
+                weighed = self.weighed[1].run(table, by_period[1], *given)
             for metric, values in metrics_of(self.loop, figures, weighed, late).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(figures, late))).tolist()
         return left
 
-    def _keep(self, row: int, path: Path, laid: Laid, start: int, these: slice) -> None:
+    def _keep(
+        self, row: int, path: Path, by_period: SignalPeriods, start: int, these: slice
+    ) -> None:
         """Keep trajectories and how they follow a reference, where these are asked for."""
         results, followed = self.results, self._followed[row]
         if results.x is not None and results.u is not None:
@@ -187,7 +189,7 @@ class Block:
         if followed is not None:
             modes = None
             if not followed.is_same_in_modes:
-                modes = laid.records.modes(self.loop.whole + 1)[start : start + path.scenarios]
+                modes = by_period.records.modes(self.loop.whole + 1)[start : start + path.scenarios]
             self._track(row, followed, path, modes, these)
 
     def _track(
@@ -210,7 +212,7 @@ class Block:
             if y is not None:
                 return step_info(time[where], y[:, output, where], r)
             row = followed.rows[0, output]
-            return step_info_of(path.laid, where.start, path.scenarios, row, time[where], r)
+            return step_info_of(path.in_lanes, where.start, path.scenarios, row, time[where], r)
 
         for output in range(followed.rows.shape[1]):
             where, r = followed.window(time, output)

@@ -189,8 +189,8 @@ def dataset_of(comparison: Comparison) -> xr.Dataset:
         for name, value in results.metrics.items()
     }
     for name, value in results.tracking.items():
-        told = dict(zip(("units", "long_name"), TRACKING[name], strict=True))
-        variables[name] = ((*dims, "output"), keep(value), told)
+        described = dict(zip(("units", "long_name"), TRACKING[name], strict=True))
+        variables[name] = ((*dims, "output"), keep(value), described)
     variables["diverged"] = (dims, keep(results.diverged), {"long_name": DIVERGED})
     coordinates: dict[str, Any] = {
         "law": ("law", list(comparison.names), {"long_name": "law"}),

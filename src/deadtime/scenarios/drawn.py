@@ -17,8 +17,8 @@ from numpy.typing import DTypeLike
 
 from deadtime.imperfections import (
     Disturbance,
-    Heard,
     Imperfection,
+    ReceivedData,
     Relaying,
     Sizes,
     TimingImperfection,
@@ -99,15 +99,17 @@ class InManyRuns:
         self.streams.draw(first, self.one.normal, room)
         return room
 
-    def relay(self, first: int, room: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+    def relay(
+        self, first: int, room: np.ndarray, received: ReceivedData, sizes: Sizes
+    ) -> ReceivedData:
         """The measurements received through a sensor in the scenarios from `first` on."""
         one, runs = self.one, len(room)
         if isinstance(one, DrawnRelaying) and _as_we_wrote_it(one, DrawnRelaying, "relay"):
-            return one.relay_from(self.numbers(first, room), heard, sizes)
+            return one.relay_from(self.numbers(first, room), received, sizes)
         assert isinstance(one, Relaying)
-        pairs = zip(heard.each(runs), self.streams.generators(first, runs), strict=True)
+        pairs = zip(received.each(runs), self.streams.generators(first, runs), strict=True)
         each = [relayed(one, run, sizes, rng) for run, rng in pairs]
-        return Heard(*map(np.stack, zip(*each, strict=True)))
+        return ReceivedData(*map(np.stack, zip(*each, strict=True)))
 
     def draws(
         self, first: int, runs: int, sizes: Sizes, lengths: tuple[float, ...], run: RunLength

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Factor, Feedback, Foresight
+from deadtime.feedback import Factor, Feedback, Preview
 from deadtime.feedback.belief import BankForm, Belief
 from deadtime.feedback.law import Law
 from deadtime.feedback.memory import Memory
@@ -29,18 +29,18 @@ from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.numerics.lanes import LANES, KnownNumbers
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.batch_loop import Loop
-from deadtime.scenarios.laid import compose_cuts
+from deadtime.scenarios.by_period import compose_cuts
 from deadtime.scenarios.lane_loop import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.lane_types import (
     Dense,
     Factored,
-    Hearing,
     LoopSizes,
+    MeasurementLanes,
     PlantLanes,
     RunLanes,
 )
 from deadtime.scenarios.law_lanes import KnownSignalModel, PreviewLanes
-from deadtime.scenarios.periods import Laid, Records, compose, parts_of
+from deadtime.scenarios.periods import Records, SignalPeriods, compose, parts_of
 from deadtime.scenarios.scenario_sums import Path, ScenarioSums
 from deadtime.scenarios.side_by_side import groups
 from deadtime.scenarios.state_lanes import ObserverLanes, OutputLanes, belief_lanes
@@ -172,36 +172,38 @@ class ModelAhead:
     def __init__(self, law: Law, sampled: SampledPlant, samples: int) -> None:
         window, n = sampled.window, sampled.plant.states
         self._law, self._step, self._samples = law, window.step, samples
-        self._foresight = self._ask(SwitchingSignal.constant(0))
+        self._preview = self._ask(SwitchingSignal.constant(0))
         whole = window.phase >= window.step
         self._length = window.count if whole else window.count - 1
         self._rest = 0.0 if whole else window.phase
         self.loop = Loop(sampled, np.zeros(n), (samples - 1 + self._length) * window.step)
 
-    def lay(self, signals: SignalBatch) -> KnownSignalModel:
+    def sample_signals(self, signals: SignalBatch) -> KnownSignalModel:
         """The model along signals; an error where one is not known as far as the law looks."""
         self._ask(signals[int(signals.end.argmin())])
-        return self._own if self._law.foreseen is not None else self._lay(signals)
+        return self._own if self._law.previewed is not None else self._sample_signals(signals)
 
     @cached_property
     def _own(self) -> KnownSignalModel:
         """The model along the signal that the law assumes, the same in all scenarios."""
-        assert self._law.foreseen is not None
-        return self._lay(SignalBatch.of([self._law.foreseen]))
+        assert self._law.previewed is not None
+        return self._sample_signals(SignalBatch.of([self._law.previewed]))
 
-    def lay_nothing(self) -> KnownSignalModel:
-        """The model along no signals, which compiles what `lay` needs but for the laying itself."""
-        return self._model(self.loop.lay_nothing(), read_only(np.zeros(0, np.int64)))
+    def without_signals(self) -> KnownSignalModel:
+        """The model along no signals, which compiles all but `sample_signals` itself."""
+        return self._model(self.loop.without_signals(), read_only(np.zeros(0, np.int64)))
 
-    def _lay(self, signals: SignalBatch) -> KnownSignalModel:
-        return self._model(self.loop.lay(signals), signals.modes)
+    def _sample_signals(self, signals: SignalBatch) -> KnownSignalModel:
+        return self._model(self.loop.sample_signals(signals), signals.modes)
 
-    def _model(self, laid: Laid, sampled: Int[np.ndarray, " sojourn"]) -> KnownSignalModel:
-        loop, records = self.loop, laid.records
+    def _model(
+        self, by_period: SignalPeriods, sampled: Int[np.ndarray, " sojourn"]
+    ) -> KnownSignalModel:
+        loop, records = self.loop, by_period.records
         tails = np.concatenate((self._own_tails, self._tails_of_cuts(records, sampled)))
         first, step, which = records.first, records.step, records.map
         return KnownSignalModel(
-            self._length, loop.acting.lags, laid.maps, first, step, which, tails
+            self._length, loop.acting.lags, by_period.maps, first, step, which, tails
         )
 
     def _tails_of_cuts(
@@ -227,14 +229,14 @@ class ModelAhead:
             given = end, records, sampled, loop.acting, tables.pieces, loop.step
             compose_cuts(maps, which, last + 1, *given)
             moves = maps[:, : n * wide].reshape(cuts, n, wide)
-        gains, tails = self._foresight.gains[sampled[last]], np.zeros((cuts, m, n + m))
-        tails[:, :, n:] += self._foresight.latest
+        gains, tails = self._preview.gains[sampled[last]], np.zeros((cuts, m, n + m))
+        tails[:, :, n:] += self._preview.latest
         for j in range(n):
             tails += gains[:, :, j, None] * moves[:, None, j, : n + m]
         return tails.reshape(cuts, m * (n + m))
 
-    def _ask(self, signal: SwitchingSignal) -> Foresight:
-        found = self._law.foresight(self._step, signal, self._samples)
+    def _ask(self, signal: SwitchingSignal) -> Preview:
+        found = self._law.preview(self._step, signal, self._samples)
         assert found is not None
         return found
 
@@ -248,15 +250,15 @@ class ModelAhead:
             modes = range(plant.modes)
             periods = [parts_of(plant, loop.acting, i, 0.0, self._rest) for i in modes]
             moves = compose(plant, loop.acting, periods, loop.acting.wide).move
-        for K, move in zip(self._foresight.gains, moves, strict=True):
+        for K, move in zip(self._preview.gains, moves, strict=True):
             tail = K @ move[:, : n + m]
-            tail[:, n:] += self._foresight.latest
+            tail[:, n:] += self._preview.latest
             tails.append(tail.ravel())
         return np.array(tails)
 
 
 _NOTHING = np.zeros(0)
-PERFECT = Hearing()
+PERFECT = MeasurementLanes()
 
 
 class EngineTable(NamedTuple):
@@ -342,20 +344,22 @@ class Engine:
         shape = replace(table.shape, seen=p, output=p, kept=n)
         return table._replace(shape=shape, bank=bank, outputs=outputs)
 
-    def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> EngineTable:
+    def answer_with_preview(self, ahead: ModelAhead, signals: SignalBatch) -> EngineTable:
         """The table of a law that knows these signals, for each of them."""
-        return self._foreseeing(ahead, ahead.lay(signals))
+        return self._with_preview(ahead, ahead.sample_signals(signals))
 
     def along(self, law: EngineTable | ModelAhead, signals: SignalBatch) -> EngineTable:
         """The table of a law along signals."""
-        return law if isinstance(law, EngineTable) else self.foresee(law, signals)
+        return law if isinstance(law, EngineTable) else self.answer_with_preview(law, signals)
 
     def compile(self, law: EngineTable | ModelAhead) -> None:
         """Compile the loop under a law that receives every sample: run it along no signals."""
-        table = law if isinstance(law, EngineTable) else self._foreseeing(law, law.lay_nothing())
-        self.run(table, self._loop.lay_nothing())
+        table = (
+            law if isinstance(law, EngineTable) else self._with_preview(law, law.without_signals())
+        )
+        self.run(table, self._loop.without_signals())
 
-    def _foreseeing(self, ahead: ModelAhead, model: KnownSignalModel) -> EngineTable:
+    def _with_preview(self, ahead: ModelAhead, model: KnownSignalModel) -> EngineTable:
         entering = model.lags.size * self._loop.plant.inputs
         shape = replace(self._shape, entering=entering)
         taps = ahead.loop.sampled.longest_lag
@@ -364,23 +368,23 @@ class Engine:
     def run(
         self,
         table: EngineTable,
-        laid: Laid,
+        by_period: SignalPeriods,
         first: int = 0,
         count: int | None = None,
-        hearing: Hearing = PERFECT,
+        measurements: MeasurementLanes = PERFECT,
         force: np.ndarray | None = None,
     ) -> ScenarioSums:
         """Run a table along scenarios first, …, first + count − 1 with these data and forces."""
-        count = laid.scenarios - first if count is None else count
-        return self._run_kernel(table, laid, first, count, hearing, force, _NOTHING, 0)
+        count = by_period.scenarios - first if count is None else count
+        return self._run_kernel(table, by_period, first, count, measurements, force, _NOTHING, 0)
 
     def path(
         self,
         table: EngineTable,
-        laid: Laid,
+        by_period: SignalPeriods,
         first: int,
         count: int,
-        hearing: Hearing = PERFECT,
+        measurements: MeasurementLanes = PERFECT,
         force: np.ndarray | None = None,
         keep: int = 0,
         room: np.ndarray = _NOTHING,
@@ -393,23 +397,23 @@ class Engine:
         shape = groups(count), self._run.samples - keep, n + m, LANES
         size = math.prod(shape)
         path = room[:size] if room.size >= size else np.empty(size)
-        figures = self._run_kernel(table, laid, first, count, hearing, force, path, keep)
+        figures = self._run_kernel(table, by_period, first, count, measurements, force, path, keep)
         return figures, Path(path.reshape(shape), count, n)
 
     def _run_kernel(
         self,
         table: EngineTable,
-        laid: Laid,
+        by_period: SignalPeriods,
         first: int,
         count: int,
-        hearing: Hearing,
+        measurements: MeasurementLanes,
         force: np.ndarray | None,
         path: np.ndarray,
         keep: int,
     ) -> ScenarioSums:
-        records, lags = laid.records, self._loop.acting.lags
-        plant = PlantLanes(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._limits, *hearing, force
+        records, lags = by_period.records, self._loop.acting.lags
+        plant = PlantLanes(lags, by_period.maps, *records[:4], by_period.age)
+        loop = plant, self._run, self._limits, *measurements, force
         law, shape, samples = table.factored, table.shape, self._run.samples
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
         work = work_of(shape, plant, self._run, table.taps, carry, count)

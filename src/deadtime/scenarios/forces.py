@@ -17,8 +17,8 @@ from jaxtyping import Float
 from deadtime.imperfections import Disturbance, Imperfection, Sizes
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.batch_loop import Loop
+from deadtime.scenarios.by_period import fill_series
 from deadtime.scenarios.drawn import Rooms, RunLength, in_many_runs
-from deadtime.scenarios.laid import fill_series
 from deadtime.scenarios.periods import (
     MOST_NUMBERS,
     NODES,
@@ -28,7 +28,7 @@ from deadtime.scenarios.periods import (
     series_through,
     stack,
 )
-from deadtime.scenarios.side_by_side import groups, lay_forces
+from deadtime.scenarios.side_by_side import fill_forces, groups
 from deadtime.simulation.forcing import force_over, lengths_of, spread_over
 from deadtime.switching import SignalBatch
 
@@ -172,13 +172,13 @@ def forces_of(
     kinds = in_many_runs(imperfections, Disturbance, seed, first, count, rooms)
     along, run = maps.along(signals, records), RunLength(samples, samples + sampled.longest_lag)
     size = groups(count) * samples * (loop.acting.wide - loop.acting.plain) * LANES
-    laid = rooms.of("forces", (size,))
-    laid.fill(0.0)
+    in_lanes = rooms.of("forces", (size,))
+    in_lanes.fill(0.0)
     for begin in range(0, count, _FEW):
         few = min(_FEW, count - begin)
         for each, T in zip(kinds, along, strict=True):
             draws = each.draws(begin, few, sizes, lengths, run)
             states, numbers = ((0.0,) * size for size in T.shape[2:])
             given = *records[:2], records.map, samples, states, numbers
-            lay_forces(laid, begin, few, draws, T, *given)
-    return laid
+            fill_forces(in_lanes, begin, few, draws, T, *given)
+    return in_lanes

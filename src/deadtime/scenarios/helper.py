@@ -92,8 +92,8 @@ def _is_of_use(request: BatchRequest) -> bool:
     """Whether two can compile at once, for one another, and what `Engine.compile` compiles."""
     if processors() < 2 or not sys.executable or hasattr(sys, "frozen"):
         return False
-    hears_all = all(isinstance(one, Limiting) for one in request.imperfections)
-    return hears_all and is_kept(run_scenarios.dispatcher)
+    receives_all = all(isinstance(one, Limiting) for one in request.imperfections)
+    return receives_all and is_kept(run_scenarios.dispatcher)
 
 
 def share_of(tables: Mapping[str, Runnable]) -> frozenset[str]:

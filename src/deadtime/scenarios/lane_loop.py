@@ -45,9 +45,9 @@ from deadtime.numerics.lanes import (
 )
 from deadtime.scenarios.lane_types import LoopSizes, PlantLanes, RunLanes
 from deadtime.scenarios.law_lanes import (
+    answer_with_preview,
     choose_rows,
     enter,
-    foresee,
     look_ahead,
     refill,
     sum_dense,
@@ -58,12 +58,12 @@ from deadtime.scenarios.measured_lanes import (
     add_noise,
     command,
     go_on,
-    hear,
-    hear_modes,
-    hear_rows,
+    receive,
+    receive_modes,
+    receive_rows,
     recent_of,
+    reported_rows,
     see,
-    told_rows,
 )
 from deadtime.scenarios.state_lanes import (
     begin_observers,
@@ -176,17 +176,17 @@ def _turn_around(places, m, size):
 # where it is inlined, in twice the time of compiling.
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, memory, belief, bank, taps, plant, run, limits, relayed, sight,
-    force, start, count, path, keep, work, ahead, kept, mind, outputs,
+    shape, factored, dense, model, memory, belief, bank, taps, plant, run, limits, relayed,
+    instants, force, start, count, path, keep, work, ahead, kept, mind, outputs,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory`
     its observer, `belief` the chain that weighs its rows (`feedback.belief.Belief`), and `bank`
     its filters of outputs. These may be None, and so may `limits` of the inputs, `relayed`
-    and `sight`, how measurements and modes reach the law (`lane_types.Hearing`), and `force`, what
-    acts on the plant besides (`forces`). `path`, unless it is empty, gets x and u of every sample
-    from `keep` on. The last scenario fills the last group of eight.
+    and `instants`, how measurements and modes reach the law (`lane_types.MeasurementLanes`), and
+    `force`, what acts on the plant besides (`forces`). `path`, unless it is empty, gets x and u of
+    every sample from `keep` on. The last scenario fills the last group of eight.
     `ahead` is the memory of a model, `kept` of an observer and `mind` of a belief, None without
     one; `outputs` what the plant shows of its state, None where that is measured itself.
     """
@@ -220,11 +220,11 @@ def run_scenarios(
         if model is not None:
             enters = look_ahead(shape, model, ahead, line, begin, few, period)
         if relayed is not None:
-            recent = recent_of(shape, relayed, sight)
+            recent = recent_of(shape, relayed, instants)
             lost_now = lanes_of(recent.lost.reshape(1, LANES))
             # Asked here, for what ends within a branch is counted by Numba in every period.
             late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
-            by_told = relayed.row.size > 0
+            by_reported = relayed.row.size > 0
         for k in range(run.samples):
             # 8·period + lane in one number: one comparison finds whether any scenario switches.
             if soon // LANES == k:
@@ -247,26 +247,26 @@ def run_scenarios(
             seen = first_of(y, x, x, shape.seen)
             if relayed is not None:
                 at = first * run.samples + k * LANES
-                if sight is not None:
-                    there = see(shape, relayed, sight, recent, x, at)
+                if instants is not None:
+                    there = see(shape, relayed, instants, recent, x, at)
                     if outputs is not None:
                         y = look_at_outputs(shape, outputs, work.mode, there)
                     seen = first_of(y, there, there, shape.seen)
                 elif late:
-                    seen = hear(shape, relayed, recent, seen, at)
+                    seen = receive(shape, relayed, recent, seen, at)
                 if noisy:
                     seen = add_noise(shape, relayed, seen, at)
-                if by_told:
-                    hear_rows(relayed, recent, at)
+                if by_reported:
+                    receive_rows(relayed, recent, at)
                 missing = lost_now
             if memory is not None:
-                told = work.mode
+                reported = work.mode
                 if relayed is not None:  # noqa: SIM102
                     if relayed.mode.size > 0:
-                        hear_modes(relayed, kept.told, at)
-                        told = kept.told
-                heard = first_of(seen, seen, seen, shape.output)
-                given = line, latest, told, heard, missing, k
+                        receive_modes(relayed, kept.reported, at)
+                        reported = kept.reported
+                received = first_of(seen, seen, seen, shape.output)
+                given = line, latest, reported, received, missing, k
                 z = observe_again(shape, memory, kept, outputs, *given)
             known = first_of(z, seen, seen, shape.known)
             if belief is not None:
@@ -274,7 +274,7 @@ def run_scenarios(
             if model is not None:
                 if enters // LANES == k:
                     enters = turn(model, ahead, k, enters)
-                u = foresee(shape, model.length, ahead, k, known, line[latest])
+                u = answer_with_preview(shape, model.length, ahead, k, known, line[latest])
             if factored is not None:
                 if r == factored.length:
                     refill(shape, factored, ring, period, now, carry)
@@ -287,7 +287,7 @@ def run_scenarios(
                 else:
                     number = load(work.number, 0, _ONE)
                     if relayed is not None:  # noqa: SIM102
-                        if by_told:
+                        if by_reported:
                             number = load(recent.number, 0, _ONE)
                     u = choose(sums, number, shape.u)
             if dense is not None:
@@ -296,8 +296,8 @@ def run_scenarios(
                 else:
                     choose_rows(dense, work, window, k)
                     if relayed is not None:  # noqa: SIM102
-                        if by_told:
-                            told_rows(recent, window.row)
+                        if by_reported:
+                            reported_rows(recent, window.row)
                     sum_dense(shape, dense, window, place)
                     heads = gather(dense.head, window.head, shape.head)
                     sums = gather(window.sums, places, shape.u)
@@ -335,7 +335,7 @@ def run_scenarios(
             if force is not None:
                 at = (first * run.samples + k * LANES) * len(shape.force)
                 felt = load(force, at, shape.force)
-            if sight is not None:
+            if instants is not None:
                 go_on(shape, relayed, recent, first_of(acting, felt, felt, shape.driving))
             moved = first_of(x, acting, felt, shape.z)
             ise = own_form(own, n * wide * LANES, moved, ise)

@@ -86,7 +86,7 @@ class Dense(NamedTuple):
 class PlantLanes(NamedTuple):
     """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals by periods.
 
-    See `periods.Laid`.
+    See `periods.SignalPeriods`.
     """
 
     lags: np.ndarray
@@ -111,7 +111,7 @@ class RunLanes(NamedTuple):
     root: np.ndarray
 
 
-class SightLanes(NamedTuple):
+class InstantLanes(NamedTuple):
     """Measurements within periods: from z, x and what acts in a period, to what is measured there.
 
     series : (row, degree·n·z), Σ_d M_d δ^d, M_d (n, z);  cuts : (row, n·z), one M each
@@ -127,8 +127,8 @@ class SightLanes(NamedTuple):
     news: np.ndarray
 
 
-class Hearing(NamedTuple):
-    """The received data of a law, None for all; `sight` is None with measurements at samples."""
+class MeasurementLanes(NamedTuple):
+    """The received data of a law, None for all; `instants` is None with measurements at samples."""
 
     relayed: Received | None = None
-    sight: SightLanes | None = None
+    instants: InstantLanes | None = None

@@ -238,7 +238,7 @@ def enter(ahead, ring):
 
 
 @inner_kernel
-def foresee(shape, length, ahead, k, x, latest):
+def answer_with_preview(shape, length, ahead, k, x, latest):
     """The input: x predicted over the W coming periods, then by the tail."""
     eight = lanes_of(ahead)
     if length > 0:

@@ -37,7 +37,7 @@ class Recent(NamedTuple):
 
     slot : of x_k, one number;  places : where the received measurement lies
     lost : 1 where nothing is received;  number : the row of the law's table, as `choose` reads it
-    row : of `SightLanes`, each scenario's;  own : what that holds, (degree, n, z)
+    row : of `InstantLanes`, each scenario's;  own : what that holds, (degree, n, z)
     """
 
     states: np.ndarray
@@ -50,18 +50,18 @@ class Recent(NamedTuple):
 
 
 @kernel(eager=True, nogil=True)
-def recent_of(shape, relayed, sight):
+def recent_of(shape, relayed, instants):
     """Room for as many states as are looked back to, or for what acts on these, too."""
-    size = len(shape.seen) if sight is None else len(shape.z)
+    size = len(shape.seen) if instants is None else len(shape.z)
     states = np.zeros(LANES * (relayed.reach + 1) * size)
     slot, places = np.zeros(1, np.int64), np.zeros(LANES, np.int64)
     row = np.full(LANES, -1, np.int64)
-    own = np.zeros(0 if sight is None else sight.series.shape[1] * LANES)
+    own = np.zeros(0 if instants is None else instants.series.shape[1] * LANES)
     return Recent(states, slot, places, np.zeros(LANES), np.zeros(LANES), row, own)
 
 
 @inner_kernel
-def hear(shape, relayed, recent, x, at):
+def receive(shape, relayed, recent, x, at):
     """The measurement of as many samples before x_k as the lags at `at` say."""
     n, slots, slot = len(shape.seen), relayed.reach + 1, recent.slot[0]
     spread(recent.states, slot * n, slots * n, x)
@@ -71,14 +71,14 @@ def hear(shape, relayed, recent, x, at):
 
 
 @inner_kernel
-def see(shape, relayed, sight, recent, x, at):
+def see(shape, relayed, instants, recent, x, at):
     """The measurement at an instant within a period, whose inputs follow by `go_on`."""
     size, slots = len(shape.z), relayed.reach + 1
     spread(recent.states, recent.slot[0] * size, slots * size, x)
     _look_back(relayed, recent, at, slots, size)
-    if sight.news[at // LANES]:
-        _lay_out(sight, recent, at)
-    z, delta = gather(recent.states, recent.places, shape.z), load(sight.place, at, _ONE)
+    if instants.news[at // LANES]:
+        _lay_out(instants, recent, at)
+    z, delta = gather(recent.states, recent.places, shape.z), load(instants.place, at, _ONE)
     block = len(shape.x) * size * LANES
     x = same(0.0, shape.x)
     # Horner's rule over the degrees of the series in time, the highest first.
@@ -88,20 +88,20 @@ def see(shape, relayed, sight, recent, x, at):
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _lay_out(sight, recent, at):
+def _lay_out(instants, recent, at):
     """Copy the series of scenarios whose row is another one into their lanes."""
-    several, cut_size = len(sight.series), sight.cuts.shape[1]
+    several, cut_size = len(instants.series), instants.cuts.shape[1]
     for lane in range(LANES):
-        row = np.int64(sight.row[at + lane])
+        row = np.int64(instants.row[at + lane])
         if row != recent.row[lane]:
             recent.row[lane] = row
-            for i in range(sight.series.shape[1]):
+            for i in range(instants.series.shape[1]):
                 # A cut period has a map for one instant, a series of degree 0: clear the rest.
                 value = 0.0
                 if row < several:
-                    value = sight.series[row, i]
+                    value = instants.series[row, i]
                 elif i < cut_size:
-                    value = sight.cuts[row - several, i]
+                    value = instants.cuts[row - several, i]
                 recent.own[i * LANES + lane] = value
 
 
@@ -133,21 +133,21 @@ def add_noise(shape, relayed, x, at):
 
 
 @inner_kernel
-def hear_rows(relayed, recent, at):
+def receive_rows(relayed, recent, at):
     """Note the row of the law's table in every scenario."""
     for lane in range(LANES):
         recent.number[lane] = relayed.row[at + lane]
 
 
 @inner_kernel
-def hear_modes(relayed, mode, at):
+def receive_modes(relayed, mode, at):
     """Note the mode that is reported in every scenario."""
     for lane in range(LANES):
         mode[lane] = relayed.mode[at + lane]
 
 
 @inner_kernel
-def told_rows(recent, row):
+def reported_rows(recent, row):
     """Put the rows of the reported modes in place of those of the plant's."""
     for lane in range(LANES):
         row[lane] = np.int64(recent.number[lane])

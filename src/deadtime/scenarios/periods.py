@@ -114,7 +114,7 @@ class Records(NamedTuple):
         return np.repeat(values, ends - self.step).reshape(-1, samples).astype(np.int64)
 
 
-class Laid(NamedTuple):
+class SignalPeriods(NamedTuple):
     """Signals by the periods 0, …, K, the last of which goes on to the horizon only.
 
     Row `records.map[r]` of `maps` takes the plant over a period: `move` and the upper triangle of

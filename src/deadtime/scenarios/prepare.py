@@ -71,13 +71,13 @@ def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | None
     if law.draws:  # the engine keeps one beginning and one reference for all scenarios
         return None
     C = law.outputs
-    if C is not None and law.foresees:
+    if C is not None and law.needs_preview:
         return None
     steps = 1 if C is None else loop.whole + 1
     tables = law.tables_along(loop.step, SwitchingSignal.constant(0), steps)
     if tables is None:
         return None
-    if tables.foresight is not None:
+    if tables.preview is not None:
         ahead = ModelAhead(law, law.sampled_plant(loop.step), loop.whole + 1)
         fits = ahead.loop.tables is not None and loop.plant.states**3 <= _MOST_TERMS
         return ahead if fits else None

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from numpy.typing import DTypeLike
 
 from deadtime.feedback import Feedback
-from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes, TimingImperfection
+from deadtime.imperfections import Imperfection, ReceivedData, Relaying, Sizes, TimingImperfection
 from deadtime.loop.received_samples import (
     AT_SAMPLES,
     MeasurementLags,
@@ -35,10 +35,10 @@ from deadtime.numerics.lanes.code import LANES
 from deadtime.plant import SampledPlant
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.drawn import InManyRuns, Rooms, in_many_runs
-from deadtime.scenarios.lane_types import Hearing, SightLanes
+from deadtime.scenarios.lane_types import InstantLanes, MeasurementLanes
 from deadtime.scenarios.periods import (
-    Laid,
     Records,
+    SignalPeriods,
     acting_of,
     compose,
     nodes,
@@ -46,15 +46,15 @@ from deadtime.scenarios.periods import (
     series_through,
     stack,
 )
-from deadtime.scenarios.side_by_side import from_scenario, groups, lay_numbers
+from deadtime.scenarios.side_by_side import fill_numbers, from_scenario, groups
 from deadtime.switching import SignalBatch
 
 
 @dataclass(frozen=True, eq=False)
-class Sights:
+class BlockInstants:
     """Where the measurements of a block of scenarios lie, filled in a few scenarios at a time.
 
-    row, place, news : as `SightLanes` has them, or None where all is measured at samples
+    row, place, news : as `InstantLanes` has them, or None where all is measured at samples
     cuts : the M of measurements in cut periods, a few scenarios' each
     """
 
@@ -75,7 +75,7 @@ class Sights:
         first: int,
         count: int,
         rooms: Rooms,
-    ) -> Sights | None:
+    ) -> BlockInstants | None:
         """Those of scenarios first, …; None where no imperfection changes when x is measured."""
         kinds = in_many_runs(imperfections, TimingImperfection, seed, first, count, rooms)
         if not kinds:
@@ -93,22 +93,22 @@ class Sights:
             loop, kinds, rooms.of("row", size, np.int32), rooms.of("place", size), news, rooms
         )
 
-    def lay(
+    def sample_signals(
         self,
         signals: SignalBatch,
         records: Records,
         begin: int,
         few: int,
-        heard: np.ndarray,
+        received: np.ndarray,
         lag: np.ndarray,
         reach: int,
     ) -> int:
         """Place the measurements of scenarios begin, …, begin + few − 1 of the block on periods.
 
-        `heard` (scenario or 1, sample) is whose measurement arrives; `lag`, which is filled for
+        `received` (scenario or 1, sample) is whose measurement arrives; `lag`, which is filled for
         these scenarios, and `reach`, which is returned, are as `Received` has them.
         """
-        from deadtime.scenarios.laid import lay_places
+        from deadtime.scenarios.by_period import fill_places
 
         loop, samples = self.loop, self.loop.whole + 1
         sizes, edges = Sizes.of(loop.plant, loop.step), loop.acting.edges
@@ -124,30 +124,30 @@ class Sights:
         period, offset = rooms.of("period", shape, np.int64), rooms.of("offset", shape)
         find_instants(*lags, loop.step, period, offset)
         lag = lag[begin * samples :]
-        reach = fill_lags(lag, reach, heard, period, few, _LANES)
+        reach = fill_lags(lag, reach, received, period, few, _LANES)
         if self.row is not None:
             cut, when = rooms.of("cut", (size,), np.int32), rooms.of("when", (size,))
             series = loop.plant.modes * (edges.size - 1) * loop.cells
-            noted = lay_places(
-                self.row, self.place, self.news, lag, heard, offset, begin, few, records,
+            noted = fill_places(
+                self.row, self.place, self.news, lag, received, offset, begin, few, records,
                 loop.plant.modes, edges, loop.cells, series + sum(map(len, self.cuts)), cut, when,
             )  # fmt: skip
             self.cuts.append(loop.moves(records, signals.modes, cut[:noted], when[:noted]))
         return reach
 
-    def sight(self) -> SightLanes | None:
+    def instants(self) -> InstantLanes | None:
         """All places and cuts that were filled in."""
         if self.row is None or self.place is None or self.news is None:
             return None
-        series = sight_series(self.loop.sampled, self.loop.cells, self.loop.forced)
+        series = instant_series(self.loop.sampled, self.loop.cells, self.loop.forced)
         cuts = np.concatenate(self.cuts) if self.cuts else np.empty((0, *series.shape[2:]))
         # Where no switch comes before a measurement there are no cuts.
         flat = series.reshape(len(series), -1), cuts.reshape(len(cuts), math.prod(cuts.shape[1:]))
-        return SightLanes(*flat, self.row, self.place, self.news)
+        return InstantLanes(*flat, self.row, self.place, self.news)
 
 
 @lru_cache(8)
-def sight_series(
+def instant_series(
     sampled: SampledPlant, cells: int, forced: bool = False
 ) -> Float[np.ndarray, "row degree n z"]:
     """The M_d of a plant's modes, in each part of a period (`Acting.edges`) cell by cell."""
@@ -181,19 +181,19 @@ _FEW = 32  # scenarios that are gone through at a time, so that they stay in the
 class _Stack(NamedTuple):
     """The received data of all scenarios, as in `Received`, and the modes.
 
-    sight : as `Hearing` has it
+    sight : as `MeasurementLanes` has it
     modes : (scenario, sample), the reported modes, or None where they are the plant's
     """
 
     lag: np.ndarray
     reach: int
     noise: np.ndarray
-    sight: SightLanes | None
+    instants: InstantLanes | None
     modes: np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
-class HeardBlock:
+class BlockMeasurements:
     """The received data of scenarios first, first + 1, …, the same under every law.
 
     Attributes
@@ -211,80 +211,88 @@ class HeardBlock:
     loop: Loop
     imperfections: Sequence[Imperfection]
     signals: SignalBatch
-    laid: Laid
+    by_period: SignalPeriods
     seed: int
     first: int
     by_mode: bool
     measured: int
     rooms: Rooms = field(default_factory=Rooms)
 
-    def hearing(
-        self, feedback: Feedback | None, begin: int, count: int, remembers: bool = False
-    ) -> Hearing:
+    def measurements(
+        self, feedback: Feedback | None, begin: int, count: int, has_state: bool = False
+    ) -> MeasurementLanes:
         """The received data of a law with this table, in `count` scenarios from `begin` on.
 
-        `begin` is a multiple of eight; the observer of a law that `remembers` needs the mode, too.
+        `begin` is a multiple of eight; the observer of a law that `has_state` needs the mode, too.
         """
-        heard, row, told_mode = self._heard, np.zeros(0, np.int32), np.zeros(0, np.int32)
-        if heard.modes is not None:
+        received, row, reported_mode = self._received, np.zeros(0, np.int32), np.zeros(0, np.int32)
+        if received.modes is not None:
             if feedback is not None and feedback.context != "none":
-                row = self._rows(heard.modes, begin, count, feedback.apart, feedback.ages)
-            if remembers:
-                told_mode = self._rows(heard.modes, begin, count, 1, 1)
-        all_of, sight = self.laid.scenarios, heard.sight
-        lag, noise = (from_scenario(part, begin, all_of) for part in (heard.lag, heard.noise))
-        if sight is not None:
-            sight = SightLanes(
-                *sight[:2], *(from_scenario(part, begin, all_of) for part in sight[2:])
+                row = self._rows(received.modes, begin, count, feedback.apart, feedback.ages)
+            if has_state:
+                reported_mode = self._rows(received.modes, begin, count, 1, 1)
+        all_of, instants = self.by_period.scenarios, received.instants
+        lag, noise = (from_scenario(part, begin, all_of) for part in (received.lag, received.noise))
+        if instants is not None:
+            instants = InstantLanes(
+                *instants[:2], *(from_scenario(part, begin, all_of) for part in instants[2:])
             )
-        return Hearing(Received(lag, heard.reach, noise, row, told_mode), sight)
+        return MeasurementLanes(Received(lag, received.reach, noise, row, reported_mode), instants)
 
-    def _rows(self, told: np.ndarray, begin: int, count: int, apart: int, ages: int) -> np.ndarray:
+    def _rows(
+        self, reported: np.ndarray, begin: int, count: int, apart: int, ages: int
+    ) -> np.ndarray:
         """The rows of a table in scenarios to which these modes are reported, by samples."""
         part = slice(begin, begin + count)
-        size = groups(count) * told.shape[1] * LANES
+        size = groups(count) * reported.shape[1] * LANES
         row = self._room(("rows", apart, ages), size, np.int32)
-        fill_rows(row, told[part], self._sampled[part], self.laid.age[part], apart, ages, _LANES)
+        fill_rows(
+            row, reported[part], self._sampled[part], self.by_period.age[part], apart, ages, _LANES
+        )
         return row
 
     @cached_property
-    def _heard(self) -> _Stack:
+    def _received(self) -> _Stack:
         """The data that reach the law of every scenario."""
         plant, samples = self.loop.plant, self.loop.whole + 1
-        count = self.laid.scenarios
+        count = self.by_period.scenarios
         sizes = Sizes(plant.modes, self.measured, plant.inputs, self.loop.step)
         kinds = in_many_runs(self.imperfections, Relaying, self.seed, self.first, count, self.rooms)
         rooms = [each.room(sizes, samples, min(_FEW, count)) for each in kinds]
         size = groups(count) * samples * LANES
-        nothing, modes, reach = Heard.of_many(samples, sizes), None, 0
-        sights = Sights.of(self.loop, self.imperfections, self.seed, self.first, count, self.rooms)
+        nothing, modes, reach = ReceivedData.of_many(samples, sizes), None, 0
+        block_instants = BlockInstants.of(
+            self.loop, self.imperfections, self.seed, self.first, count, self.rooms
+        )
         lag, noise = np.zeros(0, np.int32), np.zeros(0)
         for begin in range(0, count, _FEW):
-            few, heard = min(_FEW, count - begin), nothing
+            few, received = min(_FEW, count - begin), nothing
             these = slice(begin, begin + few)
             for each, room in zip(kinds, rooms, strict=True):
-                heard = each.relay(begin, room[:few], heard, sizes)
+                received = each.relay(begin, room[:few], received, sizes)
             # By identity below: a sensor that changes nothing of a part hands the same array on.
-            sample = heard.sample
-            if sights is not None or sample is not nothing.sample:
+            sample = received.sample
+            if block_instants is not None or sample is not nothing.sample:
                 lag = lag if lag.size else self._room("lag", size, np.int32)
-            if sights is not None:
-                given = self.signals, self.laid.records, begin, few, sample
-                reach = sights.lay(*given, lag, reach)
+            if block_instants is not None:
+                given = self.signals, self.by_period.records, begin, few, sample
+                reach = block_instants.sample_signals(*given, lag, reach)
             elif sample is not nothing.sample:
                 own = lag[begin * samples :]
                 reach = fill_lags(own, reach, sample, AT_SAMPLES, few, _LANES)
-            if heard.noise is not nothing.noise:
+            if received.noise is not nothing.noise:
                 if noise.size == 0:
                     noise = self._room("noise", size * self.measured)
                     # The room is used again, and scenarios may have gone by without noise.
                     noise.fill(0.0)
-                lay_numbers(heard.noise, begin // LANES, noise)
-            true = heard.mode_of is nothing.mode_of and heard.named is nothing.named
+                fill_numbers(received.noise, begin // LANES, noise)
+            true = received.mode_of is nothing.mode_of and received.named is nothing.named
             if self.by_mode and not true:
                 modes = self._sampled.copy() if modes is None else modes
-                modes[these] = heard.modes(self._sampled[these])
-        return _Stack(lag, reach, noise, None if sights is None else sights.sight(), modes)
+                modes[these] = received.modes(self._sampled[these])
+        return _Stack(
+            lag, reach, noise, None if block_instants is None else block_instants.instants(), modes
+        )
 
     def _room(self, name: Hashable, size: int, kind: DTypeLike = np.float64) -> np.ndarray:
         return self.rooms.of(name, (size,), kind)
@@ -292,4 +300,4 @@ class HeardBlock:
     @cached_property
     def _sampled(self) -> np.ndarray:
         """The modes of the plant at the samples."""
-        return self.laid.records.modes(self.loop.whole + 1).astype(np.int32)
+        return self.by_period.records.modes(self.loop.whole + 1).astype(np.int32)

@@ -52,17 +52,17 @@ class Path:
     scenarios, states : int
     """
 
-    laid: Float[np.ndarray, "group sample size lane"]
+    in_lanes: Float[np.ndarray, "group sample size lane"]
     scenarios: int
     states: int
 
     @property
     def x(self) -> Float[np.ndarray, "scenario n sample"]:
-        return self._each(self.laid[:, :, : self.states])
+        return self._each(self.in_lanes[:, :, : self.states])
 
     @property
     def u(self) -> Float[np.ndarray, "scenario m sample"]:
-        return self._each(self.laid[:, :, self.states :])
+        return self._each(self.in_lanes[:, :, self.states :])
 
     def _each(self, part: np.ndarray) -> np.ndarray:
         groups, samples, size, lanes = part.shape
@@ -184,8 +184,8 @@ class Instants:
         self, path: Path, force: Float[np.ndarray, " numbers"] | None, start: int
     ) -> Float[np.ndarray, "scenario time"]:
         """|x|² on a path from scenario `start` of the block on, `force` as engines take it."""
-        laid, k = path.laid, self.period
-        groups, samples, _, lanes = laid.shape
+        in_lanes, k = path.in_lanes, self.period
+        groups, samples, _, lanes = in_lanes.shape
         past = [(k >= lag, np.maximum(k - lag, 0)) for lag in self.loop.acting.lags]
         acting = [path.x[:, :, k], *(np.where(sent, path.u[:, :, at], 0.0) for sent, at in past)]
         if force is not None:

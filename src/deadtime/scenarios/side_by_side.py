@@ -17,27 +17,27 @@ def groups(scenarios: int) -> int:
     return -(-scenarios // LANES)
 
 
-def from_scenario(laid: np.ndarray, begin: int, scenarios: int) -> np.ndarray:
+def from_scenario(in_lanes: np.ndarray, begin: int, scenarios: int) -> np.ndarray:
     """The part of lane-ordered data from a scenario on whose number is a multiple of eight."""
-    return laid[begin // LANES * (laid.size // groups(scenarios)) :]
+    return in_lanes[begin // LANES * (in_lanes.size // groups(scenarios)) :]
 
 
 @kernel(eager=True, nogil=True)
-def lay_numbers(numbers, begin, laid):
-    """Fill `laid` from group `begin` on with numbers (scenario, sample, n)."""
+def fill_numbers(numbers, begin, in_lanes):
+    """Fill `in_lanes` from group `begin` on with numbers (scenario, sample, n)."""
     scenarios, samples, n = numbers.shape
     at = begin * samples * n * LANES
     for first in range(0, scenarios, LANES):
         for k in range(samples):
             for i in range(n):
                 for lane in range(LANES):
-                    laid[at] = numbers[min(first + lane, scenarios - 1), k, i]
+                    in_lanes[at] = numbers[min(first + lane, scenarios - 1), k, i]
                     at += 1
 
 
 @kernel(eager=True, nogil=True)
-def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, states, numbers):
-    """Add to `laid`, from scenario `begin` on, what a disturbance's draws make for `few` of them.
+def fill_forces(in_lanes, begin, few, draws, maps, first, step, which, samples, states, numbers):
+    """Add a disturbance's draws to `in_lanes`, for `few` scenarios from `begin` on.
 
     draws : (stretch, few or 1, sample, r);  maps : (map, stretch, n, r)
     first, step, which : of `Records`, `which` being its `map`
@@ -58,9 +58,9 @@ def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, state
             for s in range(stretches):
                 of = ((s * runs + run) * periods + k) * r
                 for i in range(n):
-                    total = laid[at + i * LANES]
+                    total = in_lanes[at + i * LANES]
                     for j in range(r):
                         total += flat[entry + i * r + j] * drawn[of + j]
-                    laid[at + i * LANES] = total
+                    in_lanes[at + i * LANES] = total
                 entry += n * r
                 at += n * LANES

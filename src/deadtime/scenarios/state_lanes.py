@@ -65,7 +65,7 @@ class ObserverLanes(NamedTuple):
 
     state: ObserverState
     mode: np.ndarray
-    told: np.ndarray
+    reported: np.ndarray
 
     @classmethod
     def of(cls, memory: Memory) -> ObserverLanes:
@@ -89,10 +89,10 @@ def begin_observers(memory, kept):
 
 
 @inner_kernel
-def observe_again(shape, memory, kept, outputs, line, row, mode, heard, lost, k):
+def observe_again(shape, memory, kept, outputs, line, row, mode, received, lost, k):
     """z at sample k of all scenarios, from received outputs; `line` are the inputs to row `row`."""
     state, y = lanes_of(kept.state), lanes_of(outputs.y)
-    store(outputs.y, 0, heard)
+    store(outputs.y, 0, received)
     for i in range(y.size):
         y[i] = where(lost[0] > 0.0, math.nan, y[i])
     if k > 0:

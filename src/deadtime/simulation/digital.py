@@ -18,12 +18,12 @@ from deadtime.loop.received_samples import DrawnImperfections, rows_of_run
 from deadtime.simulation.digital_kernel import closed_loop
 from deadtime.simulation.digital_record import DigitalRecord
 from deadtime.simulation.ideal.ideal_run import IdealRecord
-from deadtime.simulation.loop_arrays import DelayLine, PreviewLaw, Rows, Sight
+from deadtime.simulation.loop_arrays import DelayLine, MeasurementInstants, PreviewLaw, Rows
 from deadtime.simulation.truth import KnownTruth
 from deadtime.switching import SwitchingSignal
 
 
-class Told(NamedTuple):
+class LawSignals(NamedTuple):
     """The data that a law received at the samples of a run, and its answers.
 
     measured : (samples, n) or (samples, p), x or y, NaN where nothing arrived
@@ -59,7 +59,7 @@ class RunOutcome:
     end: float | None
     diverged: bool = False
     note: str = ""
-    told: Told | None = None
+    known_inputs: LawSignals | None = None
     belief: np.ndarray | None = None
 
 
@@ -74,13 +74,13 @@ def run_table(
     grid, memory, belief = truth.grid, tables.memory, tables.belief
     past, plant, step = grid.past, grid.sampled.plant, grid.sampled.step
     rows = _rows(tables, truth, drawn)
-    sight = Sight.of(drawn, truth, law.outputs)
+    instants = MeasurementInstants.of(drawn, truth, law.outputs)
     measured = x0.size if law.outputs is None else law.outputs.shape[1]
-    remembered = 0 if memory is None else memory.start.size
+    memory_size = 0 if memory is None else memory.start.size
     believed = 0 if belief is None else len(belief.start)
-    line = DelayLine.of(grid, drawn, measured, remembered, believed)
+    line = DelayLine.of(grid, drawn, measured, memory_size, believed)
     limits = drawn.limits if drawn else InputLimits.of((), Sizes.of(plant, step))
-    preview = PreviewLaw.of(tables.foresight, truth) if tables.foresight else None
+    preview = PreviewLaw.of(tables.preview, truth) if tables.preview else None
     state = observer = None
     if memory is not None:
         observer = ObserverState.of(memory)
@@ -88,17 +88,17 @@ def run_table(
     if belief is not None:
         state = BeliefState.of(belief, rows.F.shape[0])
     known = memory, observer, belief, state, preview
-    kept, path = closed_loop(truth.table, rows, *known, line, sight, limits, truth.shift, x0)
-    diverged, told = kept < grid.samples, None
+    kept, path = closed_loop(truth.table, rows, *known, line, instants, limits, truth.shift, x0)
+    diverged, known_inputs = kept < grid.samples, None
     if drawn is not None or law.outputs is not None:
         estimates = None if memory is None else line.estimates[:kept]
-        told = Told(line.measured[:kept], line.asked[past : past + kept], estimates)
+        known_inputs = LawSignals(line.measured[:kept], line.asked[past : past + kept], estimates)
     return RunOutcome(
         truth.record(path, kept),
         truth.switching,
         (kept - 1) * step if diverged else None,
         diverged,
-        told=told,
+        known_inputs=known_inputs,
         belief=None if state is None else line.beliefs[:kept],
     )
 
@@ -112,7 +112,7 @@ def _rows(tables: Tables, truth: KnownTruth, drawn: DrawnImperfections | None) -
         return Rows(none, none, read_only(np.zeros(modes.size, np.int64)), read_only(modes))
     row = None
     if drawn is not None:
-        reported = drawn.heard.modes(modes)
+        reported = drawn.received.modes(modes)
         assumed = rows_of_run(reported, modes, age)
         if feedback.context != "step":
             row = rows_of_run(reported, modes, age, feedback.apart, feedback.ages)

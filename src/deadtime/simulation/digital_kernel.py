@@ -18,17 +18,25 @@ from deadtime.loop.received_samples import is_held
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.pieces import PieceTable
-from deadtime.simulation.loop_arrays import LIMIT, DelayLine, Rows, Sight
+from deadtime.simulation.loop_arrays import LIMIT, DelayLine, MeasurementInstants, Rows
 from deadtime.simulation.record_kernel import LONG, dot
 
 
 def is_bare(
-    table: PieceTable, line: DelayLine, sight: Sight, limits: InputLimits, shift: np.ndarray
+    table: PieceTable,
+    line: DelayLine,
+    instants: MeasurementInstants,
+    limits: InputLimits,
+    shift: np.ndarray,
 ) -> bool:
     """Whether the law receives the state at every sample, and the plant what the law asks for."""
-    seen = not (sight.noise.size or sight.C.shape[1]) and (sight.way < 0).all()
-    given = line.told is line.inputs is line.asked and not (limits.relative.size or shift.size)
-    return bool(given and seen and np.array_equal(sight.piece, table.first[: sight.piece.size]))
+    seen = not (instants.noise.size or instants.C.shape[1]) and (instants.way < 0).all()
+    given = line.known_inputs is line.inputs is line.asked and not (
+        limits.relative.size or shift.size
+    )
+    return bool(
+        given and seen and np.array_equal(instants.piece, table.first[: instants.piece.size])
+    )
 
 
 def bare_loop(
@@ -154,45 +162,45 @@ def _apply(answer, held, at, asked, inputs, low, high, relative):
 
 
 @kernel
-def _go_on(table, sight, k, x, inputs, past, result):
+def _go_on(table, instants, k, x, inputs, past, result):
     """x further on in its piece, to where it is measured, under what acts there and the force."""
-    q, way, now = sight.piece[k], sight.way[k], past + sight.step[k]
+    q, way, now = instants.piece[k], instants.way[k], past + instants.step[k]
     e, m = table.entry[q], inputs.shape[1]
-    acting = np.empty(sight.Gamma.shape[2])
+    acting = np.empty(instants.Gamma.shape[2])
     for i in range(acting.size):
-        acting[i] = inputs[now - table.lag[e, i], i] if i < m else sight.force[q, i - m]
-    advance(sight.Phi[way], sight.Gamma[way], x, acting, result)
+        acting[i] = inputs[now - table.lag[e, i], i] if i < m else instants.force[q, i - m]
+    advance(instants.Phi[way], instants.Gamma[way], x, acting, result)
 
 
 @kernel(forceinline=True)
-def _see(sight, k, x, measured, seen):
+def _see(instants, k, x, measured, seen):
     """Write the measurement of x at sample k into `seen`, NaN where there is none."""
     for i in range(seen.size):
-        if sight.piece[k] < 0:
+        if instants.piece[k] < 0:
             seen[i] = np.nan
-        elif sight.C.shape[1]:
-            seen[i] = _row_dot(sight.C, sight.mode[k], i, x)
+        elif instants.C.shape[1]:
+            seen[i] = _row_dot(instants.C, instants.mode[k], i, x)
         else:
             seen[i] = x[i]
-        if sight.noise.size:
-            seen[i] += sight.noise[k, i]
+        if instants.noise.size:
+            seen[i] += instants.noise[k, i]
         measured[k, i] = seen[i]
 
 
 @kernel
-def foresee(law, k, past, told, x, answer):
+def answer_with_preview(law, k, past, known_inputs, x, answer):
     """The input of sample k for the state x: K x(t_k + D) + L u_{k−1}, u_0 in row `past`."""
     stacks, piece, begin, end = law.stacks, law.piece, law.window[k, 0], law.window[k, 1]
     for q in range(stacks.bounds[0], end):
         for j in range(stacks.acting.size):
-            stacks.acting[j] = told[past + piece[q, 1 + j], j]
+            stacks.acting[j] = known_inputs[past + piece[q, 1 + j], j]
         enter_piece(stacks, law.move[piece[q, 0]])
     for i in range(x.size):
         stacks.x[i] = x[i]
     if begin < end:
         move_window(stacks, begin)
         predict_ahead(stacks, begin)
-    answer_ahead(stacks, law.tails[law.mode[k]], told[past + k - 1], answer)
+    answer_ahead(stacks, law.tails[law.mode[k]], known_inputs[past + k - 1], answer)
 
 
 @kernel
@@ -209,9 +217,9 @@ def _move(Phi, Gamma, e, path, q, acting):
 
 def _in_python(table, rows, memory, observer, belief, state, preview, *run):
     """`closed_loop` where it is not compiled: over lists where these will do."""
-    line, sight, limits, shift, x0 = run
+    line, instants, limits, shift, x0 = run
     simple = memory is None and belief is None and preview is None
-    if simple and is_bare(table, line, sight, limits, shift):
+    if simple and is_bare(table, line, instants, limits, shift):
         return bare_loop(table, rows, line, x0)
     known = memory, observer, belief, state, preview
     return closed_loop.function(table, rows, *known, *run)
@@ -219,22 +227,27 @@ def _in_python(table, rows, memory, observer, belief, state, preview, *run):
 
 @kernel(plain=_in_python, large=LONG)
 def closed_loop(
-    table, rows, memory, observer, belief, state, preview, line, sight, limits, shift, x0
+    table, rows, memory, observer, belief, state, preview, line, instants, limits, shift, x0
 ):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
     `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`
     and `observer` its state, `belief` a `deadtime.feedback.belief.Belief` and `state` its own,
     `preview` a `PreviewLaw` in place of rows, or None each; the others are of
-    `deadtime.simulation`, too: `rows` and `line` of `loop_arrays`, `sight` of its file; `limits`
+    `deadtime.simulation`, too: `rows` and `line` of `loop_arrays`, `instants` of its file; `limits`
     are `deadtime.imperfections.actuators.InputLimits`; `shift` (pieces, n), or empty, is what
     disturbances add. Returns (samples, path): how many samples were kept before |x| left the limit,
     and x at the start of every piece that was run and at the end of the last.
     """
     first, entry, Phi, Gamma, lag = table.first, table.entry, table.Phi, table.Gamma, table.lag
-    inputs, asked, told, flat = line.inputs, line.asked, line.told, line.told.reshape(-1)
+    inputs, asked, known_inputs, flat = (
+        line.inputs,
+        line.asked,
+        line.known_inputs,
+        line.known_inputs.reshape(-1),
+    )
     F, G, row, measured = rows.F, rows.G, rows.row, line.measured
-    piece, way = sight.piece, sight.way
+    piece, way = instants.piece, instants.way
     low, high, relative = limits
     n, m, window, past, samples = x0.size, inputs.shape[1], G.shape[2], line.past, row.size
     spare, seen = np.empty(n), np.empty(measured.shape[1])
@@ -252,18 +265,20 @@ def closed_loop(
             for i in range(n):
                 spare[i] = path[max(q, 0), i]
             if way[k] >= 0:
-                _go_on(table, sight, k, path[q], inputs, past, spare)
-            _see(sight, k, spare, measured, seen)
+                _go_on(table, instants, k, path[q], inputs, past, spare)
+            _see(instants, k, spare, measured, seen)
             if memory is not None:
                 estimates = line.estimates
-                observe(memory, observer, rows.mode, known_mode, k, told, past, seen, estimates)
+                observe(
+                    memory, observer, rows.mode, known_mode, k, known_inputs, past, seen, estimates
+                )
                 for i in range(known.size):
                     known[i] = estimates[k, i]
             recent = flat[at * m - window : at * m]
             if preview is not None:
-                foresee(preview, k, past, told, known, answer)
+                answer_with_preview(preview, k, past, known_inputs, known, answer)
             elif belief is not None:
-                believe(belief, state, k, past, told, measured, line.beliefs)
+                believe(belief, state, k, past, known_inputs, measured, line.beliefs)
                 _mean_row(rows, state.weight, recent, known, answer)
             else:
                 for i in range(m):

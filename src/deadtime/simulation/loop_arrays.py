@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Foresight
+from deadtime.feedback import Preview
 from deadtime.loop.preview_steps import PreviewSizes, PreviewState
 from deadtime.loop.received_samples import DrawnImperfections, lags_of_run
 from deadtime.numerics.kernels import kernel
@@ -37,7 +37,7 @@ class Rows(NamedTuple):
 class DelayLine(NamedTuple):
     """The inputs of the delay line, (past + samples, m), u_k in row past + k, and their sources.
 
-    The law asks for `asked`, the plant is given `inputs`, and the law is `told` past inputs: all
+    The law asks for `asked`, the plant is given `inputs`, and the law reads `known_inputs`: all
     three are one array where what is asked for is applied. What is `measured` (samples, n or p) is
     what reaches the law, and a law with a memory makes `estimates` (samples, z) of it, and one on a
     belief `beliefs` (samples, modes).
@@ -46,7 +46,7 @@ class DelayLine(NamedTuple):
     past: int
     inputs: np.ndarray
     asked: np.ndarray
-    told: np.ndarray
+    known_inputs: np.ndarray
     measured: np.ndarray
     estimates: np.ndarray
     beliefs: np.ndarray
@@ -57,19 +57,23 @@ class DelayLine(NamedTuple):
         grid: Grid,
         drawn: DrawnImperfections | None,
         measured: int,
-        remembered: int,
+        memory_size: int,
         believed: int,
     ) -> DelayLine:
         """A line before its run, for states or outputs, a memory and a belief of these sizes."""
         inputs, samples = grid.inputs, grid.samples
         limited = drawn is not None and drawn.limits.relative.size
         asked = inputs.copy() if limited else inputs
-        told = asked if drawn is not None and drawn.commanded else inputs
-        sizes = (samples, measured), (samples if remembered else 0, remembered), (samples, believed)
-        return cls(grid.past, inputs, asked, told, *map(np.empty, sizes))
+        known_inputs = asked if drawn is not None and drawn.commanded else inputs
+        sizes = (
+            (samples, measured),
+            (samples if memory_size else 0, memory_size),
+            (samples, believed),
+        )
+        return cls(grid.past, inputs, asked, known_inputs, *map(np.empty, sizes))
 
 
-class Sight(NamedTuple):
+class MeasurementInstants(NamedTuple):
     """The measurement instant of the law at every sample, and the map to it.
 
     piece : (samples,), the piece in which x is measured; −1 where nothing is received
@@ -96,23 +100,23 @@ class Sight(NamedTuple):
     @classmethod
     def of(
         cls, drawn: DrawnImperfections | None, truth: KnownTruth, outputs: np.ndarray | None
-    ) -> Sight:
+    ) -> MeasurementInstants:
         """The measurements of a run."""
         sampled, table, samples = truth.grid.sampled, truth.table, truth.grid.samples
         n, m = sampled.plant.B.shape[1:]
         C = np.empty((1, 0, n)) if outputs is None else outputs
         force = np.zeros((table.entry.size, 0)) if truth.forces is None else truth.forces
-        heard, noise = np.arange(samples), np.empty((0, 0))
-        step, piece = heard, table.first[:samples]
+        received, noise = np.arange(samples), np.empty((0, 0))
+        step, piece = received, table.first[:samples]
         ways = np.full(samples, -1), np.empty((0, n, n)), np.empty((0, n, m))
         if drawn is not None:
-            heard, noise = drawn.heard.sample, drawn.heard.noise
-            lag, offset = lags_of_run(heard, drawn.lags, sampled.step)
+            received, noise = drawn.received.sample, drawn.received.noise
+            lag, offset = lags_of_run(received, drawn.lags, sampled.step)
             step = np.where(lag < 0, -1, np.arange(samples) - lag)
             piece = np.where(lag < 0, -1, table.first[step])
             if offset.any():
                 piece, *ways = _within(piece, step, offset, truth)
-        mode = np.zeros(samples, np.int64) if outputs is None else truth.modes[heard]
+        mode = np.zeros(samples, np.int64) if outputs is None else truth.modes[received]
         return cls(*map(read_only, (piece, step, *ways, force, noise, C, mode)))
 
 
@@ -152,7 +156,7 @@ def _within(
 
 
 class PreviewLaw(NamedTuple):
-    """A law that knows the signal, and its stacks, for `foresee`.
+    """A law that knows the signal, and its stacks, for `answer_with_preview`.
 
     move : (entries, n (n + m)), Φ and Γ side by side, of the model's pieces along the signal
     piece : (pieces, 1 + m), the entry of each, and the k of the u_k that acts in it
@@ -170,23 +174,23 @@ class PreviewLaw(NamedTuple):
     stacks: PreviewState
 
     @classmethod
-    def of(cls, foresight: Foresight, truth: KnownTruth) -> PreviewLaw:
+    def of(cls, preview: Preview, truth: KnownTruth) -> PreviewLaw:
         """A law's preview over a run, with empty stacks that have room for the longest window."""
-        sampled, signal, samples = foresight.sampled, foresight.signal, truth.grid.samples
+        sampled, signal, samples = preview.sampled, preview.signal, truth.grid.samples
         if sampled is truth.grid.sampled and signal is truth.switching:
             table = truth.table
         else:
             cuts = cuts_of(signal, sampled)
             table = sampled.along(cuts, samples + sampled.longest_lag)
-        sample, begin, (modes, m, n) = table.sample, table.first[:samples], foresight.gains.shape
+        sample, begin, (modes, m, n) = table.sample, table.first[:samples], preview.gains.shape
         until = np.searchsorted(sample.min(axis=1), np.arange(samples))
-        latest = np.broadcast_to(foresight.latest, (modes, m, m))
+        latest = np.broadcast_to(preview.latest, (modes, m, m))
         move = np.concatenate((table.Phi, table.Gamma), axis=2)
         return cls(
             read_only(move.reshape(-1, n * (n + m))),
             read_only(np.column_stack((table.entry, sample))),
             read_only(np.column_stack((begin, until))),
-            read_only(np.concatenate((foresight.gains, latest), axis=2).reshape(modes, -1)),
-            read_only(foresight.modes_ahead(samples)),
+            read_only(np.concatenate((preview.gains, latest), axis=2).reshape(modes, -1)),
+            read_only(preview.modes_ahead(samples)),
             PreviewState.of(PreviewSizes.of(n, m, m), int((until - begin).max())),
         )

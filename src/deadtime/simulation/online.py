@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.base.errors import ChatteringError
-from deadtime.feedback.belief import Believing
-from deadtime.feedback.law import Remembering, Update, require_input
+from deadtime.feedback.belief import UpdateWithBelief
+from deadtime.feedback.law import Update, UpdateWithEstimates, require_input
 from deadtime.feedback.table import age_after
 from deadtime.imperfections import (
     ActuatorImperfection,
@@ -27,7 +27,7 @@ from deadtime.imperfections import (
 )
 from deadtime.loop.received_samples import MeasurementLags, is_held, lags_of_run, tells_commands
 from deadtime.plant.discretisation import snap
-from deadtime.simulation.digital import RunOutcome, Told
+from deadtime.simulation.digital import LawSignals, RunOutcome
 from deadtime.simulation.digital_record import slides_in_words
 from deadtime.simulation.loop_arrays import LIMIT
 from deadtime.simulation.truth import Truth
@@ -100,10 +100,10 @@ class ImperfectLaw:
         self._age = age if self._mode < 0 else age_after(self._mode, self._age, mode)
         self._mode = self._mode if mode < 0 else mode
 
-    def record(self, kept: int) -> Told:
+    def record(self, kept: int) -> LawSignals:
         """The measurements and answers of a law at the first samples."""
-        estimates = self.update.estimates if isinstance(self.update, Remembering) else None
-        return Told(
+        estimates = self.update.estimates if isinstance(self.update, UpdateWithEstimates) else None
+        return LawSignals(
             np.array(self.measured[:kept]),
             np.array(self.commanded[:kept]),
             None if estimates is None else np.array(estimates[:kept]),
@@ -157,7 +157,7 @@ def run_online(update: Update, truth: Truth, x0: np.ndarray, horizon: float) -> 
 
 def _belief(update: Update, kept: int) -> np.ndarray | None:
     """The probability of each mode in a law with a mode belief, (samples, modes)."""
-    return np.array(update.beliefs[:kept]) if isinstance(update, Believing) else None
+    return np.array(update.beliefs[:kept]) if isinstance(update, UpdateWithBelief) else None
 
 
 def _run(

@@ -160,9 +160,9 @@ def simulate(
         run = replace(run, belief=belief_at(run, outcome.belief))
     if (followed := Followed.of(law)) is not None:
         run = replace(run, followed=followed)
-    if outcome.told is None:
+    if outcome.known_inputs is None:
         return run
-    measured, commanded, estimates = outcome.told
+    measured, commanded, estimates = outcome.known_inputs
     return replace(
         run,
         measured=measured.T,

@@ -61,7 +61,7 @@ def write_csv(
 
     What is called as it would be without a name keeps its column.
     """
-    told = {
+    known_inputs = {
         f"{letter}[{i}]": f"{letter}[{i}]: {one_line(name)}"
         for letter, given in names.items()
         for i, name in enumerate(given)
@@ -70,7 +70,7 @@ def write_csv(
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     with replacing(path) as place, place.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([told.get(name, name) for name in columns])
+        writer.writerow([known_inputs.get(name, name) for name in columns])
         writer.writerows(rows)
 
 

@@ -326,7 +326,7 @@ def characteristic_roots(
     ------
     ArgumentError
         If the law and the plant do not belong together, the law has no closed form in continuous
-        time, or it foresees a signal of its own that switches.
+        time, or it assumes a signal of its own that switches.
 
     Examples
     --------

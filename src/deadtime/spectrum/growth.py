@@ -122,7 +122,7 @@ def growth_rate(
     Raises
     ------
     ArgumentError
-        If the law and the plant do not belong together, the law is no table, or it foresees a
+        If the law and the plant do not belong together, the law is no table, or it assumes a
         signal of its own that switches; without a step, if the law has no closed form, or its
         gains over the delay are so large that the roots cannot be told from round-off.
 

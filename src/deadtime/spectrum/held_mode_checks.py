@@ -21,9 +21,9 @@ def require_constant(plant: SwitchedSystem, law: Law) -> None:
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    if law.foreseen is not None and law.foreseen.switches:
+    if law.previewed is not None and law.previewed.switches:
         raise ArgumentError(
-            "law must not foresee a signal of its own that switches, when one mode is "
+            "law must not assume a signal of its own that switches, when one mode is "
             "held: build the ExactPredictor without one."
         )
 

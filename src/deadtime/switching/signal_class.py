@@ -191,13 +191,13 @@ class SignalClass:
         following = tuple(tuple(np.flatnonzero(row).tolist()) for row in allowed)
         return SwitchingConstraint(least, most, following)
 
-    def at_period(self, modes: int, step: float, laid_out: bool = True) -> SwitchingConstraint:
+    def at_period(self, modes: int, step: float, with_longest: bool = True) -> SwitchingConstraint:
         """`limits`, none longer than proofs and searches lay out in periods of `step` seconds.
 
-        `laid_out`: whether the longest sojourns count, too.
+        `with_longest`: whether the longest sojourns count, too.
         """
         limits = self.limits(modes)
-        longest = [time for time in limits.maximum_dwell if laid_out and math.isfinite(time)]
+        longest = [time for time in limits.maximum_dwell if with_longest and math.isfinite(time)]
         least, most = max(limits.dwell_time), max(longest, default=0.0)
         if least / step > MOST_PERIODS:
             raise ArgumentError(

@@ -104,10 +104,10 @@ def require_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> La
             f"law must make laws that are tables, got {kind}: a delay margin is that of a linear "
             "loop."
         )
-    if law.foresees:
+    if law.needs_preview:
         raise ArgumentError(
-            f"law must make laws that can run, but {kind} foresees the signal: for a mode's "
-            "own exact law give a plant of that mode alone."
+            f"law must make laws that can run, but {kind} needs a preview of the signal: for a "
+            "mode's own exact law give a plant of that mode alone."
         )
     require_match(plant, law)
     return law
@@ -280,7 +280,7 @@ def design(
     ------
     ArgumentError
         If an argument is malformed, a mode is not controllable or has no `delay_limit`, the law
-        family makes laws that are no table or foresee the signal, or the delay holds so many
+        family makes laws that are no table or need a preview of it, or the delay holds so many
         periods that the search would take long.
 
     Notes

@@ -79,7 +79,7 @@ def input_peak(
     plant : SwitchedSystem
         The truth; the law has a model of its own.
     law : Law
-        A law that is a table, and foresees nothing.
+        A law that is a table, and needs no preview.
     step : float
         Sampling period h, s.
     initial : InitialStates or StationaryNoise, optional
@@ -95,7 +95,7 @@ def input_peak(
     Raises
     ------
     ArgumentError
-        If the law is no table, or foresees the signal; if sizes do not match.
+        If the law is no table, or needs a preview of the signal; if sizes do not match.
 
     Examples
     --------

@@ -157,8 +157,8 @@ class EvidenceSearch:
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
         late = max(setting.signals.mode_lag, setting.signals.lost_samples)
-        told = [late] if 0 < late < last else []
-        knots = sorted({*(int(mark) for mark in marks), *told})
+        reported = [late] if 0 < late < last else []
+        knots = sorted({*(int(mark) for mark in marks), *reported})
         self.knots = tuple(knots) if level.eigenvectors else (0,)
         self.looked_at: set[tuple[Transition, Any, float]] = set()
         self.sways = Sways(setting.family)

@@ -35,7 +35,7 @@ from deadtime.numerics.lmi import pack, packing, unpack
 
 DOUBLINGS = 60
 FLOOR = 1e-7  # ε at least
-WHOLE, WHOLE_REMEMBERED = 12, 20  # order up to which H is all of ξ; with what a law remembers in it
+WHOLE, WHOLE_WITH_STATE = 12, 20  # order up to which H is all of ξ; with what a law remembers in it
 MOST = 12  # functionals, above it
 CARRIED = 1e-9  # of the strongest: functionals that the loop does not carry on
 TURNS = 40  # of the power iteration
@@ -144,7 +144,7 @@ def whole(setting: Setting) -> int:
 
     What a law remembers is read at once, so all of it counts; a delay line is soon emptied.
     """
-    return WHOLE_REMEMBERED if setting.memory else WHOLE
+    return WHOLE_WITH_STATE if setting.memory else WHOLE
 
 
 def balancing_units(loops: list[np.ndarray]) -> np.ndarray:

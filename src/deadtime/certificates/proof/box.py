@@ -139,7 +139,7 @@ class Box(Steps):
         """N of the longest delay."""
         return max(one.count for row in self.intervals for one in row)
 
-    def _heard(self) -> set[tuple[int, int]]:
+    def _received(self) -> set[tuple[int, int]]:
         return {
             (lag, c)
             for row in self.intervals
@@ -170,8 +170,8 @@ class Box(Steps):
         found = []
         for mode in dict.fromkeys((i, j)):
             for c, one in enumerate(self.intervals[mode]):
-                unheard = i != j and (b <= one.low + near if mode == i else a >= one.high - near)
-                if one.ranges and not unheard:
+                unread = i != j and (b <= one.low + near if mode == i else a >= one.high - near)
+                if one.ranges and not unread:
                     found.append((mode, c))
         return found
 
@@ -242,9 +242,9 @@ class Box(Steps):
 
     def generator(self, mode: int, c: int, lag: int) -> Float[np.ndarray, "vertex k k"]:
         """[[A, b_c where input c is read], [0, 0]] of every corner, over x and its two reads."""
-        return self.laid_out(self.plants.entries(mode), c, lag)
+        return self.arranged(self.plants.entries(mode), c, lag)
 
-    def laid_out(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
+    def arranged(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
         """`generator` of each [A B] (number, n, n + m)."""
         n, own = self.states, self.own_reads(c)
         result = np.zeros((len(entries), n + len(own), n + len(own)))

@@ -58,10 +58,10 @@ class Steps(Frozen, ABC):
     @cached_property
     def reads(self) -> tuple[tuple[int, int], ...]:
         """The past inputs that the plant reads, (lag, input), the oldest first."""
-        return tuple(sorted(self._heard(), key=lambda read: (-read[0], read[1])))
+        return tuple(sorted(self._received(), key=lambda read: (-read[0], read[1])))
 
     @abstractmethod
-    def _heard(self) -> set[tuple[int, int]]:
+    def _received(self) -> set[tuple[int, int]]:
         """The past inputs that some mode reads, (lag, input)."""
 
     @abstractmethod
@@ -161,7 +161,7 @@ class Family(Steps):
         marks = (start, (phase, high.phase), stop)
         return cls(plants, step, N, marks, (both,) * modes)
 
-    def _heard(self) -> set[tuple[int, int]]:
+    def _received(self) -> set[tuple[int, int]]:
         return {(lag, j) for mode in self.lags for part in mode for j, lag in enumerate(part)}
 
     @property
@@ -249,9 +249,9 @@ class Family(Steps):
 
     def generator(self, mode: int, lags: Lags) -> Float[np.ndarray, "vertex k k"]:
         """𝒜 of every corner, in a mode that reads these inputs."""
-        return self.laid_out(self.plants.entries(mode), lags)
+        return self.arranged(self.plants.entries(mode), lags)
 
-    def laid_out(self, entries: np.ndarray, lags: Lags) -> Float[np.ndarray, "number k k"]:
+    def arranged(self, entries: np.ndarray, lags: Lags) -> Float[np.ndarray, "number k k"]:
         """𝒜 of each [A B] (number, n, n + m) in a mode that reads these inputs."""
         n, size = self.states, self.states + len(self.reads)
         result = np.zeros((len(entries), size, size))

@@ -168,7 +168,7 @@ class Enclosures:
             return None
         u, f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
         X = [(part.mode, self._corners(part)[0], self._duration(part, u, f)) for part in order]
-        layouts = [partial(self.family.laid_out, lags=part.lags) for part in order]
+        layouts = [partial(self.family.arranged, lags=part.lags) for part in order]
         return along_directions(by_entries(plants, entries, X, layouts), plants)
 
     def _duration(self, part: Segment, u: Any, f: Any) -> Any:
@@ -265,11 +265,11 @@ def by_entries(
     """
     n, radius, factors = plants.sizes[1], plants.radius, []
     moves: list[dict[Entry, Any]] = []
-    for (mode, generator, tau), laid_out in zip(X, layouts, strict=True):
-        (room,) = laid_out(radius[mode][None])
+    for (mode, generator, tau), arranged in zip(X, layouts, strict=True):
+        (room,) = arranged(radius[mode][None])
         exponent = swelled(generator, room) * tau
         own = [place for place in entries if place[0] == mode]
-        units = zip(own, laid_out(unit_matrices(own, radius.shape[1:])), strict=True)
+        units = zip(own, arranged(unit_matrices(own, radius.shape[1:])), strict=True)
         moves.append({place: frechet(exponent, balls.exact(U) * tau) for place, U in units})
         factors.append(exponent.exp())
     found: dict[Entry, Any] = {}
@@ -339,7 +339,7 @@ class BoxEnclosures:
             pieces = family.pieces(cell.order, c, self.clock, u, f)
             durations = zip(pieces, self._durations(pieces), strict=True)
             X = [(piece.mode, self._corners(piece, c)[0], tau) for piece, tau in durations]
-            layouts = [partial(family.laid_out, c=c, lag=piece.lag) for piece in pieces]
+            layouts = [partial(family.arranged, c=c, lag=piece.lag) for piece in pieces]
             found.append(by_entries(plants, entries, X, layouts))
         n = family.states
         joined = {at: self._joined([each[at] for each in found], n) for at in entries}

@@ -97,9 +97,14 @@ class LeavingAges:
 
     @classmethod
     def of(
-        cls, dwell_time: float, maximum_dwell: float, step: float, signals: SignalClass, told: int
+        cls,
+        dwell_time: float,
+        maximum_dwell: float,
+        step: float,
+        signals: SignalClass,
+        reported: int,
     ) -> LeavingAges:
-        """Of a mode's dwell time and maximum; `told` is the last age at which rows may change.
+        """Of a mode's dwell time and maximum; `reported` is the last age at which rows may change.
 
         A `first` of −1: one period may hold two switches.
 
@@ -116,13 +121,13 @@ class LeavingAges:
             R = (1 + decimal(tolerance)) * (1 + READINGS) * decimal(maximum_dwell) / decimal(step)
         if signals.at == "samples":
             first = max(0, math.ceil(r) - 1)
-            last = max(first, told) if R is None else math.floor(R) - 1
+            last = max(first, reported) if R is None else math.floor(R) - 1
             return cls(first, last, R is not None, 1.0)
         first = math.floor(r) - 1
         earliest = max(0.0, math.nextafter(float(r - first - 1), 0.0))
         if R is None:
             # The last age stands for all later ones, at which a mode may be left at any instant.
-            return cls(first, max(first + 1, told), False, earliest)
+            return cls(first, max(first + 1, reported), False, earliest)
         last = math.ceil(R) - 1
         return cls(first, last, True, earliest, min(1.0, math.nextafter(float(R - last), 1.0)))
 
@@ -222,9 +227,9 @@ class SwitchGraph:
         if modes == 1:
             own = LeavingAges(0, ages - 1 + losses)
             return cls((own,), following, None, context, ages, 0, losses)
-        told = ages - 1 + lag + losses
+        reported = ages - 1 + lag + losses
         each = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
-        clocks = tuple(LeavingAges.of(low, high, step, signals, told) for low, high in each)
+        clocks = tuple(LeavingAges.of(low, high, step, signals, reported) for low, high in each)
         if signals.chatter > 1:
             average, late = decimal(limits.dwell_time[0]), signals.at == "samples"
             least = least_periods(limits.dwell_time[0], step, signals.clock_tolerance)
@@ -292,8 +297,8 @@ class SwitchGraph:
             return list(range(mode * self.ages, (mode + 1) * self.ages))
         if age >= self.lag:
             return [self.row(mode, age)]
-        told = self._before(mode, self.lag - age).items()
-        return [i * self.ages + a for i, least in sorted(told) for a in range(least, self.ages)]
+        reported = self._before(mode, self.lag - age).items()
+        return [i * self.ages + a for i, least in sorted(reported) for a in range(least, self.ages)]
 
     def _measured_rows(self, mode: int, age: int, since: int = 0) -> list[int]:
         """The rows of a measured sample, by the ages that a law may count; `since` samples ago."""
@@ -315,8 +320,8 @@ class SwitchGraph:
         elif age >= lost or self.modes == 1:
             rows = self._measured_rows(mode, age, lost)
         else:
-            told = sorted(self._before(mode, lost - age))
-            rows = [i * self.ages + a for i in told for a in range(self.ages)]
+            reported = sorted(self._before(mode, lost - age))
+            rows = [i * self.ages + a for i in reported for a in range(self.ages)]
         return [count + row for row in rows]
 
     def _before(self, mode: int, samples: int) -> dict[int, int]:
@@ -352,8 +357,8 @@ class SwitchGraph:
         changing = self.ages if self.context == "mode_age" and self.bucket is None else 0
         shared = {*knots, 0, changing + self.lag + self.losses}
         if self.lag:  # the ages at which what may be told is not what it is a sample before
-            told = [[self.rows(i, a) for i in range(self.modes)] for a in range(self.lag + 1)]
-            shared |= {a for a in range(1, self.lag + 1) if told[a] != told[a - 1]}
+            reported = [[self.rows(i, a) for i in range(self.modes)] for a in range(self.lag + 1)]
+            shared |= {a for a in range(1, self.lag + 1) if reported[a] != reported[a - 1]}
         if self.losses:
             changing += self.losses
         # A switch takes `bucket` from the level, so it ends at a knot from so much above it.
@@ -365,11 +370,11 @@ class SwitchGraph:
             for a in range(clock.last + 1):
                 if not (self.lag <= a < self.lag + changing or a in ends):
                     continue
-                for row, lost, next_lost in self._told(i, a):
+                for row, lost, next_lost in self._reported(i, a):
                     transitions += self._steps(i, a, row, lost, next_lost)
         return transitions
 
-    def _told(self, mode: int, age: int) -> Iterator[tuple[int, int, int]]:
+    def _reported(self, mode: int, age: int) -> Iterator[tuple[int, int, int]]:
         """The rows that may act, and the numbers of lost samples before this one and the next."""
         for lost in range(self.losses + 1):
             for row in self.rows(mode, age):
@@ -391,8 +396,8 @@ class SwitchGraph:
         stretches = []
         if self.bucket is not None:  # a node for each mode, whatever the level
             full = ((i, clock.last) for i, clock in enumerate(self.clocks))
-            told = ((*at, *one) for at in full for one in self._told(*at))
-            steps = (step for at in told for step in self._steps(*at))
+            reported = ((*at, *one) for at in full for one in self._reported(*at))
+            steps = (step for at in reported for step in self._steps(*at))
             return [NodeStretch(0, 0, replace(step, age=0, next_age=0), 0, 0) for step in steps]
         if self.losses:  # every age is a knot, and every stretch a period
             each = self.all(tuple(range(self.last + 1)))

@@ -19,7 +19,7 @@ from deadtime.certificates.proof.stretches import StretchEvidence
 SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
 MOST_AGES = 100_000
 MOST_STRETCHES = 5_000
-MOST_TOLD = 1_000_000  # rows of the table, times the lag of the mode
+MOST_REPORTED = 1_000_000  # rows of the table, times the lag of the mode
 
 
 def why_malformed(evidence: Evidence | StretchEvidence) -> str:
@@ -94,7 +94,7 @@ def _context(setting: Setting) -> str:
         return "ages is not 1, though the rows do not depend on the age"
     if setting.signals.mode_lag and (setting.context == "none" or modes == 1):
         return "mode_lag is not 0, though the rows do not depend on the mode"
-    if (setting.signals.mode_lag + setting.signals.lost_samples) * len(setting.F) > MOST_TOLD:
+    if (setting.signals.mode_lag + setting.signals.lost_samples) * len(setting.F) > MOST_REPORTED:
         return "mode_lag or lost_samples is too long for a table of so many rows"
     if setting.signals.lost_samples:
         if not setting.inputs:

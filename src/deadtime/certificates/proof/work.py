@@ -76,11 +76,11 @@ def _steps(setting: Setting, knots: int, along: bool) -> int:
     most += min(setting.signals.mode_lag, graph.modes * (setting.ages + 1))
     for clock, after in zip(graph.clocks, graph.following, strict=True):
         ages = 1 if along and graph.bucket is not None else clock.last + 1
-        total += _told(setting, ages if along else min(ages, 2 * most)) * (1 + len(after))
+        total += _reported(setting, ages if along else min(ages, 2 * most)) * (1 + len(after))
     return total
 
 
-def _told(setting: Setting, ages: int) -> int:
+def _reported(setting: Setting, ages: int) -> int:
     """Rows that may act at so many ages of a mode, with what was lost before and is lost next."""
     graph, lag, lost = setting.transitions, setting.signals.mode_lag, setting.signals.lost_samples
     free, rows, own = graph.bucket is not None, graph.measured, 1

@@ -108,9 +108,13 @@ class SampledLoop:
         seen = modes_at(signal, np.arange(periods) * step, step)
         if cycle.lost:
             lost = np.isin(np.arange(periods), cycle.lost)
-            told = np.where(lost, -1, seen)
+            reported = np.where(lost, -1, seen)
             # The first round tells what the law goes by where the second begins.
-            both, apart, ages = (np.tile(told, 2), np.tile(seen, 2)), feedback.apart, feedback.ages
+            both, apart, ages = (
+                (np.tile(reported, 2), np.tile(seen, 2)),
+                feedback.apart,
+                feedback.ages,
+            )
             rows = rows_of_run(*both, ages, apart, ages)[periods:]
             rows = rows + lost * (len(feedback.state_gain) // 2)  # those of lost samples come last
         elif cycle.constant:

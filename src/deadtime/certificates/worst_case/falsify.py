@@ -46,8 +46,8 @@ def falsify(
     plant : SwitchedSystem
         The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
-        A law that does not foresee the signal. One that is no table is run instead: growth is then
-        measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
+        A law that needs no preview of the signal. One that is no table is run instead: growth is
+        then measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
         `OutputFeedback` of a table is one with its estimate and its sums, at a reference of 0.
     dwell_time : float, one per mode, or SignalClass
         :math:`\tau_d > 0`, seconds, at least one period unless modes change at samples only: the
@@ -95,14 +95,14 @@ def falsify(
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    if law.foresees:
+    if law.needs_preview:
         raise ArgumentError(
-            f"law must not depend on the future, got {type(law).__name__}: it foresees the signal, "
-            "so no signal can be chosen against it."
+            f"law must not depend on the future, got {type(law).__name__}: it needs a preview of the "
+            "signal, so no signal can be chosen against it."
         )
     step = positive("step", step)
     asked = SignalClass.of(dwell_time, **signals)
-    least = min(asked.at_period(plant.modes, step, laid_out=False).dwell_time)
+    least = min(asked.at_period(plant.modes, step, with_longest=False).dwell_time)
     several = plant.modes > 1
     if several and asked.at == "anywhere" and Dwell.of(least, math.inf, step).least < 1.0:
         raise ArgumentError(

@@ -16,7 +16,7 @@ from deadtime.certificates.worst_case.growth_proof import GrowthProof, prove
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, ModeDelay, SensorImperfection
 from deadtime.imperfections.base import Sizes
-from deadtime.imperfections.received import Heard, Relaying
+from deadtime.imperfections.received import ReceivedData, Relaying
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.spectrum import least_growth
@@ -43,9 +43,9 @@ class LostAt(Relaying, SensorImperfection):
     lost: tuple[int, ...]
     periods: int
 
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-        each = np.arange(heard.samples)
-        return heard.at(np.where(np.isin(each % self.periods, self.lost), -1, each))
+    def relay(self, received: ReceivedData, sizes: Sizes, rng: np.random.Generator) -> ReceivedData:
+        each = np.arange(received.samples)
+        return received.at(np.where(np.isin(each % self.periods, self.lost), -1, each))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -115,13 +115,13 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
         raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
     if controller.observing is not None:
         require_schedule(controller.observing)
-    if controller.believing is not None:
+    if controller.mode_belief is not None:
         if precision == "float":
             raise ArgumentError(
                 f"precision must be 'double' of {type(controller.law).__name__}: its filter tells "
                 "modes apart by small differences of states, which single precision rounds away."
             )
-        require_bounded(controller.believing)
+        require_bounded(controller.mode_belief)
 
 
 def require_limits(controller: RunningLaw, most: float) -> None:

@@ -172,7 +172,7 @@ def c_sources(
 
 def _tolerance(controller: RunningLaw, precision: Precision) -> float:
     """By how much the C may differ, relative to the largest sum of moduli of terms."""
-    return _OF_A_BANK if belief_code.outputs_of(controller.believing) else _TOLERANCE[precision]
+    return _OF_A_BANK if belief_code.outputs_of(controller.mode_belief) else _TOLERANCE[precision]
 
 
 def environment(folder: str) -> Environment:
@@ -268,9 +268,9 @@ def _room(
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
     """The names and bytes of everything that is exported beside the law's table."""
     parts, integers, ram = {}, 0, 0
-    if controller.believing is not None:
-        parts["the mode filter"] = belief_code.arrays(controller.believing)
-        ram = belief_code.ram_bytes(controller.believing)
+    if controller.mode_belief is not None:
+        parts["the mode filter"] = belief_code.arrays(controller.mode_belief)
+        ram = belief_code.ram_bytes(controller.mode_belief)
     if controller.observing is not None:
         form = ObserverForm.of(controller.observing)
         parts["the observer"] = observer_code.arrays(form)
@@ -282,7 +282,7 @@ def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> T
     if point := rest_code.arrays(controller, prediction):
         parts["the operating point"] = point
     numbers = sum(array.size for arrays in parts.values() for array, _ in arrays.values())
-    single = BYTES["float"] * numbers + integers if controller.believing is None else None
+    single = BYTES["float"] * numbers + integers if controller.mode_belief is None else None
     return TableExtra(" and ".join(parts), BYTES[precision] * numbers + integers, ram, single)
 
 

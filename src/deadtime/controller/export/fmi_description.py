@@ -40,23 +40,25 @@ def controller_variables(controller: RunningLaw, names: Names, past: np.ndarray)
     """
     plant, rest, observing = controller.law.plant, controller.rest, controller.observing
     inputs, p = names.each("inputs", plant.inputs), rest.given.size
-    belief = controller.believing is not None
+    belief = controller.mode_belief is not None
     if controller.law.outputs is None:
         given = _read("x", _each("state at the sample", names.each("states", p)), rest.given)
     else:
         given = _read("y", _each("output at the sample", names.each("outputs", p)), rest.given)
-    referred, told_r, estimated = [], [], []
+    referred, reference_flag, estimated = [], [], []
     if observing is not None:
         size, r = observing.memory.sizes.n, observing.memory.sizes.r
         followed = _each("what a tracked output is to follow", names.each("tracked", r))
         referred = _read("reference", followed, rest.reference)
         estimated = _estimated(names, size, plant.states)
         what = "whether reference is read, or the law's own followed"
-        told_r = [Variable("report_reference", "Boolean", "parameter", what, False)] * bool(r)
+        reference_flag = [Variable("report_reference", "Boolean", "parameter", what, False)] * bool(
+            r
+        )
     status = Variable(
         "status", "Integer", "output", "what became of the last sample, 0: all is well"
     )
-    told = [
+    reported = [
         _mode("mode at the sample, from 0", names),
         status,
         Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
@@ -70,9 +72,9 @@ def controller_variables(controller: RunningLaw, names: Names, past: np.ndarray)
         *_at_start("u", "input before the start", past),
         *(_believed(names, plant.modes) if belief else []),
         *estimated,
-        *([status] if belief else told),
+        *([status] if belief else reported),
         Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
-        *told_r,
+        *reference_flag,
     ]
 
 

@@ -58,9 +58,9 @@ def export_fmu(
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
     values = {
         "p": name,
-        "belief": controller.believing is not None,
+        "belief": controller.mode_belief is not None,
         "observer": controller.observing is not None,
-        "outputs": outputs_of(controller.believing),
+        "outputs": outputs_of(controller.mode_belief),
         **given_of(controller),
         "begun": initializer(past, "double"),
         "rest": {key: initializer(array, "double") for key, array in _at_rest(controller).items()},
@@ -240,8 +240,8 @@ def write_fmu(
     }
     setters = {"input": "INPUT", "parameter": "PARAMETER"}
     counts["setters"] = ", ".join(setters.get(v.causality, "FIXED") for v in variables)
-    told = repr((title, variables, sorted(sources.items()))).encode()
-    token = "{" + hashlib.sha256(told).hexdigest()[:32] + "}"
+    identity = repr((title, variables, sorted(sources.items()))).encode()
+    token = "{" + hashlib.sha256(identity).hexdigest()[:32] + "}"
     sources["model.h"] = render("model.h.j2", {**values, **counts, "token": token})
     units = sorted(file for file in sources if file.endswith(".c"))
     model = FmuDescription(name, title, token, step, units)

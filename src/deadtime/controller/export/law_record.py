@@ -37,7 +37,7 @@ class LawRecord(NamedTuple):
         cls, controller: RunningLaw, form: Form, precision: Precision, prediction: bool = False
     ) -> LawRecord:
         """Of a controller whose taps take a form; refused where sums could overflow."""
-        table, plant, belief = controller.table, controller.law.plant, controller.believing
+        table, plant, belief = controller.table, controller.law.plant, controller.mode_belief
         observer = None if controller.observing is None else ObserverForm.of(controller.observing)
         ahead = PredictionForm.of(controller) if prediction else None
         rows, more = len(table.state_gain) if belief else 1, 1.0

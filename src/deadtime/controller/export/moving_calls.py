@@ -111,8 +111,8 @@ def observer_calls(run: RunningLaw, amplitude: float) -> Iterator[Call]:
             y[k % y.size] = (math.nan, math.inf, -math.inf)[k % 3]
         if r and k % 40 == 20:  # one of its own now and then
             reference = rng.normal(size=r) * amplitude if k % 120 != 20 else None
-        told = np.full(r, math.nan) if r and k % 67 == 50 else reference
-        yield 0, when, run.law.plant.modes + k if k % 71 == 45 else mode, y, applied, told
+        given = np.full(r, math.nan) if r and k % 67 == 50 else reference
+        yield 0, when, run.law.plant.modes + k if k % 71 == 45 else mode, y, applied, given
 
 
 _MOST_STAY = 400
@@ -124,9 +124,9 @@ class _FilterMotion:
     """A state that follows the filter's model, mode by mode."""
 
     def __init__(self, run: RunningLaw, rng: np.random.Generator, amplitude: float) -> None:
-        assert run.believing is not None
-        self.belief, self.rng, self.amplitude = run.believing, rng, amplitude
-        self.roots = [_root(Q) for Q in held_noise(run.believing.form)]
+        assert run.mode_belief is not None
+        self.belief, self.rng, self.amplitude = run.mode_belief, rng, amplitude
+        self.roots = [_root(Q) for Q in held_noise(run.mode_belief.form)]
         self.put()
 
     def put(self) -> None:
@@ -168,7 +168,7 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     rng = np.random.default_rng(0)
     motion = _FilterMotion(run, rng, amplitude)
     # A jump is hidden by a state that is missing.
-    hidden = run.believing is not None and run.believing.bank is None
+    hidden = run.mode_belief is not None and run.mode_belief.bank is None
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
         applied, u = inputs_of(run, rng, amplitude, k, k % 3 == 0)

@@ -60,11 +60,11 @@ def vectors(controller: RunningLaw) -> Vectors:
     amplitude = _amplitude(run)
     draws, age = Draws(amplitude), 7 if plant.modes > 1 else 0
     run.reset((rest.u + draws(table.taps * m).reshape(table.taps, m)).T, age)
-    told = run.observing
+    observed = run.observing
     heading = [
         *("skip", "time", "mode"),
-        *(f"{'y' if told else 'x'}{i}" for i in range(n)),
-        *(f"r{i}" for i in range(told.tracked if told else 0)),
+        *(f"{'y' if observed else 'x'}{i}" for i in range(n)),
+        *(f"r{i}" for i in range(observed.tracked if observed else 0)),
         *(f"applied{i}" for i in range(m)),
         "status",
         *(f"u{i}" for i in range(m)),
@@ -84,15 +84,15 @@ def vectors(controller: RunningLaw) -> Vectors:
         visited.update(_rows(run))
         calls += skip + 1
         seen = max(seen, float(np.abs(u).max()) / (skip + 1))
-        if told:
-            widest = np.maximum(widest, np.abs(told.z))
+        if observed:
+            widest = np.maximum(widest, np.abs(observed.z))
         fields = [str(skip), "" if when is None else repr(when), str(mode), *map(repr, x.tolist())]
-        if told:
-            fields += [""] * told.tracked if r is None else map(repr, r.tolist())
+        if observed:
+            fields += [""] * observed.tracked if r is None else map(repr, r.tolist())
         fields += [""] * m if applied is None else map(repr, applied.tolist())
         lines.append(",".join([*fields, str(int(run.status)), *map(repr, u.tolist())]))
     scale = float(np.abs(table.state_gain).sum(axis=2).max()) * 5.0 * amplitude
-    if told:
+    if observed:
         scale = float((np.abs(table.state_gain) @ widest).max())
     scale += float(np.abs(table.input_gain).sum(axis=(1, 3)).max()) * max(seen, 5.0 * amplitude)
     if point is not None:  # what is subtracted and added rounds, too
@@ -105,7 +105,7 @@ def _calls_of(run: RunningLaw, amplitude: float) -> Iterator[_Call | Call]:
     """Calls that suit what a controller keeps."""
     if run.observing is not None:
         return observer_calls(run, amplitude)
-    return (_calls if run.believing is None else belief_calls)(run, amplitude)
+    return (_calls if run.mode_belief is None else belief_calls)(run, amplitude)
 
 
 def _calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
@@ -151,8 +151,8 @@ def _through_rows(
 
 def _rows(run: RunningLaw) -> Iterable[int]:
     """The rows that had a say in the last answer."""
-    if run.believing is not None:
-        return np.flatnonzero(run.believing.running.state.weight > _SHARE).tolist()
+    if run.mode_belief is not None:
+        return np.flatnonzero(run.mode_belief.running.state.weight > _SHARE).tolist()
     mode, age = run._mode, run._age  # `state` would copy the past at every call
     return [run.table.row(mode, age) if mode >= 0 else 0]
 

@@ -262,17 +262,17 @@ class Periods(Frozen):
 
         The first mode of a part may be any.
         """
-        return posterior_of(self.parts, self._laid(density), jumps, self.usable, self.within)
+        return posterior_of(self.parts, self._by_part(density), jumps, self.usable, self.within)
 
     def path(
         self, density: Float[np.ndarray, "period mode"], jumps: Jumps
     ) -> list[Int[np.ndarray, " sample"]]:
         """The likeliest modes of the samples of every part."""
-        return path_of(self.parts, self._laid(density), jumps)
+        return path_of(self.parts, self._by_part(density), jumps)
 
-    def _laid(self, density: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _by_part(self, density: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of every part the densities of all periods, if the mode stays and if it changes."""
-        modes, laid, start = density.shape[1], [], 0
+        modes, by_part, start = density.shape[1], [], 0
         for part, k in zip(self.parts, self.usable, strict=True):
             stay = np.zeros((part.time.size - 1, modes))
             stay[k] = density[start : start + k.size]
@@ -280,14 +280,14 @@ class Periods(Frozen):
             if self.within:
                 move = np.zeros((*stay.shape, 1))
                 move[k] = self._mixed[start : start + k.size, None, None]
-            laid.append((stay, move))
+            by_part.append((stay, move))
             start += k.size
-        return laid
+        return by_part
 
 
 def posterior_of(
     parts: Sequence[Part],
-    laid: list[tuple[np.ndarray, np.ndarray]],
+    by_part: list[tuple[np.ndarray, np.ndarray]],
     jumps: Jumps,
     usable: Sequence[np.ndarray],
     within: bool,
@@ -296,7 +296,7 @@ def posterior_of(
     modes = jumps.modes
     value, weight, nodes = 0.0, [], []
     counts = Counts(np.zeros((modes, modes)), np.zeros(modes))
-    for part, (stay, move), k in zip(parts, laid, usable, strict=True):
+    for part, (stay, move), k in zip(parts, by_part, usable, strict=True):
         logs, kind = jumps.over(part.time)
         same, node = np.empty(stay.shape), np.empty((len(stay) + 1, modes))
         pairs = np.empty(logs.shape)
@@ -308,11 +308,11 @@ def posterior_of(
 
 
 def path_of(
-    parts: Sequence[Part], laid: list[tuple[np.ndarray, np.ndarray]], jumps: Jumps
+    parts: Sequence[Part], by_part: list[tuple[np.ndarray, np.ndarray]], jumps: Jumps
 ) -> list[Int[np.ndarray, " sample"]]:
     """The likeliest modes of the samples of every part."""
     found = []
-    for part, (stay, move) in zip(parts, laid, strict=True):
+    for part, (stay, move) in zip(parts, by_part, strict=True):
         path = np.empty(len(stay) + 1, np.int64)
         likeliest(stay, move, *jumps.over(part.time), _any(jumps.modes), path)
         found.append(path)

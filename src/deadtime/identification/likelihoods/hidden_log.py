@@ -187,7 +187,7 @@ class HiddenNoisyLog(SensorLikelihood):
         """Of every part the densities of all periods, stay and change; and what samples add."""
         layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
         A, B, delays = layout.split(vector[: layout.size])
-        L, R, laid, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []
+        L, R, by_part, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []
         own = cells if cells is not None and cells.size else self.cells(vector)
         own = layout.spread(own)
         for number, start in enumerate(starts):
@@ -203,9 +203,9 @@ class HiddenNoisyLog(SensorLikelihood):
             given = (part.output, start, each[0].kind, Phi, added, Q, self.C)
             given = (*given, R, self.P0, *self.jumps.over(part.time))
             filter_modes(*map(np.ascontiguousarray, given), self.within, stay, move, adds)
-            laid.append((stay, move))
+            by_part.append((stay, move))
             gained.append(adds)
-        return laid, np.concatenate(gained)
+        return by_part, np.concatenate(gained)
 
     def _along(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
         """The periods of a part; the last ones are kept: differences ask for few anew."""
@@ -231,10 +231,10 @@ class HiddenNoisyLog(SensorLikelihood):
 
     def posterior(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Posterior:
         """The modes that the log tells; weights are of all periods."""
-        laid, gained = self.filtered(vector, starts, cells)
+        by_part, gained = self.filtered(vector, starts, cells)
         parts = self.recording.parts
         every = [np.arange(part.time.size - 1) for part in parts]
-        found = posterior_of(parts, laid, self.jumps, every, self.within)
+        found = posterior_of(parts, by_part, self.jumps, every, self.within)
         return found._replace(value=float(gained.sum()))
 
     def path(self, vector: Vector, starts: Starts) -> list[Int[np.ndarray, " sample"]]:

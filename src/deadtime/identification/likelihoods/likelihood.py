@@ -83,7 +83,7 @@ class Likelihood(Frozen, ABC):
         """How far each unknown may go at a time that does next to nothing where it is."""
 
     @abstractmethod
-    def told(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
+    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
         """The places of unknowns that an information is of."""
 
     @abstractmethod
@@ -114,7 +114,7 @@ class PlantLikelihood(Likelihood):
     def stride(self, vector: Vector) -> Vector:
         return np.full(vector.size, np.inf)
 
-    def told(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
+    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
         return np.arange(self.layout.size)
 
 

@@ -137,7 +137,7 @@ class Embedding(Frozen):
 
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
-_UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
+_UNIDENTIFIED = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _STRIDE = 1.5  # of a noise's logarithm
 
 
@@ -191,10 +191,10 @@ class SensorLikelihood(Likelihood):
             free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
         return read_only(free)
 
-    def told(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
+    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
         # Noise that is next to nothing is not told.
-        free, told = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNTOLD
-        return free[(free < self.layout.size) | told[free]]
+        free, identified = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNIDENTIFIED
+        return free[(free < self.layout.size) | identified[free]]
 
     def starts(self, low: float, high: float) -> Starts:
         """The samples before which nothing is known, for delays between two; of every part."""

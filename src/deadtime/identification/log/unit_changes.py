@@ -24,7 +24,7 @@ _SAME = 0.01  # of a ratio of sampling periods, that clocks may be off by
 _CLOCKS = ((1e3, "milliseconds", "1,000"), (1e6, "microseconds", "1,000,000"))
 _CLOCKS = (*_CLOCKS, (1e9, "nanoseconds", "1,000,000,000"))
 _SLOW = 5.0  # longest delays that a period may last: a plant is often sampled so slowly
-_TOLD = 0.5  # of what a stretch moves by, that a model of its units leaves at most
+_EXPLAINED = 0.5  # of what a stretch moves by, that a model of its units leaves at most
 _WORSE = 3.0  # times so much is left in the units as they are
 _MOST_LAGS = 60  # of inputs, in a regression
 LEAST = 20  # rows of a stretch
@@ -195,7 +195,7 @@ def lags_between(known: RowStretch, other: RowStretch, most: float) -> int:
 
 def foretells(known: RowStretch, other: RowStretch, lags: int) -> bool:
     """Whether a stretch does what another one foretells, of one output at least."""
-    return bool(_left(known, other, lags).min() < _TOLD)
+    return bool(_left(known, other, lags).min() < _EXPLAINED)
 
 
 def only_scaled(known: RowStretch, other: RowStretch, scaled: Scaled, lags: int) -> bool:
@@ -206,7 +206,7 @@ def only_scaled(known: RowStretch, other: RowStretch, scaled: Scaled, lags: int)
     """
     left, as_it_is = _left(known, other, lags, scaled), _left(known, other, lags)
     without = _left(known, other, lags, scaled._replace(factor=0.0))
-    clear = (left < _TOLD) & (np.minimum(as_it_is, without) > _WORSE * left)
+    clear = (left < _EXPLAINED) & (np.minimum(as_it_is, without) > _WORSE * left)
     return bool(clear.any()) and float(left.mean()) < float(as_it_is.mean())
 
 
@@ -233,10 +233,10 @@ def _left(
     known: RowStretch, other: RowStretch, lags: int, scaled: Scaled | None = None
 ) -> Float[np.ndarray, " p"]:
     """Shares of the squares by which a stretch moves that regressions of another one leave."""
-    told, asked = _rows(known, lags, None), _rows(other, lags, scaled)
+    explained, asked = _rows(known, lags, None), _rows(other, lags, scaled)
     rest, total = np.zeros((2, asked.moved.shape[1]))
     for i in np.unique(asked.mode).tolist():
-        own, his = told.of(i), asked.of(i)
+        own, his = explained.of(i), asked.of(i)
         if len(own.moved) < LEAST + 2 * own.acting([0] * own.past.shape[2]).shape[1]:
             continue
         chosen = _delays(own)

@@ -206,7 +206,7 @@ def solve(L, stage, weight, hazard, transition, count, step):
     raise InfeasibleError(
         "no causal law with a finite expected cost was found, so none to stabilise in mean square: "
         f"under the best one E|x|² grows at {rate:+.3g} 1/s. The modes are too far apart for how "
-        "unforeseeably they switch, or the delay is too long."
+        "unpredictably they switch, or the delay is too long."
     )
 
 

@@ -93,13 +93,13 @@ def offsets_of(
     sections: Sequence[schema.OffsetSection], plant: SwitchedSystem
 ) -> Float[np.ndarray, "mode n"]:
     """The constant force of every mode, 0 where there is no section."""
-    force, told = np.zeros((plant.modes, plant.states)), set()
+    force, named = np.zeros((plant.modes, plant.states)), set()
     for i, one in enumerate(sections):
         with _section("offset", i):
             mode = index("mode", one.mode, plant.modes)
-            if mode in told:
+            if mode in named:
                 raise ArgumentError(f"mode {mode} has an offset already: give one for each mode.")
-            told.add(mode)
+            named.add(mode)
             given = real_array("force", one.force, "(n,)", 1)
             force[mode] = require_shape("force", given, (plant.states,), "(n,)")
     return force

@@ -253,13 +253,13 @@ def _filter_of(
             "covariance must be given beside an [observer]: how well its estimate of the first "
             "state is known, x²."
         )
-    observer, told = observed
-    if isinstance(told, KalmanObserver):
-        options.setdefault("disturbance", told.process)
+    observer, measured = observed
+    if isinstance(measured, KalmanObserver):
+        options.setdefault("disturbance", measured.process)
         if section.noise is None:
-            options["noise"] = _deviations(np.array(told.measurement))
-    C = observer(plant) if section.gains == "observer" else told.C
-    first = {"covariance": section.covariance, "estimate": told.estimate}
+            options["noise"] = _deviations(np.array(measured.measurement))
+    C = observer(plant) if section.gains == "observer" else measured.C
+    first = {"covariance": section.covariance, "estimate": measured.estimate}
     return OutputModeFilter(plant, model, step, C, **first, **options)
 
 

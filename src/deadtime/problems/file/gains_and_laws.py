@@ -127,7 +127,7 @@ class Laws:
         for i, section in enumerate(self.file.law):
             with _section("law", i):
                 self._require_fit(section)
-                own, servo = self._extended(self._believing(setting, section.model))
+                own, servo = self._extended(self._on_belief(setting, section.model))
                 law = build_law(section, own)
                 if section.low_pass is not None:
                     law = LowPassPredictor(law, section.low_pass)
@@ -167,7 +167,7 @@ class Laws:
                 observed = observer, file.observer
             return build_mode_filter(file.mode_filter, self.plant, self.model, step, observed)
 
-    def _believing(self, setting: LawSetting, own: ModelSection) -> LawSetting:
+    def _on_belief(self, setting: LawSetting, own: ModelSection) -> LawSetting:
         """The setting with the plant that a law believes in."""
         plant = change_plant(setting.plant, own)
         allow = setting.allow_unstable or own.A is not None or own.B is not None

@@ -137,9 +137,9 @@ class FileServo:
                 if beyond.any():
                     mode = int(np.argmax(beyond))
                     raise ArgumentError(
-                        f"reference {_told(r)} is out of reach: in mode {mode} it takes the steady "
-                        f"input {_told(steady[mode])}, and the saturation allows {_told(low)} to "
-                        f"{_told(high)}. Ask for less, or allow more."
+                        f"reference {_text_of(r)} is out of reach: in mode {mode} it takes the "
+                        f"steady input {_text_of(steady[mode])}, and the saturation allows "
+                        f"{_text_of(low)} to {_text_of(high)}. Ask for less, or allow more."
                     )
 
     def of_mean(self, mean: SwitchedSystem) -> Servo:
@@ -160,7 +160,7 @@ def absolute_limits(
     return [(clip.low, clip.high) for clip in clips if not clip.relative]
 
 
-def _told(values: Float[np.ndarray, " size"]) -> str:
+def _text_of(values: Float[np.ndarray, " size"]) -> str:
     """One number, or a list of them."""
     whole = [float(f"{value:.6g}") for value in values]
     return f"{whole[0]:g}" if len(whole) == 1 else str(whole)

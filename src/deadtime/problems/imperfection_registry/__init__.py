@@ -57,10 +57,10 @@ def in_comments() -> str:
     lines = []
     for entry in ENTRIES:
         keys = {key: field for key, field in entry.model_fields.items() if key != "kind"}
-        told = ", ".join(key if one.is_required() else f"({key})" for key, one in keys.items())
+        listed = ", ".join(key if one.is_required() else f"({key})" for key, one in keys.items())
         about = (entry.__doc__ or "").splitlines()[0].rstrip(".")
         kind = f"#   {kinds_of(entry)[0]}"
-        lines.append(f"{kind:<35}# {told}: {about[:1].lower()}{about[1:]}\n")
+        lines.append(f"{kind:<35}# {listed}: {about[:1].lower()}{about[1:]}\n")
     return "".join(lines)
 
 

@@ -40,7 +40,7 @@ class NamedLaw(NamedTuple):
         return "{mode}" in self.named.name
 
     @property
-    def is_told(self) -> bool:
+    def takes_dwell_time(self) -> bool:
         """Whether the law is told the dwell time."""
         return self.named.knows == "the dwell time"
 
@@ -50,9 +50,9 @@ class NamedLaw(NamedTuple):
 
     def keys(self, mode: int | None = None, dwell_time: float | None = None) -> dict[str, Any]:
         """The keys of its section beside the kind."""
-        told = {"mode": mode} if self.per_mode else {}
-        told |= {"dwell_time": dwell_time} if self.is_told else {}
-        return {**self.named.keys, **told}
+        beside = {"mode": mode} if self.per_mode else {}
+        beside |= {"dwell_time": dwell_time} if self.takes_dwell_time else {}
+        return {**self.named.keys, **beside}
 
     def build(
         self, setting: LawSetting, mode: int | None = None, dwell_time: float | None = None
@@ -131,8 +131,8 @@ def name_of(law: Law, modes: Sequence[str] = ()) -> str:
     >>> name_of(dt.SingleModePredictor(problem.plant, problem.gains, 1), problem.modes)
     'brake only'
     """
-    told = modes if len(set(modes)) == len(modes) else ()
-    return with_names(law.label.removesuffix(", observed"), told)
+    beside = modes if len(set(modes)) == len(modes) else ()
+    return with_names(law.label.removesuffix(", observed"), beside)
 
 
 def the_law(name: str) -> str:

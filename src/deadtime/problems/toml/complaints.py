@@ -222,13 +222,15 @@ def complaint(
 ) -> str:
     """All that is wrong, each with the line of its key."""
     lines = key_lines(text)
-    told = ""
+    sentences = ""
     found, more = faults(error, model, data, lines)
     for fault in found:
         line = line_of(lines, fault.path)
-        where = f"{at_line(source, line)}: " if not told else f" Line {line}: " if line else " "
-        told += where + fault.sentence
-    return told + more
+        where = (
+            f"{at_line(source, line)}: " if not sentences else f" Line {line}: " if line else " "
+        )
+        sentences += where + fault.sentence
+    return sentences + more
 
 
 def faults(

@@ -81,7 +81,7 @@ class Kind:
 
     def make(self, setting: LawSetting, dwell_time: float | None = None) -> Law:
         """The law for one cell; τ_d for those that are given it."""
-        if self.known.is_told and dwell_time is None:
+        if self.known.takes_dwell_time and dwell_time is None:
             raise ArgumentError("a dwell-aware law needs τ_d: give grid.dwell_time.")
         return self.known.build(setting, self.mode, dwell_time)
 

@@ -29,8 +29,8 @@ from deadtime.switching import SwitchingSignal
 # Seconds on one core of the machine of benchmarks/README.md: a period of a scenario under one law …
 _FACTORED = 3e-9  # … whose row is factorised,
 _TAP = 1.5e-10  # … for every past input of a dense row,
-_FORESEEN = 1.2e-8  # … of a law that knows the signal,
-_HEARD = 2e-8  # … where sensors are imperfect,
+_PREVIEWED = 1.2e-8  # … of a law that knows the signal,
+_RECEIVED = 2e-8  # … where sensors are imperfect,
 _FELT = 5e-8  # … for each disturbance,
 _KEPT = 3e-8  # … of a law that remembers,
 _SEEN = 1e-7  # … where measurements lie within periods,
@@ -139,21 +139,21 @@ def _of_law(loop: Loop, law: Law) -> float:
         return _CALLED
     if not all(map(is_batched, loop.imperfections)):
         return _ALONE
-    heard = _FELT * sum(isinstance(one, Disturbance) for one in loop.imperfections)
-    for kind, cost in ((Relaying, _HEARD), (TimingImperfection, _SEEN)):
+    beside = _FELT * sum(isinstance(one, Disturbance) for one in loop.imperfections)
+    for kind, cost in ((Relaying, _RECEIVED), (TimingImperfection, _SEEN)):
         if any(isinstance(one, kind) for one in loop.imperfections):
-            heard += cost
+            beside += cost
     if law.filter is not None or law.observer is not None:
-        return _ALONE if law.foresees else heard + _KEPT
+        return _ALONE if law.needs_preview else beside + _KEPT
     taps = Window.of(law.plant.longest_delay, loop.step).count
     size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
-    if law.foresees:
-        return heard + size * _FORESEEN
+    if law.needs_preview:
+        return beside + size * _PREVIEWED
     try:
         table = law.digital(loop.step, SwitchingSignal.constant(0), 1)
     except DeadtimeError:
         return 0.0
-    return heard + size * (_FACTORED if table.factor is not None else _FACTORED + _TAP * taps)
+    return beside + size * (_FACTORED if table.factor is not None else _FACTORED + _TAP * taps)
 
 
 def example_loop(study: Study, tries: int = 20) -> Loop | None:
@@ -171,7 +171,7 @@ def facts_of(study: Study) -> dict[str, Any]:
     loop = example_loop(study)
     if loop is None:
         return {"oracle": "", "start": float("nan")}
-    oracles = [name for name in study.laws if name in loop.laws and loop.laws[name].foresees]
+    oracles = [name for name in study.laws if name in loop.laws and loop.laws[name].needs_preview]
     start = float(np.linalg.norm(loop.x0))
     return {"oracle": oracles[0] if oracles else "", "start": start, **_cost_of(study, loop)}
 

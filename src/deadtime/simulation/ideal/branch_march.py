@@ -211,7 +211,7 @@ class Kept(NamedTuple):
 
 
 class Use(NamedTuple):
-    """Scratch of `_hear`, and 1/∏(c_z − c_y) of the Gauss nodes, (p,)."""
+    """Scratch of `_receive`, and 1/∏(c_z − c_y) of the Gauss nodes, (p,)."""
 
     scale: np.ndarray
     share: np.ndarray
@@ -291,7 +291,7 @@ def _share(c, points, scale, share):
 
 
 @kernel(eager=True)
-def _hear(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, matrix, right):
+def _receive(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, matrix, right):
     """Add R e^{S (end − s)} b u_j over what was sent in a part of segment q, for R's rows."""
     edges, p, count, (m, n) = line.edges, nodes.points.size, panel.points.size, R.shape
     for k in range(count):
@@ -415,7 +415,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                         if abs(length - known) > 1e-15:
                             flows(S, length, panel.points, flow, none)
                             known = length
-                        _hear(
+                        _receive(
                             line, g, q, begin, length, j, carried, flow, row, nodes, panel, B, u,
                             use, matrix, right,
                         )  # fmt: skip
@@ -514,6 +514,6 @@ def _kept(law: Forecast, segments: int) -> Kept:
 
 
 def _use(nodes: Nodes, n: int) -> Use:
-    """The scratch of `_hear`."""
+    """The scratch of `_receive`."""
     apart = nodes.points[:, None] - nodes.points + np.eye(nodes.points.size)
     return Use(1.0 / apart.prod(axis=1), np.empty(nodes.points.size), np.empty(n))

@@ -183,7 +183,7 @@ def walk(bounds, mode, u):
 
 
 @kernel(nogil=True)
-def lay(path, sojourns, time, last, horizon):
+def sample_signals(path, sojourns, time, last, horizon):
     """When the sojourns start: times and modes (signal, jump), of which the first `used` hold.
 
     `time` is where the first sojourn of each row starts and `last` the mode before it, −1 for
@@ -298,7 +298,7 @@ class JumpProcess(Frozen):
             jumps = draw(key, own, block, blocks, _JUMPS) if choices else np.full(shape, 0.5)
             path, mode = walk(bounds, mode, jumps)
             sojourns = self.sojourn(path, draw(key, own, block, blocks, _SOJOURNS))
-            times, modes, used, time, last = lay(path, sojourns, time, last, horizon)
+            times, modes, used, time, last = sample_signals(path, sojourns, time, last, horizon)
             rounds.append((rows, used, times, modes))
             going = time < horizon
             rows, mode, time, last = rows[going], mode[going], time[going], last[going]

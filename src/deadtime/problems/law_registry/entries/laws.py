@@ -334,6 +334,6 @@ class BeliefLaw(LawSection):
 
     def law(self, setting: LawSetting) -> Law:
         assert setting.mode_filter is not None
-        told = {"expected": ExpectedLaw, "optimal": OptimalLaw}[self.of]
-        law = told.model_validate({"kind": self.of}).law(setting)
+        section = {"expected": ExpectedLaw, "optimal": OptimalLaw}[self.of]
+        law = section.model_validate({"kind": self.of}).law(setting)
         return BeliefPredictor(law, setting.mode_filter(setting.plant))

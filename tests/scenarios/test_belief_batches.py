@@ -29,7 +29,7 @@ OWN = dt.SwitchedSystem(BELIEVED.A, BELIEVED.B, [[0.3, 0.07], [0.21, 0.1], [0.3,
 TRUTH = dt.SwitchedSystem(1.02 * BELIEVED.A, 0.97 * BELIEVED.B, 0.234)
 
 
-def believing(plant=BELIEVED, model: Any = MARKOV, law=None, **options):
+def on_belief(plant=BELIEVED, model: Any = MARKOV, law=None, **options):
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model) if law is None else law
     filt = dt.ModeFilter(plant, model, H, **{"disturbance": 0.1, "noise": 0.05, **options})
     return dt.BeliefPredictor(law, filt)
@@ -39,21 +39,21 @@ LIMITED = [Noise(0.02), Dropout(0.2), RateLimit([3.0, 4.0]), Saturation(-1.0, 1.
 AWARE = dt.AveragedPredictor(BELIEVED, plants.gains(BELIEVED), None, 0.31)
 # Made when they are asked for: their filters compile.
 CASES = {
-    "delays of every mode and input": lambda: (OWN, believing(OWN), LIMITED),
+    "delays of every mode and input": lambda: (OWN, on_belief(OWN), LIMITED),
     "disturbed": lambda: (
         TRUTH,
-        believing(switches="samples", forgetting=1e-4),
+        on_belief(switches="samples", forgetting=1e-4),
         [WhiteDisturbance(0.05), Noise([0.02, 0.0, 0.03]), Dropout(0.2), RateLimit([3.0, 4.0])],
     ),
     "ages": lambda: (
         BELIEVED,
-        believing(model=SEMI, ages=12),
+        on_belief(model=SEMI, ages=12),
         [WhiteDisturbance(0.05), WrongMode(0.3)],
     ),
-    "ages of the table alone": lambda: (BELIEVED, believing(law=AWARE), [LateSamples(2, 0.2)]),
+    "ages of the table alone": lambda: (BELIEVED, on_belief(law=AWARE), [LateSamples(2, 0.2)]),
     "measured within periods": lambda: (
         TRUTH,
-        believing(),
+        on_belief(),
         [Jitter(0.05), ModeDelay(2), Noise(0.02)],
     ),
 }
@@ -102,7 +102,7 @@ def test_scenarios_on_a_belief_from_outputs_are_those_of_single_runs(case):
 
 
 def test_without_noise_scenarios_are_single_runs_as_no_belief_is_left_to_round_off():
-    law = believing(OWN, disturbance=0.0, noise=0.0)
+    law = on_belief(OWN, disturbance=0.0, noise=0.0)
     require_single_runs(OWN, {"exact": law}, [Noise(0.0), Saturation(-1.0, 1.2)], horizon=4.03)
 
 
@@ -112,13 +112,13 @@ def test_a_row_without_noise_in_one_mode_and_without_size_is_left_out():
     A[0, 0, 1] = 1.0
     plant = dt.SwitchedSystem(A, [[[0.0, 0.0], [0.0, 0.0], [1.0, 0.5]]] * 3, OWN.delays)
     law = dt.ExpectedPredictor(plant, [[[0.0, 0.0, -1.5], [0.0, 0.0, 0.0]]] * 3, MARKOV)
-    believed = believing(plant, law=law, disturbance=[0.0, 0.1, 0.1], noise=0.0)
+    believed = on_belief(plant, law=law, disturbance=[0.0, 0.1, 0.1], noise=0.0)
     given = [Noise(0.0), Saturation(-1.0, 1.2)]
     require_single_runs(plant, {"one": believed}, given, (0, 8), 2.03, (0.0, 0.0, 0.9))
 
 
 def test_no_scenario_reads_a_mode():
-    args = OWN, {"belief": believing(OWN)}, MARKOV, [0.3, -0.6, 0.9], 6.0, H, 20
+    args = OWN, {"belief": on_belief(OWN)}, MARKOV, [0.3, -0.6, 0.9], 6.0, H, 20
     told = dt.monte_carlo(*args, imperfections=LIMITED)
     deceived = dt.monte_carlo(*args, imperfections=[WrongMode(0.9), *LIMITED])
     assert np.array_equal(told.cost.values, deceived.cost.values)

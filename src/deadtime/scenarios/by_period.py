@@ -33,7 +33,7 @@ def _place(time, step, arrival, arriving, rate):
     return np.int64(k), time - k * step
 
 
-def lay(
+def sample_signals(
     offset: np.ndarray,
     times: np.ndarray,
     modes: np.ndarray,
@@ -62,7 +62,7 @@ def lay(
 
 @kernel(eager=True, nogil=True)
 def fill_records(room, offset, times, modes, samples, step, arrival, arriving, plants):
-    """Fill the room for records as `lay` has it: how many there are, and how many cut periods."""
+    """Fill the records of `sample_signals`: how many there are, and how many cut periods."""
     scenarios, rate = offset.size - 1, 1.0 / step
     final, r, c = samples - 1, 0, 0
     for s in range(scenarios):
@@ -249,8 +249,8 @@ def compose_cuts(
 
 
 @kernel(eager=True, nogil=True)
-def lay_places(
-    row, place, news, lag, heard, offset, begin, few, records, modes, edges, cells, count, cut,
+def fill_places(
+    row, place, news, lag, received, offset, begin, few, records, modes, edges, cells, count, cut,
     when,
 ):  # fmt: skip
     """Fill rows and places of scenarios from `begin` on; how many measurements lie in cut periods.
@@ -261,7 +261,7 @@ def lay_places(
         sample), whose measurement is received, as in `fill_lags`
     offset : (few or 1, sample), of all samples
     """
-    samples, parts, noted = heard.shape[1], edges.size - 1, 0
+    samples, parts, noted = received.shape[1], edges.size - 1, 0
     step_of, map_of = records.step, records.map
     cell_of = np.empty(parts)
     for part in range(parts):
@@ -269,7 +269,7 @@ def lay_places(
     for f in range(few + -few % LANES):
         s = min(f, few - 1)
         first, last = records.first[begin + s], records.first[begin + s + 1] - 1
-        times, told = offset[min(s, offset.shape[0] - 1)], heard[min(s, heard.shape[0] - 1)]
+        times, sample = offset[min(s, offset.shape[0] - 1)], received[min(s, received.shape[0] - 1)]
         own = f // LANES * samples * LANES + f % LANES
         at, group = begin * samples + own, (begin + f) // LANES * samples
         r, known, time, now_row, part = first, -1, -1.0, 0, 0
@@ -277,7 +277,7 @@ def lay_places(
         for k in range(samples):
             late, delta, before = lag[own], 0.0, now_row
             if late >= 0:
-                t, now = times[told[k]], k - late
+                t, now = times[sample[k]], k - late
                 if now >= until or now < since:
                     while r < last and step_of[r + 1] <= now:
                         r += 1

@@ -15,16 +15,16 @@ SEMI = dt.SemiMarkov(stats.expon(loc=0.3, scale=0.2), modes=3)
 MARKOV = plants.markov(3)
 
 
-def believing(law, model, plant=PLANT, step=STEP, disturbance=0.02, **options):
+def on_belief(law, model, plant=PLANT, step=STEP, disturbance=0.02, **options):
     """A law on a filter with noise of both kinds."""
     filt = dt.ModeFilter(plant, model, step, disturbance=disturbance, noise=0.01, **options)
     return dt.BeliefPredictor(law, filt)
 
 
 LAWS = {
-    "mode": lambda: believing(dt.ExpectedPredictor(PLANT, GAINS, MARKOV), MARKOV),
-    "ages": lambda: believing(dt.ExpectedPredictor(PLANT, GAINS, SEMI), SEMI),
-    "at samples": lambda: believing(
+    "mode": lambda: on_belief(dt.ExpectedPredictor(PLANT, GAINS, MARKOV), MARKOV),
+    "ages": lambda: on_belief(dt.ExpectedPredictor(PLANT, GAINS, SEMI), SEMI),
+    "at samples": lambda: on_belief(
         dt.AveragedPredictor(PLANT, GAINS, None, 0.31), SEMI, switches="samples"
     ),
 }
@@ -45,7 +45,7 @@ def paper(step=0.02):
     """The paper's plant: two modes, two states."""
     plant, model = plants.paper(), dt.Markov([[0.0, 1.25], [1.25, 0.0]])
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model)
-    return believing(law, model, plant, step, 1e-4)
+    return on_belief(law, model, plant, step, 1e-4)
 
 
 def record(law, horizon, plant=None, seed=0):
