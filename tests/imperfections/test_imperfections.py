@@ -176,12 +176,12 @@ def test_with_no_sample_at_all_the_last_input_is_held():
 
 
 @pytest.mark.parametrize(
-    ("size", "told", "untold"),
+    ("size", "reported", "unreported"),
     [(1.6, 1097.0, 1538.0), (2.0, 1555.0, math.inf), (2.4, *[math.inf] * 2)],
 )
-def test_a_law_that_is_told_of_saturation_survives_more_of_it(size, told, unidentified):
+def test_a_law_that_is_told_of_saturation_survives_more_of_it(size, reported, unreported):
     problem = dt.problems.paper()
-    for predict, cost in (("applied", told), ("commanded", unidentified)):
+    for predict, cost in (("applied", reported), ("commanded", unreported)):
         loop = dt.simulate(
             problem.plant, problem.laws["averaged"], problem.signal, [-size, size], 10.0, 0.01,
             imperfections=[Saturation(-25.0, 25.0)], predict=predict,

@@ -184,8 +184,8 @@ def out_of_reach(modes: int, law: Law, signals: SignalClass, step: float) -> str
         return _why_no_table(law)
     if law.needs_preview:
         return (
-            f"{type(law).__name__} needs a preview of the signal, so its table is one for each signal: "
-            "there is no one loop to certify."
+            f"{type(law).__name__} needs a preview of the signal, so its table is one for each "
+            "signal: there is no one loop to certify."
         )
     dwell_time = min(signals.limits(modes).dwell_time)
     tolerance = signals.clock_tolerance

@@ -70,8 +70,8 @@ def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p
                 raise ArgumentError(
                     f"modes {j} and {i} cannot be distinguished. The same state and inputs give "
                     f"the same outputs in both: C A^k and C A^k B up to k = {2 * n - 1}, and "
-                    "delays. Measure more, make one mode of them, or allow_alike = True: then they share "
-                    "what the switching model gives them."
+                    "delays. Measure more, make one mode of them, or allow_alike = True: then they "
+                    "share what the switching model gives them."
                 )
 
 

@@ -97,8 +97,8 @@ def falsify(
     require_match(plant, law)
     if law.needs_preview:
         raise ArgumentError(
-            f"law must not depend on the future, got {type(law).__name__}: it needs a preview of the "
-            "signal, so no signal can be chosen against it."
+            f"law must not depend on the future, got {type(law).__name__}: it needs a preview of "
+            "the signal, so none can be chosen against it."
         )
     step = positive("step", step)
     asked = SignalClass.of(dwell_time, **signals)
