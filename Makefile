@@ -114,7 +114,7 @@ bench: .venv/installed
 	$(BIN)/python benchmarks/sweep.py
 
 examples: .venv/installed
-	for script in examples/gallery/*.py examples/howto/*.py; do $(BIN)/python $$script || exit 1; done
+	for script in examples/walkthroughs/*.py examples/gallery/*.py examples/howto/*.py; do $(BIN)/python $$script || exit 1; done
 
 schema: .venv/installed
 	$(BIN)/deadtime schema > docs/problem.schema.json
@@ -148,5 +148,5 @@ docs: .venv/installed-docs
 	@touch $@
 
 clean:
-	rm -rf .venv report study-report build dist docs/_build docs/api/names docs/gallery docs/howto/scripts .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv report study-report build dist docs/_build docs/api/names docs/walkthroughs docs/gallery docs/howto/scripts .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -exec rm -rf {} +

@@ -63,9 +63,11 @@ python_maximum_signature_line_length = 88
 EXAMPLES = HERE.parent / "examples"
 sys.path.append(str(EXAMPLES))  # for the scraper
 sphinx_gallery_conf = {
-    "examples_dirs": [os.path.relpath(EXAMPLES / name, HERE) for name in ("gallery", "howto")],
-    "gallery_dirs": ["gallery", "howto/scripts"],
-    "filename_pattern": r"/gallery/",  # the others take too long, or need a compiler
+    "examples_dirs": [
+        os.path.relpath(EXAMPLES / name, HERE) for name in ("walkthroughs", "gallery", "howto")
+    ],
+    "gallery_dirs": ["walkthroughs", "gallery", "howto/scripts"],
+    "filename_pattern": r"/(walkthroughs|gallery)/",  # the others take too long, or need a compiler
     "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("pictures.written",),
     "download_all_examples": False,

@@ -39,7 +39,7 @@ LANGUAGES = (
 
 
 def built(path):
-    return {"_build", "gallery", "scripts"} & set(path.relative_to(DOCS).parts)
+    return {"_build", "walkthroughs", "gallery", "scripts"} & set(path.relative_to(DOCS).parts)
 
 
 PAGES = {

@@ -29,7 +29,7 @@ import openings  # noqa: E402
 import tables  # noqa: E402
 from docutils import nodes  # noqa: E402
 
-GENERATED = {"_build", "gallery", "names", "scripts", "__pycache__"}
+GENERATED = {"_build", "walkthroughs", "gallery", "names", "scripts", "__pycache__"}
 LINK = re.compile(r'<a class="reference internal" href="([^"]*)"')
 
 
@@ -62,7 +62,8 @@ def site(tmp_path_factory):
 def test_every_page_of_the_docs_is_on_the_site(site):
     pages = {p.relative_to(DOCS).with_suffix(".html") for p in DOCS.rglob("*.md")}
     pages = {p for p in pages if not GENERATED & set(p.parts)}
-    pages |= {Path("gallery", p.stem + ".html") for p in (ROOT / "examples/gallery").glob("*.py")}
+    for folder in ("walkthroughs", "gallery"):
+        pages |= {Path(folder, p.stem + ".html") for p in (ROOT / "examples" / folder).glob("*.py")}
     assert {p for p in pages if not (site / p).exists()} == set()
 
 

@@ -15,7 +15,12 @@ from numpy.testing import assert_allclose
 
 from shares import mostly_long
 
-SCRIPTS = sorted((Path(__file__).parents[2] / "examples" / "gallery").glob("plot_*.py"))
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPTS = [
+    p
+    for folder in ("walkthroughs", "gallery")
+    for p in sorted((EXAMPLES / folder).glob("plot_*.py"))
+]
 NAMES = [path.stem.split("_", 2)[2] for path in SCRIPTS]
 # Those that compile or search for seconds; tests of what they find are long, too.
 LONG = (
@@ -47,6 +52,21 @@ def test_script_runs_prints_names_its_source_and_leaves_pictures_of_decent_size(
     assert out["said"].count("\n") >= 4
     assert out["pictures"]
     assert all(10_000 < size <= 200_000 for size in out["pictures"])
+
+
+@pytest.mark.long
+def test_walkthroughs_find_what_they_say():
+    said = ran("researcher")["said"]
+    assert "D = 0.05 s, truncated: Stable" in said
+    assert "D = 0.10 s, truncated: Not stable" in said
+    assert said.count("averaged: Stable") == 5
+    out = ran("process_engineer")
+    low, high = out["fit"].interval("delay[1][0]")
+    assert low < out["DEAD"]["low"] < high
+    lines = re.findall(r"(.+): integral of the absolute error (\d+) K min", out["said"])
+    error = {name: float(value) for name, value in lines}
+    assert error["predicted"] < error["delay ignored, gentle"] < 0.1 * error["delay ignored"]
+    assert float(abs(ran("embedded_engineer")["u"]).max()) < 12.0
 
 
 def slopes(function, point):

@@ -1,0 +1,441 @@
+/* Controller of the law "averaged": see turntable.h. Written by deadtime 0.1.0. */
+
+#include "turntable.h"
+#include "turntable_tables.h"
+
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST) \
+    || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "-ffast-math, -ffinite-math-only and /fp:fast take the checks for NaN away: compile this file without it"
+#endif
+
+
+#define TURNTABLE_MOST_PERIODS 100000.0 /* that a call may be ahead of the last one */
+#define TURNTABLE_MOST_TIME 1e17        /* s; a time beyond it is none */
+#define TURNTABLE_MOST_SAMPLES 9e15     /* a double counts so far */
+
+/* The value within the bound: cut to it, 0 for a NaN, and said so. */
+static turntable_real turntable_cut(turntable_real value, turntable_real bound, int32_t *cuts)
+{
+    if (value != value || value < -bound || value > bound) {
+        *cuts = 1;
+        return value > bound ? bound : value < -bound ? -bound : 0;
+    }
+    return value;
+}
+
+static int32_t turntable_all_usable(const turntable_real *values, int32_t count, turntable_real bound)
+{
+    int32_t i;
+    for (i = 0; i < count; i++) {
+        if (!(values[i] >= -bound && values[i] <= bound)) { /* nor is a NaN */
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* The window's sum q = sum over j = 1 .. N-1 of S^(j-1) Gamma u_{k-j}, without ever taking a term
+   away: for an unstable plant that would multiply its round-off for ever. The inputs are cut into
+   blocks; with `filled` = b inputs in the newest one and f of the old one in the window,
+
+       H q = H S^b (S^BLOCK Q_f + middle) + H newest.
+
+   The Q of the old block were made one a period while it was in the middle; those of the middle
+   block take the places that are no longer read. */
+
+static void turntable_begin_block(turntable_controller *c)
+{
+    int32_t r, i, j;
+    c->filled = 0;
+    for (i = 0; i < TURNTABLE_ORDER; i++) {
+        c->newest[i] = 0;
+        c->filling[i] = 0;
+        for (j = 0; j < TURNTABLE_INPUTS; j++) {
+            c->column[i][j] = turntable_GAMMA[i][j];
+        }
+    }
+    for (r = 0; r < TURNTABLE_ROWS; r++) {
+        for (i = 0; i < TURNTABLE_INPUTS; i++) {
+            for (j = 0; j < TURNTABLE_ORDER; j++) {
+                c->power[r][i][j] = turntable_H[r][i][j];
+            }
+        }
+    }
+}
+
+static void turntable_clear(turntable_controller *c)
+{
+    int32_t i, j;
+    c->place = 0;
+    c->turned = 0;
+    for (i = 0; i < TURNTABLE_TAPS; i++) {
+        for (j = 0; j < TURNTABLE_INPUTS; j++) {
+            c->ring[i][j] = 0;
+        }
+    }
+    for (i = 0; i < TURNTABLE_BLOCK; i++) {
+        for (j = 0; j < TURNTABLE_ORDER; j++) {
+            c->old[i][j] = 0;
+        }
+    }
+    for (i = 0; i < TURNTABLE_ORDER; i++) {
+        c->middle[i] = 0;
+    }
+    turntable_begin_block(c);
+}
+
+/* The sums over the newest inputs, with u, and over the latest of the middle block, with w. */
+static void turntable_add_to_sums(turntable_controller *c, const turntable_real *u, const turntable_real *w, int32_t *clamped)
+{
+    turntable_real newest[TURNTABLE_ORDER];
+    int32_t i, j;
+    /*@ loop unroll TURNTABLE_ORDER; */
+    for (i = 0; i < TURNTABLE_ORDER; i++) {
+        turntable_real sum = 0, step = 0;
+        /*@ loop unroll TURNTABLE_ORDER; */
+        for (j = 0; j < TURNTABLE_ORDER; j++) {
+            sum += turntable_S[i][j] * c->newest[j];
+        }
+        /*@ loop unroll TURNTABLE_INPUTS; */
+        for (j = 0; j < TURNTABLE_INPUTS; j++) {
+            sum += turntable_GAMMA[i][j] * u[j];
+            step += c->column[i][j] * w[j];
+        }
+        newest[i] = turntable_cut(sum, TURNTABLE_SUM_BOUND, clamped);
+        c->filling[i] = turntable_cut(c->filling[i] + step, TURNTABLE_SUM_BOUND, clamped);
+    }
+    /*@ loop unroll TURNTABLE_ORDER; */
+    for (i = 0; i < TURNTABLE_ORDER; i++) {
+        c->newest[i] = newest[i];
+    }
+}
+
+/* S^b Gamma and H S^b for the next b. */
+static void turntable_raise_powers(turntable_controller *c, int32_t *clamped)
+{
+    int32_t r, i, j, k;
+    turntable_real next[TURNTABLE_ORDER];
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (k = 0; k < TURNTABLE_INPUTS; k++) {
+        /*@ loop unroll TURNTABLE_ORDER; */
+        for (i = 0; i < TURNTABLE_ORDER; i++) {
+            next[i] = 0;
+            /*@ loop unroll TURNTABLE_ORDER; */
+            for (j = 0; j < TURNTABLE_ORDER; j++) {
+                next[i] += turntable_S[i][j] * c->column[j][k];
+            }
+        }
+        /*@ loop unroll TURNTABLE_ORDER; */
+        for (i = 0; i < TURNTABLE_ORDER; i++) {
+            c->column[i][k] = turntable_cut(next[i], TURNTABLE_COLUMN_BOUND, clamped);
+        }
+    }
+    for (r = 0; r < TURNTABLE_ROWS; r++) {
+        /*@ loop unroll TURNTABLE_INPUTS; */
+        for (k = 0; k < TURNTABLE_INPUTS; k++) {
+            /*@ loop unroll TURNTABLE_ORDER; */
+            for (j = 0; j < TURNTABLE_ORDER; j++) {
+                next[j] = 0;
+            }
+            /*@ loop unroll TURNTABLE_ORDER; */
+            for (i = 0; i < TURNTABLE_ORDER; i++) {
+                turntable_real factor = c->power[r][k][i];
+                /*@ loop unroll TURNTABLE_ORDER; */
+                for (j = 0; j < TURNTABLE_ORDER; j++) {
+                    next[j] += factor * turntable_S[i][j];
+                }
+            }
+            /*@ loop unroll TURNTABLE_ORDER; */
+            for (j = 0; j < TURNTABLE_ORDER; j++) {
+                c->power[r][k][j] = turntable_cut(next[j], TURNTABLE_POWER_BOUND, clamped);
+            }
+        }
+    }
+}
+
+/* u becomes the latest input. */
+static void turntable_push(turntable_controller *c, const turntable_real *u, int32_t *clamped)
+{
+    int32_t i, slot, behind, b = c->filled + 1;
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        c->ring[c->place][i] = u[i];
+    }
+    c->place = c->place + 1 < TURNTABLE_TAPS ? c->place + 1 : 0;
+    /* Input b of the middle block, from its end, is 2 b - 1 inputs before the latest. */
+    behind = c->place - 2 * b;
+    if (behind < 0) {
+        behind += TURNTABLE_TAPS;
+    }
+    turntable_add_to_sums(c, u, c->ring[behind], clamped);
+    slot = c->turned == 0 ? TURNTABLE_BLOCK - b : b - 1;
+    for (i = 0; i < TURNTABLE_ORDER; i++) {
+        c->old[slot][i] = c->filling[i];
+    }
+    if (b < TURNTABLE_BLOCK) {
+        turntable_raise_powers(c, clamped);
+        c->filled = b;
+        return;
+    }
+    for (i = 0; i < TURNTABLE_ORDER; i++) {
+        c->middle[i] = c->newest[i];
+    }
+    c->turned = 1 - c->turned;
+    turntable_begin_block(c);
+}
+
+/* asked = F x + H q + (last tap) u_{k-N}. */
+static void turntable_apply_rows(const turntable_controller *c, int32_t row, const turntable_real *x, turntable_real *asked)
+{
+    turntable_real earlier[TURNTABLE_ORDER];
+    int32_t i, j, f = TURNTABLE_WINDOW - TURNTABLE_BLOCK - c->filled;
+    /*@ loop unroll TURNTABLE_ORDER; */
+    for (i = 0; i < TURNTABLE_ORDER; i++) {
+        earlier[i] = c->middle[i];
+    }
+    if (f > 0) {
+        const turntable_real *Q = c->old[c->turned == 0 ? f - 1 : TURNTABLE_BLOCK - f];
+        /*@ loop unroll TURNTABLE_ORDER; */
+        for (i = 0; i < TURNTABLE_ORDER; i++) {
+            /*@ loop unroll TURNTABLE_ORDER; */
+            for (j = 0; j < TURNTABLE_ORDER; j++) {
+                earlier[i] += turntable_WHOLE[i][j] * Q[j];
+            }
+        }
+    }
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        turntable_real sum = 0;
+        /*@ loop unroll TURNTABLE_STATES; */
+        for (j = 0; j < TURNTABLE_STATES; j++) {
+            sum += turntable_F[row][i][j] * x[j];
+        }
+        /*@ loop unroll TURNTABLE_ORDER; */
+        for (j = 0; j < TURNTABLE_ORDER; j++) {
+            sum += c->power[row][i][j] * earlier[j] + turntable_H[row][i][j] * c->newest[j];
+        }
+        /*@ loop unroll TURNTABLE_INPUTS; */
+        for (j = 0; j < TURNTABLE_INPUTS; j++) {
+            sum += turntable_LAST[row][i][j] * c->ring[c->place][j];
+        }
+        asked[i] = sum;
+    }
+}
+
+static int32_t turntable_past_usable(const turntable_controller *c)
+{
+    return turntable_all_usable(&c->ring[0][0], TURNTABLE_TAPS * TURNTABLE_INPUTS, TURNTABLE_BOUND)
+           && turntable_all_usable(c->newest, TURNTABLE_ORDER, TURNTABLE_SUM_BOUND)
+           && turntable_all_usable(c->middle, TURNTABLE_ORDER, TURNTABLE_SUM_BOUND)
+           && turntable_all_usable(c->filling, TURNTABLE_ORDER, TURNTABLE_SUM_BOUND)
+           && turntable_all_usable(&c->old[0][0], TURNTABLE_BLOCK * TURNTABLE_ORDER, TURNTABLE_SUM_BOUND)
+           && turntable_all_usable(&c->column[0][0], TURNTABLE_ORDER * TURNTABLE_INPUTS, TURNTABLE_COLUMN_BOUND)
+           && turntable_all_usable(&c->power[0][0][0], TURNTABLE_ROWS * TURNTABLE_INPUTS * TURNTABLE_ORDER, TURNTABLE_POWER_BOUND);
+}
+
+/* Whether every integer is one that this file can have left. */
+static int32_t turntable_in_order(const turntable_controller *c)
+{
+    return c->ready == TURNTABLE_READY && c->place >= 0 && c->place < TURNTABLE_TAPS && c->mode >= -1
+           && c->filled >= 0 && c->filled < TURNTABLE_BLOCK && (c->turned == 0 || c->turned == 1)
+           && c->mode < TURNTABLE_MODES && c->age >= 0 && c->age <= TURNTABLE_AGES
+           && (c->timed == 0 || c->timed == 1);
+}
+
+/* An input within the limits. */
+static turntable_real turntable_limited(turntable_real u, int32_t i)
+{
+    return u < turntable_LOW[i] ? turntable_LOW[i] : u > turntable_HIGH[i] ? turntable_HIGH[i] : u;
+}
+
+/* The input in force is a number whatever became of the memory. */
+static void turntable_mend_held(turntable_controller *c, int32_t *clamped)
+{
+    int32_t i;
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        c->held[i] = turntable_cut(c->held[i], TURNTABLE_BOUND, clamped);
+    }
+}
+
+/* From the first call on the input is within the limits, whatever it was before. */
+static void turntable_limit_held(turntable_controller *c)
+{
+    int32_t i;
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        c->held[i] = turntable_limited(c->held[i], i);
+    }
+}
+
+/* Periods that have begun since the last call; 0: none, the call is out of order. */
+static int32_t turntable_elapsed(turntable_controller *c, const double *time)
+{
+    int32_t periods = 1;
+    if (time != 0) {
+        double now = *time;
+        if (now != now || now < -TURNTABLE_MOST_TIME || now > TURNTABLE_MOST_TIME) {
+            return 0;
+        }
+        if (c->timed == 0) {
+            /* As if the calls without a time had come on time. */
+            double origin = now - (c->last + 1.0) * TURNTABLE_STEP;
+            if (!(origin >= -1e18 && origin <= 1e18)) {
+                return 0;
+            }
+            c->origin = origin;
+            c->timed = 1;
+        } else {
+            double ahead = (now - c->origin) / TURNTABLE_STEP - c->last;
+            if (!(ahead >= 0.5 && ahead <= TURNTABLE_MOST_PERIODS)) {
+                return 0;
+            }
+            periods = (int32_t)(ahead + 0.5);
+        }
+    }
+    c->last += (double)periods;
+    if (c->last > TURNTABLE_MOST_SAMPLES) {
+        c->last = TURNTABLE_MOST_SAMPLES;
+    }
+    return periods;
+}
+
+/* The input of the period that ends becomes the latest of the past ones. */
+static turntable_status turntable_remember(turntable_controller *c, const turntable_real *applied, int32_t *clamped)
+{
+    turntable_real u[TURNTABLE_INPUTS];
+    int32_t i, bad = 0;
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        u[i] = applied == 0 ? c->held[i] : turntable_cut(applied[i], TURNTABLE_BOUND, &bad);
+    }
+    turntable_push(c, bad ? c->held : u, clamped);
+    return bad ? TURNTABLE_BAD_APPLIED : TURNTABLE_OK;
+}
+
+/* u within the limits, or the last one where it is not finite. */
+static turntable_status turntable_compute(turntable_controller *c, const turntable_real *x)
+{
+    turntable_real asked[TURNTABLE_INPUTS];
+    int32_t i, row = 0, beyond = 0;
+    turntable_status status = TURNTABLE_OK;
+    turntable_apply_rows(c, row, x, asked);
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        asked[i] = turntable_cut(asked[i], TURNTABLE_BOUND, &beyond);
+    }
+    if (beyond) {
+        return turntable_past_usable(c) ? TURNTABLE_OVERFLOW : TURNTABLE_CLAMPED;
+    }
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        c->held[i] = turntable_limited(asked[i], i);
+        if (c->held[i] < asked[i] || c->held[i] > asked[i]) {
+            status = TURNTABLE_SATURATED;
+        }
+    }
+    return status;
+}
+
+static turntable_status turntable_judge(turntable_controller *c, const turntable_real *x)
+{
+    turntable_real seen[TURNTABLE_STATES];
+    int32_t i, large = 0, infinite = 0;
+    /*@ loop unroll TURNTABLE_STATES; */
+    for (i = 0; i < TURNTABLE_STATES; i++) {
+        seen[i] = turntable_cut(turntable_cut(x[i], 3.4028235e+38f, &infinite), TURNTABLE_BOUND, &large);
+    }
+    if (infinite) {
+        return TURNTABLE_BAD_STATE;
+    }
+    return large ? TURNTABLE_OVERFLOW : turntable_compute(c, seen);
+}
+
+turntable_status turntable_update(turntable_controller *c, const turntable_real *x, int32_t mode, const turntable_real *applied,
+                       const double *time, turntable_real *u)
+{
+    int32_t i, periods, clamped = 0;
+    turntable_status status;
+    if (u == 0) {
+        return TURNTABLE_NOT_READY;
+    }
+    if (c == 0 || x == 0 || !turntable_in_order(c)) {
+        for (i = 0; i < TURNTABLE_INPUTS; i++) {
+            u[i] = turntable_limited(0, i);
+        }
+        return TURNTABLE_NOT_READY;
+    }
+    turntable_mend_held(c, &clamped);
+    periods = turntable_elapsed(c, time);
+    if (periods == 0) {
+        status = clamped != 0 ? TURNTABLE_CLAMPED : TURNTABLE_OUT_OF_ORDER;
+        c->refused++;
+    } else {
+        int32_t missed = periods - 1;
+        /* A window holds no more than N: beyond that nothing changes. */
+        for (i = 0; i < missed && i < TURNTABLE_TAPS; i++) {
+            (void)turntable_remember(c, applied, &clamped);
+        }
+        status = turntable_remember(c, applied, &clamped);
+        turntable_limit_held(c);
+        (void)mode; /* one row serves every mode */
+        if (clamped != 0) {
+            status = TURNTABLE_CLAMPED;
+        }
+        if (status == TURNTABLE_OK) {
+            status = turntable_judge(c, x);
+        }
+        if (status > TURNTABLE_SATURATED) {
+            c->refused++;
+        }
+        c->late += (uint64_t)missed;
+        c->samples += (uint64_t)periods;
+        if (missed > 0 && status <= TURNTABLE_SATURATED) {
+            status = TURNTABLE_LATE;
+        }
+    }
+    /*@ loop unroll TURNTABLE_INPUTS; */
+    for (i = 0; i < TURNTABLE_INPUTS; i++) {
+        u[i] = turntable_limited(c->held[i], i);
+    }
+    return status;
+}
+
+turntable_status turntable_reset(turntable_controller *c, const turntable_real *u0, int32_t mode_age)
+{
+    int32_t i, j, clamped = 0, good = u0 != 0;
+    if (c == 0) {
+        return TURNTABLE_NOT_READY;
+    }
+    if (good) {
+        good = turntable_all_usable(u0, TURNTABLE_TAPS * TURNTABLE_INPUTS, TURNTABLE_BOUND);
+    }
+    c->ready = TURNTABLE_READY;
+    c->mode = -1;
+    c->age = mode_age < 0 ? 0 : mode_age > TURNTABLE_AGES ? TURNTABLE_AGES : mode_age;
+    c->timed = 0;
+    c->origin = 0.0;
+    c->last = -1.0;
+    c->samples = c->refused = c->late = 0;
+    turntable_clear(c);
+    for (i = 0; i < TURNTABLE_TAPS; i++) {
+        for (j = 0; j < TURNTABLE_INPUTS; j++) {
+            c->held[j] = good ? u0[i * TURNTABLE_INPUTS + j] : 0;
+        }
+        if (i < TURNTABLE_TAPS - 1) {
+            turntable_push(c, c->held, &clamped); /* the last one is pushed by the first call */
+        }
+    }
+    return good || u0 == 0 ? TURNTABLE_OK : TURNTABLE_BAD_APPLIED;
+}
+
+turntable_status turntable_restore(turntable_controller *c, const turntable_controller *kept)
+{
+    if (c == 0 || kept == 0 || !turntable_in_order(kept) || !turntable_past_usable(kept)
+        || !turntable_all_usable(kept->held, TURNTABLE_INPUTS, TURNTABLE_BOUND)
+        || !(kept->origin >= -1e18 && kept->origin <= 1e18)
+        || !(kept->last >= -1.0 && kept->last <= TURNTABLE_MOST_SAMPLES)) {
+        return TURNTABLE_NOT_READY;
+    }
+    *c = *kept;
+    return TURNTABLE_OK;
+}
