@@ -1,8 +1,8 @@
 """Figures of a given width whose files are the same every time, as publishers want them.
 
-LaTeX sets the texts of a PGF file in the fonts of its document. Matplotlib's own backend needs a TeX
-installation to measure every text. Here texts are measured in the fonts of the other formats, which
-fixes the layout; LaTeX then sets each text at its anchor, in its own size.
+LaTeX sets the texts of a PGF file in the fonts of its document. Matplotlib's own backend needs a
+TeX installation to measure every text. Here texts are measured in the fonts of the other formats,
+which fixes the layout; LaTeX then sets each text at its anchor, in its own size.
 """
 
 from __future__ import annotations
