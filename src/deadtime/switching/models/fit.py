@@ -102,7 +102,7 @@ def fit_model(
     if transitions is not None:
         allowed = SignalClass(transitions=transitions).limits(len(observed))
         for log in logs:
-            allowed.require(log)
+            log.require_within(allowed)
     names = _families(family, len(observed))
     for mode, seen in enumerate(observed):
         if seen.complete.size < LEAST:
