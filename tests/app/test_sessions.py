@@ -141,7 +141,7 @@ def test_a_visitor_too_many_is_asked_to_come_later_and_then_served():
 class Busy:
     """Workers that look at a log at once, and are busy with all else for ever."""
 
-    def submit(self, limit, job, *given, told=None):
+    def submit(self, limit, job, *given, on_progress=None):
         future = Future()
         future.set_running_or_notify_cancel()
         if job is look_at_log:

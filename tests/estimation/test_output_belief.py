@@ -155,7 +155,7 @@ GROWING = dt.SwitchedSystem(
         ({"disturbance": -1.0}, "disturbance must be ≥ 0, a variance or an intensity, got -1.0"),
         (
             {"plant": HIDING},
-            "modes 0 and 1 cannot be distinguished: the same state and inputs give",
+            "modes 0 and 1 cannot be distinguished. The same state and inputs give",
         ),
         ({"plant": GROWING}, "mode 1 is not observable.* does not decay: measure more"),
         (

@@ -157,8 +157,10 @@ def test_small_and_unsigned_integers_fit():
     own = Own(sample=lambda a: a.astype(np.uint64), mode_of=lambda a: a.astype(np.int32))
     run = require_same(LAW, [own])
     assert (run.measured == run.states[:, : run.measured.shape[1]]).all()
-    heard = DrawnImperfections.of([(own, np.random.default_rng(0))], SIZES, 5, "applied").heard
-    assert {part.dtype.str[1:] for part in heard} == {"i8", "f8"}
+    received = DrawnImperfections.of(
+        [(own, np.random.default_rng(0))], SIZES, 5, "applied"
+    ).received
+    assert {part.dtype.str[1:] for part in received} == {"i8", "f8"}
 
 
 def simulated(own, **options):

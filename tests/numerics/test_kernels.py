@@ -302,7 +302,7 @@ def test_the_cache_follows_intrinsics_and_what_makes_them():
     from deadtime.scenarios.by_period import fill_switched
 
     files = {part[0] for part in _stamp(fill_switched)}
-    assert {"laid.py", "intrinsics.py", "code.py"} <= files
+    assert {"by_period.py", "intrinsics.py", "code.py"} <= files
 
 
 def test_the_cache_follows_operators_which_no_kernel_calls_by_name():

@@ -53,7 +53,7 @@ CASES = {
 
 
 # Two of them are beside other imperfections in `test_imperfect_batches`. What disturbs does not
-# depend on the law, but for one whose model is laid between samples.
+# depend on the law, but for one whose model is sampled between samples.
 @pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_disturbed_scenarios_are_those_of_single_runs(case):

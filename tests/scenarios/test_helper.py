@@ -14,7 +14,7 @@ from numba import typeof
 import deadtime as dt
 import plants
 from deadtime.imperfections import Noise, Saturation
-from deadtime.scenarios import engine as engines, helper, laid
+from deadtime.scenarios import by_period, engine as engines, helper
 from deadtime.scenarios.helper import Helper, share_of
 from deadtime.scenarios.lane_loop import run_scenarios
 from deadtime.scenarios.prepare import BatchRequest, prepare
@@ -38,7 +38,7 @@ def asked(monkeypatch):
         types.append(tuple(map(typeof, arguments)))
 
     monkeypatch.setattr(engines, "run_scenarios", note)
-    monkeypatch.setattr(laid, "fill_composed", note)
+    monkeypatch.setattr(by_period, "fill_composed", note)
     return types
 
 
@@ -49,7 +49,7 @@ def test_what_is_compiled_elsewhere_is_what_runs_here(asked, limits, step):
     loop, engine, tables = prepare(request(laws, limits, step))
     signals = SignalBatch.of([dt.SwitchingSignal.random(2, 9.0, dwell_time=0.3, seed=0)])
     for table in tables.values():
-        engine.run(engine.along(table, signals), loop.lay(signals))
+        engine.run(engine.along(table, signals), loop.sample_signals(signals))
     here = asked.copy()
     asked.clear()
     _, there, others = prepare(pickle.loads(pickle.dumps(request(laws, limits, step))))

@@ -124,7 +124,7 @@ def test_lost_samples_hold_the_command_and_not_the_limited_input():
 def heard_block(kinds):
     loop = Loop(SampledPlant(TRUTH, H), np.array(X0), HORIZON)
     signals = draw_signals(MODEL, HORIZON + 1.0, SEED, count=COUNT)
-    return BlockMeasurements(loop, kinds, signals, loop.lay(signals), SEED, 0, True, 3)
+    return BlockMeasurements(loop, kinds, signals, loop.sample_signals(signals), SEED, 0, True, 3)
 
 
 def test_what_is_heard_is_stacked_once_and_in_32_bits():

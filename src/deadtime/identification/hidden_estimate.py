@@ -44,7 +44,7 @@ _LEAST = 1e-4  # of the information of known modes that is left in every directi
 class Information(NamedTuple):
     """Of θ: with S and P held, and with these estimated; and that if the modes were known.
 
-    told : the least share, over all directions, of what is left of the last
+    least_left : the least share, over all directions, of what is left of the last
     of_noise : (modes,), the least share that is left of what would be told of S's diagonal
     """
 
