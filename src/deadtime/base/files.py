@@ -156,6 +156,7 @@ class Staging:
                     except OSError as failed:
                         raise unwritable(name, target, failed) from None
         finally:
+            # After success only the emptied folders are left of them.
             for place, _, _ in self._moves:
                 if place.is_dir():
                     shutil.rmtree(place, ignore_errors=True)

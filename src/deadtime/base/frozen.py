@@ -34,6 +34,7 @@ class Frozen:
     """
 
     def __post_init__(self) -> None:
+        # Through `vars`, because a frozen dataclass refuses assignment.
         own = vars(self)
         for name, value in own.items():
             own[name] = _freeze(value)

@@ -71,6 +71,7 @@ def in_order(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
         _SERVING.append(thread)
     try:
         for future in futures:
+            # A wait without a limit would not be interrupted by Ctrl-C on every system.
             while not future.done():
                 wait([future], _CHECK)
             yield future.result()

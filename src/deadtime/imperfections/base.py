@@ -185,6 +185,7 @@ def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.
         )
     for each in imperfections:
         instance("imperfections", each, Imperfection)
+    # Numbered within the class, so that one of another class changes no stream.
     names = [type(each).__name__ for each in imperfections]
     return [stream(seed, name, names[:place].count(name)) for place, name in enumerate(names)]
 

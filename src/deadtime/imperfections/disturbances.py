@@ -165,6 +165,7 @@ class ColouredDisturbance(DrawnDisturbance):
         room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> np.ndarray:
         _, std, T = self._check(sizes.states)
+        # c(t + τ) given c(t) is normal with mean `kept` c and standard deviation `fresh`.
         tau = np.array(lengths)[:, None]
         kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
         draws = room_for((*numbers.shape[:2], steps, 2 * std.size + sizes.states))
@@ -315,6 +316,7 @@ def _follow_one(
     stretches, _, steps, width = draws.shape
     q = std.size
     own = numbers[:, 0, q:].reshape(stretches, steps, width - q)
+    # (steps, stretches): in the order of time, period by period.
     more = (fresh[:, None] * own[:, :, :q]).transpose(1, 0, 2).reshape(-1, q)
     for j in range(q):
         c, path = float(std[j] * numbers[0, 0, j]), []

@@ -168,6 +168,7 @@ class Relaying(ABC):
 
         def sense(now: Seen) -> Seen:
             nonlocal received
+            # Twice as many samples at a time: each draw starts again from the same generator.
             k = len(seen)
             seen.append(now)
             if k == received.samples:

@@ -171,6 +171,7 @@ class WrongMode(DrawnRelaying, SensorImperfection):
         named = np.empty((*wrong.shape, sizes.modes), np.int64)
         for mode in range(sizes.modes):
             taken = received.named[..., mode]
+            # `other` counts the modes without the reported one.
             named[..., mode] = np.where(wrong, other + (other >= taken), taken)
         return received._replace(named=named)
 

@@ -70,6 +70,7 @@ def _terms(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients of Φ and Q in s = size·τ ≤ `longest`, (mode, term, N, N), the highest last."""
     N, J = J.shape[1], J / size[:, None, None]
+    # |S_k| grows as (2 size)ᵏ/(k + 1)!, because J acts on both sides.
     count = next(k for k in range(2, 60) if (2.0 * longest) ** k / math.factorial(k) < _ROUND_OFF)
     Phi, S = np.empty((2, len(J), count + 2, N, N))
     Phi[:, 0], S[:, 0] = np.eye(N), W / size[:, None, None]
@@ -98,6 +99,7 @@ def _follow_by_numpy(
         (on,) = np.nonzero(tau[:, p] > 0.0)
         a, s = mode[on, p], size[mode[on, p]] * tau[on, p]
         doublings = np.zeros(on.size, np.int64)
+        # An infinite s would be halved for ever without the limit.
         while (long := (s > 0.5) & (doublings < _LONGEST)).any():
             s[long] *= 0.5
             doublings[long] += 1
@@ -277,6 +279,7 @@ def transitions(
 
 def square_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n n"]:
     """L with L Lᵀ = Q, Q positive semidefinite up to round-off, in any units of its rows."""
+    # Of the correlations, so that variances of any magnitude keep their relative precision.
     unit = np.sqrt(np.diagonal(Q, axis1=-2, axis2=-1))
     scale = np.where(unit > 0.0, unit, 1.0)
     values, vectors = np.linalg.eigh(Q / (scale[..., :, None] * scale[..., None, :]))

@@ -82,6 +82,7 @@ def balance(A):
                     row += abs(A[i, j]) * t[j] / t[i]
                     column += abs(A[j, i]) * t[i] / t[j]
             if row > 0.0 and column > 0.0:
+                # Powers of two, so that scaling by them is exact.
                 power = np.rint(0.5 * np.log2(row / column))
                 if abs(power) >= 1.0:
                     t[i] *= 2.0**power
@@ -145,6 +146,7 @@ def _transition(Z, size, tau, Phi, W):
                 term[i, j] = spare[i, j] * (short / k)
                 W[i, j] += term[i, j]
         bound *= size / 2.0**count / k
+    # Φ = I + Z W, and not a series of its own: so W and Φ agree, and Φ − I keeps its precision.
     product(Z, W, Phi)
     for i in range(n):
         Phi[i, i] += 1.0
@@ -167,7 +169,7 @@ def discretise_into(A, B, tau, Phi, Gamma):
     for i in range(n):
         for j in range(n):
             Z[i, j] = A[i, j] * unit[j] / unit[i]
-            Phi[i, j] = np.nan
+            Phi[i, j] = np.nan  # stays if the exponential overflows
         for j in range(m):
             Gamma[i, j] = np.nan
     if size < LARGEST:
@@ -243,6 +245,7 @@ def gramian(A, B, tau, Q):
             Z[i, j] = A[i, j] * unit[j] / unit[i]
         for j in range(m):
             Z[i, n + j] = B[i, j] / unit[i] * unit[n + j]
+    # The rows of u in Z are zero; the factor 2 is for Zᵀ and Z on both sides of the Gramian.
     largest = 0.0
     for i in range(n):
         total = 0.0
@@ -284,6 +287,7 @@ def _double_gramian(Z, Q, unit, size, count, tau, M):
         bound *= size / 2.0**count / k
     _transition(Z, size / 2.0 / 2.0**count, short, Phi, half)
     for _ in range(count):
+        # A copy, because `add_congruence` writes to M while it reads.
         for i in range(q):
             for j in range(q):
                 half[i, j] = M[i, j]
@@ -393,6 +397,7 @@ def _transitions(Z: np.ndarray, size: np.ndarray, tau: np.ndarray) -> tuple[np.n
     term = np.zeros(Z.shape)
     term[range(n), range(n)] = short
     W = term.copy()
+    # Pieces leave the sum one by one, each after as many terms as in the kernel.
     while k < 40 and (on := bound > ROUND_OFF).any():
         k += 1
         term = products(Z, term) * (short / k)

@@ -51,7 +51,7 @@ def log_inverse(log_function: Callable[[float], float], log_value: float) -> flo
     from scipy.optimize import brentq
 
     def excess(x: float) -> float:
-        return min(log_function(x) - log_value, 1e300)
+        return min(log_function(x) - log_value, 1e300)  # brentq needs finite values
 
     # log λ(ε) − log ε is least as ε → 0, which gives a right end; a left end is searched.
     right = log_value - (log_function(-700.0) + 700.0)

@@ -145,6 +145,7 @@ def windows_of(plant: SwitchedSystem, step: float) -> list[list[Window]]:
     for (i, j), delay in np.ndenumerate(plant.delays):
         name = "delay" if plant.has_one_delay else f"delay of input {j} in mode {i}"
         windows[delay.item()] = windows.get(delay.item()) or Window.of(delay.item(), step, name)
+    # In ascending order each φ joins the group of the one before, if it is that close.
     phase = -step
     for delay, window in sorted(windows.items(), key=lambda item: item[1].phase):
         if window.phase - phase > TOLERANCE * step:

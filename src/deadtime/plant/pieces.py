@@ -162,6 +162,8 @@ def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
     stretch, mode_of = np.empty(entry.size, np.int64), np.empty(entry.size, np.int64)
     start, stop = np.empty(entry.size), np.empty(entry.size)
     cut = np.zeros((entry.size, 2), np.int64)
+    # Next numbers: i of a period with switches, e of an entry, q of a piece, p of a switch. At most
+    # two entries per stretch and switch, before and after it.
     i, e, q, p = 0, 0, 0, 0
     while p < switches:
         k, mode, now, goes_on = cut_step[p], cut_mode[p], 0.0, False
@@ -169,6 +171,7 @@ def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
         s, last = stretches.first[mode], stretches.first[mode + 1]
         while s < last:
             if p < switches and cut_step[p] == k and cut_offset[p] <= now:
+                # The switch is now: continue in the stretch of the new mode at this time.
                 p += 1
                 mode = cut_mode[p]
                 s, last = stretches.first[mode], stretches.first[mode + 1]
@@ -179,10 +182,11 @@ def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
             ends = p < switches and cut_step[p] == k and cut_offset[p] < end
             if ends:
                 end = cut_offset[p]
-            if not ends and now == stretches.start[s]:
+            if not ends and now == stretches.start[s]:  # a whole stretch
                 entry[q] = s
                 q += 1
             else:
+                # After a switch, the same lags mean the same acting inputs: the entry continues.
                 for j in range(m):
                     goes_on = goes_on and (stretches.lag[stretch[e - 1], j] == stretches.lag[s, j])
                 if not goes_on:
@@ -330,6 +334,7 @@ def pieces_along(
     counts = np.diff(stretches.first)[mode]
     counts[pieces.period] = np.diff(pieces.first)
     first = np.concatenate(([0], np.cumsum(counts)))
+    # Periods without switches have their mode's stretches; the others are overwritten.
     entry = consecutive(stretches.first[mode], first)
     entry[consecutive(first[pieces.period], pieces.first)] = pieces.entry
     return PieceTable(

@@ -16,6 +16,7 @@ from deadtime.plant.switched_system import SwitchedSystem
 
 def norm_of_entries(parts: np.ndarray) -> Float[np.ndarray, "*entries"]:
     """(Σ_i parts_i²)^½ of each entry, rounded up."""
+    # Scaled by the largest part, so that squares neither overflow nor underflow.
     largest = np.abs(parts).max(axis=0, initial=0.0)
     unit = np.where(largest > 0.0, largest, 1.0)
     return unit * np.sqrt(((parts / unit) ** 2).sum(axis=0)) * (1.0 + 1e-12)

@@ -148,6 +148,7 @@ class SampledPlant(Frozen):
         parts = [self.stretches(mode) for mode in range(self.plant.modes)]
         start, stop, lag = zip(*(part for mode in parts for part in mode), strict=True)
         first = np.cumsum([0, *map(len, parts)])
+        # stretch: | mode 0: first[0] … | mode 1: first[1] … | …
         return Stretches(*map(read_only, (first, np.array(start), np.array(stop), np.array(lag))))
 
     @cached_property
@@ -199,6 +200,7 @@ class SampledPlant(Frozen):
         The lags are those of all modes, the oldest input first; Γ is 0 for lags that a mode lacks.
         """
         each = [self.period(mode) for mode in range(self.plant.modes)]
+        # Lags decrease, and searchsorted needs increasing values: hence the minus signs.
         lag = np.unique(np.concatenate([period.lags for period in each]))[::-1]
         Gamma = np.zeros((len(each), lag.size, *self.plant.B.shape[1:]))
         for mode, period in enumerate(each):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count as whole_number, instance, number, read_only, real_array
+from deadtime.base.checks import count as whole_number, instance, read_only, real_array, share
 from deadtime.base.errors import ArgumentError
 from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
 from deadtime.plant.switched_system import SwitchedSystem
@@ -218,10 +218,11 @@ class UncertainPlant(PlantUncertainty):
         errors = np.sqrt(np.diagonal(self.covariance)[entries:])
         if not errors.any():
             return None
-        half = float(norm.ppf(0.5 + 0.5 * _level(level))) * errors * _OUTWARD
+        half = float(norm.ppf(0.5 + 0.5 * share("level", level))) * errors * _OUTWARD
         half = np.broadcast_to(half.reshape(-1, plant.inputs), plant.delays.shape)
         low = np.maximum(plant.delays - half, _SHORTEST * plant.delays)
         high = plant.delays + half
+        # Equal delays with errors of their own have different intervals.
         if plant.has_one_delay and len(errors) == 1:
             return float(low[0, 0]), float(high[0, 0])
         return low, high
@@ -255,7 +256,7 @@ class UncertainPlant(PlantUncertainty):
         """r L e_k for all k."""
         from scipy.stats import chi2
 
-        level, entries = _level(level), self.plant.A.size + self.plant.B.size
+        level, entries = share("level", level), self.plant.A.size + self.plant.B.size
         root = _root(self.covariance[:entries, :entries])
         d = root.shape[1]
         return float(np.sqrt(chi2.ppf(level, d))) * root.T if d else root.T
@@ -273,12 +274,6 @@ class UncertainPlant(PlantUncertainty):
 
     def __repr__(self) -> str:
         return f"UncertainPlant({self.plant!r}, {len(self.covariance)} entries)"
-
-
-def _level(level: float) -> float:
-    if not 0.0 < number("level", level) < 1.0:
-        raise ArgumentError(f"level must be between 0 and 1, got {level:g}.")
-    return level
 
 
 def _require_covariance(given: np.ndarray) -> None:

@@ -148,6 +148,7 @@ def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: b
     if not np.allclose(weight, weight.T, rtol=1e-12, atol=0.0):
         raise ArgumentError(f"{name} must be symmetric: pass ({name} + {name}.T) / 2.")
     eigenvalues = np.linalg.eigvalsh(weight)
+    # A semidefinite matrix may have an eigenvalue below 0 by round-off.
     floor = 0.0 if strict else -1e-12 * max(1.0, abs(eigenvalues).max())
     if eigenvalues[0] < floor or (strict and eigenvalues[0] <= 0.0):
         kind = "positive definite" if strict else "positive semidefinite"

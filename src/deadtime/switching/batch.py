@@ -149,6 +149,7 @@ class SignalBatch(Frozen):
         """
         sizes = np.diff(self.first)[signals]
         first = np.concatenate(([0], np.cumsum(sizes)))
+        # Index of each sojourn in the flat arrays, signal by signal.
         own = np.repeat(self.first[signals] - first[:-1], sizes) + np.arange(first[-1])
         whole = self.end[signals], self.initial_age[signals]
         return SignalBatch(first, self.times[own], self.modes[own], *whole)

@@ -46,6 +46,7 @@ def least_slope(t, chatter):
     first, stop, new = 0, 0, 0
     least = np.inf
     for j in range(t.size):
+        # Points (i, t_i) with a positive denominator enter the hull, from the left.
         while new <= j and j + 1 - new > chatter:
             while stop - first >= 2:
                 a, b = hull[stop - 2], hull[stop - 1]
@@ -57,6 +58,7 @@ def least_slope(t, chatter):
             new += 1
         if stop == first:
             continue
+        # Along the hull the slope to the point of j decreases and then increases.
         while True:
             a = hull[first]
             slope = (t[j] - t[a]) / (j - a + 1 - chatter)

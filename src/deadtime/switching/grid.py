@@ -24,6 +24,7 @@ def cuts_of(signal: SwitchingSignal, sampled: SampledPlant) -> Cuts:
     offset = np.where(ratio == step, 0.0, times - step * h)
     for window in sampled.windows:
         if window.phase < h:
+            # φ + k h is an arrival: a switch within 1e-9 h of one is at it, as at a sample.
             late = snap_all((times - window.delay) / h)
             on_phase = (late == np.rint(late)) & (ratio != np.floor(ratio))
             step = np.where(on_phase, late + (window.count - 1), step)

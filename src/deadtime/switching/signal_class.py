@@ -224,6 +224,7 @@ class SignalClass:
                 f"lost_samples must be at most {MOST_LOST} in a row, got {self.lost_samples:,}: "
                 "the Lyapunov function is another one after every number of them."
             )
+        # With switches at samples a sojourn is a whole number of periods, if there is one between.
         for low, high in zip(limits.dwell_time, limits.maximum_dwell, strict=True):
             least = max(1.0, math.ceil(snap(low / step) * (1.0 - self.clock_tolerance)))
             most = high if math.isinf(high) else snap(high / step) * (1.0 + self.clock_tolerance)

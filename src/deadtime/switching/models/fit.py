@@ -210,6 +210,7 @@ def _fit_mode(
             f"family {name!r} cannot be fitted to the sojourns of mode {mode}, which last from "
             f"{observed.complete[0]:g} to {observed.complete[-1]:g} s: {other}."
         )
+    # A wrong end of the support harms a law more than a wrong tail, so a uniform has a handicap.
     family = min(fitted, key=lambda key: fitted[key][2] + MARGIN * (key == "uniform"))
     dist, parameters, aic = fitted[family]
     n, gap = observed.complete.size, distance(dist, observed)

@@ -195,6 +195,7 @@ def sample_signals(path, sojourns, time, last, horizon):
         t, mode, kept = time[i], last[i], 0
         for j in range(jumps):
             then = t + sojourns[i, j]
+            # A sojourn that ends at its start is none; one in the same mode extends the last.
             if then > t and path[i, j] != mode:
                 mode = path[i, j]
                 times[i, kept], modes[i, kept] = t, mode
@@ -307,6 +308,7 @@ class JumpProcess(Frozen):
         bounds = np.cumsum(self.transition, axis=1)
         left = bounds[:, -1] > 0.0
         bounds[left] /= bounds[left, -1:]
+        # Rows 0 … 0 1 … 1 from the diagonal on: any number leads to the mode itself.
         bounds[~left] = np.triu(np.ones(bounds.shape))[~left]
         return read_only(bounds)
 

@@ -90,17 +90,14 @@ class Markov(SwitchingModel):
 
     @property
     def modes(self) -> int:
-        """Number of modes."""
         return self.rates.shape[0]
 
     @property
     def transitions(self) -> Bool[np.ndarray, "mode mode"]:
-        """Whether a signal may switch from mode i (row) to mode j (column): where rates are > 0."""
         return self.rates > 0.0
 
     @property
     def mean(self) -> Float[np.ndarray, " mode"]:
-        """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
         with np.errstate(divide="ignore"):
             return 1.0 / self.rates.sum(axis=1)
 

@@ -73,17 +73,14 @@ class MarkovChain(SwitchingModel):
 
     @property
     def modes(self) -> int:
-        """Number of modes."""
         return len(self.P)
 
     @property
     def transitions(self) -> Bool[np.ndarray, "mode mode"]:
-        """Whether a signal may switch from mode i (row) to mode j (column): where P_ij > 0."""
         return (self.P > 0.0) & ~np.eye(self.modes, dtype=bool)
 
     @property
     def mean(self) -> Float[np.ndarray, " mode"]:
-        """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
         with np.errstate(divide="ignore"):
             return self.step / self._leave
 
@@ -172,6 +169,7 @@ class MarkovChain(SwitchingModel):
             number = modes
         N = np.zeros((number, number))
         for log in logs:
+            # The first sample of each sojourn; one without a sample is not observed.
             begin = np.ceil(snap_all(log.times / step))
             end = np.ceil(snap(log.end / step)) if np.isfinite(log.end) else begin[-1] + 1.0
             samples = np.diff(begin, append=max(end, begin[-1]))

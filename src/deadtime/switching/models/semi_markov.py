@@ -94,6 +94,7 @@ def count_ages(name: str, dist: Distribution, step: float, most: int | None = No
     number = 0
     if last > limit:  # a hazard such as an exponential's is constant long before
         number = latest(np.geomspace(limit, last - 1, 1000).astype(np.int64)) + 2
+    # Backwards in blocks, because the latest difference is usually among the last ages.
     for end in range(min(last, limit), 0, -MOST_AGES):
         number = number if number > 1 else latest(np.arange(max(0, end - MOST_AGES), end)) + 2
     if number > limit and most is None:
@@ -226,19 +227,16 @@ class SemiMarkov(SwitchingModel):
 
     @property
     def modes(self) -> int:
-        """Number of modes."""
         return len(self.sojourn)
 
     @property
     def transitions(self) -> Bool[np.ndarray, "mode mode"]:
-        """Whether a signal may switch from mode i (row) to mode j (column): where T_ij > 0."""
         return self.transition > 0.0
 
     @cached_property  # integrals, where a distribution has no formula
     def mean(  # pyright: ignore[reportIncompatibleMethodOverride]
         self,
     ) -> Float[np.ndarray, " mode"]:
-        """Mean sojourn in each mode, seconds."""
         means = np.array([mean_sojourn(dist) for dist in self.sojourn])
         means.flags.writeable = False
         return means

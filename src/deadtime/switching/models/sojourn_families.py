@@ -262,6 +262,7 @@ def estimate_between(
     ends = np.array([low, high]) / unit
 
     def less_likely(logs: Float[np.ndarray, " parameter"]) -> float:
+        # Nelder–Mead may walk to infinity where the likelihood has no maximum.
         if np.abs(logs).max() > FARTHEST:
             return np.inf
         *shape, scale = np.exp(logs)
@@ -284,7 +285,7 @@ def estimate_between(
     *shape, scale = np.exp(best.x).tolist()
     names = [*filter(None, (dist.shapes or "").split(", ")), "scale"]
     parameters = dict(zip(names, [*shape, scale * unit], strict=True))
-    likelihood = -best.fun - t.size * np.log(unit)
+    likelihood = -best.fun - t.size * np.log(unit)  # densities are per unit
     aic = 2.0 * len(parameters) - 2.0 * float(likelihood)
     fitted = dist(**parameters)
     if family == "gamma" and float(log_between(fitted, np.array(low), high)) < _LEAST_LOG:

@@ -285,10 +285,12 @@ def slide(plant, regions, between, x, u, tau):
                 return x, done, LOST, region
             step *= 0.5
             continue
+        # The projection removes the drift from the boundary that integration adds.
         y = _onto(boundaries, row, y)
         end, without = _ending(plant, regions, surface, y, u)
         if end == STAYS:
             x = y
+            # Exactly τ at the end, which a sum of steps may miss by round-off.
             done = tau if step == tau - done else done + step
             step *= 2.0
             continue

@@ -117,12 +117,13 @@ def exit_time(A, B, noise, boundaries, x, u, tau):
             taylor[k] = term
             ahead += term
             term = times(A, term)
+        # c[j, k] = coefficient k of g_j over this part, as a polynomial in s of [0, 1].
         c = _heights(boundaries, taylor)
         beyond, row, doubt = 2.0, -1, 0.0
         for j in range(c.shape[0]):
             risen = c[j].copy()
             uncertain = band(boundaries, j, x, spread)
-            risen[0] = min(c[j, 0] - uncertain, 0.0)
+            risen[0] = min(c[j, 0] - uncertain, 0.0)  # inside at the start, to round-off
             s = first_positive(risen)
             if 0.0 < s < beyond:
                 beyond, row, doubt = s, j, uncertain
@@ -233,12 +234,12 @@ def advance(plant, regions, piece, x, u, region, beside, legs):
             x = move(discretise(A[mode], B[mode], s), x, u)
             start = min(start + s, tau)
             entered = nearest(regions, spread_of(noise, ahead, u), ahead, region)
-            row += first[region]
+            row += first[region]  # from the number within the region to that of all boundaries
         crossings += 1
         if crossings > most:
             halt = (PILED_UP, start, entered)
             break
-        if modes[entered] == modes[region]:
+        if modes[entered] == modes[region]:  # no switch, and no new leg
             region = entered
             continue
         at[count], states[count] = start, x

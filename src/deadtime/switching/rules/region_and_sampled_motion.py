@@ -293,7 +293,7 @@ class SampledMotion(Motion):
         """The right end of the bracket of a change in (low, high], with state and mode there."""
         state = self._flow(mode, x, u, high)
         new = self.mode_at(state)
-        sharp = _SHARP * high
+        sharp = _SHARP * high  # relative: a crossing soon after the start has its digits, too
         while high - low > sharp:
             middle = 0.5 * (low + high)
             there = self._flow(mode, x, u, middle)
