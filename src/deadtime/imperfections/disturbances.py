@@ -346,8 +346,11 @@ def in_words(each: Imperfection) -> str:
     >>> in_words(Dropout(1 / 30))
     'Dropout(probability=0.03333)'
     """
-    offset = isinstance(each, StepDisturbance) and each.depends_on_mode
-    if not offset or each.start > 0.0 or math.isfinite(each.end):
+    if (
+        not (isinstance(each, StepDisturbance) and each.depends_on_mode)
+        or each.start > 0.0
+        or math.isfinite(each.end)
+    ):
         return _LONG.sub(lambda number: f"{float(number[0]):.4g}", repr(each))
     rows = [
         f"[{', '.join(f'{value:g}' for value in row)}] in mode {mode}"

@@ -103,7 +103,6 @@ class Kernel:
         return dispatcher_of(self)
 
     def _pays(self, args: tuple[Any, ...], within: bool) -> bool:
-        """Whether compiling pays."""
         if self.eager or WISH == "never":
             return self.eager
         if WISH == "always" or self._own > PATIENCE:

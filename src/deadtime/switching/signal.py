@@ -401,7 +401,6 @@ class SwitchingSignal(Frozen):
 
 
 def _mode_array(modes: ArrayLike, count: int) -> np.ndarray:
-    """`modes` as `count` non-negative integers."""
     values = real_array("modes", modes, "(sojourns,)", 1)
     if values.size != count:
         raise ArgumentError(f"modes must have one entry per time, {count}, got {values.size}.")

@@ -295,7 +295,6 @@ def log_between(
 
 
 def _log_distribution(dist: Distribution, t: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
-    """log P(S ≤ t)."""
     logcdf: Any = getattr(dist, "logcdf", None)
     return np.asarray(np.log(dist.cdf(t)) if logcdf is None else logcdf(t), dtype=np.float64)
 

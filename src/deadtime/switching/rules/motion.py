@@ -87,22 +87,13 @@ class Leg(NamedTuple):
 
 
 class Move(NamedTuple):
-    """The motion over one piece: state, place and boundary at its end, and its legs."""
+    """A motion: state, place and boundary at its end, the legs if of one piece, chattering."""
 
     x: np.ndarray
     place: int
     beside: Beside | None
     legs: list[Leg]
-    chatter: Chatter | None
-
-
-class Arrival(NamedTuple):
-    """The end of a motion over many pieces: state, place and boundary, or the chattering."""
-
-    x: np.ndarray
-    place: int
-    beside: Beside | None
-    chatter: Chatter | None
+    chatter: Chatter | None = None
 
 
 class Motion(ABC):
@@ -127,7 +118,7 @@ class Motion(ABC):
         """x at the end of one piece with the mode held, regardless of the rule."""
 
     @abstractmethod
-    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
+    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Move:
         """Move over many pieces; a state on a boundary starts in the reported mode, if it can."""
 
     @abstractmethod

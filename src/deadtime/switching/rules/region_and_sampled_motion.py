@@ -17,7 +17,6 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.rules.motion import (
     ROUND_OFF,
-    Arrival,
     Beside,
     Chatter,
     Leg,
@@ -149,7 +148,7 @@ class RegionMotion(Motion):
         mode = self.mode_of(place)
         return self.unit * (self.Phi[kind, mode] @ (x / self.unit) + self.Gamma[kind, mode] @ u)
 
-    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
+    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Move:
         from deadtime.switching.rules.crossings import follow, region_of_mode
 
         pieces = self.lengths, self.Phi, self.Gamma, self.bend, self.most
@@ -163,7 +162,7 @@ class RegionMotion(Motion):
             chatter = self._chatter(int(kinds[piece]), why, time, place, other)
             earlier = float(self.lengths[kinds[:piece]].sum())
             chatter = chatter._replace(time=chatter.time + earlier)
-        return Arrival(z * self.unit, region, _beside(*beside), chatter)
+        return Move(z * self.unit, region, _beside(*beside), [], chatter)
 
     def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
         from deadtime.numerics.exponential import discretise
@@ -318,7 +317,7 @@ class SampledMotion(Motion):
             points = Phi @ x + Gamma @ u
             change = self._change(points, u[None], mode)
             if change < 0:
-                return Move(points[-1], mode, None, legs, None)
+                return Move(points[-1], mode, None, legs)
             low, high = rest * change / samples, rest * (change + 1) / samples
             s, x, entered = self._crossing(mode, x, u, low, high)
             start = min(start + s, length)
@@ -339,7 +338,7 @@ class SampledMotion(Motion):
     def hold(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> np.ndarray:
         return self.Phi[place, kind, -1] @ x + self.Gamma[place, kind, -1] @ u
 
-    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
+    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Move:
         from deadtime.switching.rules.crossings import path_in_modes
 
         mode, p = self.place_of(x), 0  # a function determines the mode also on a boundary
@@ -348,7 +347,7 @@ class SampledMotion(Motion):
             pieces, samples, n = path.shape
             change = self._change(path.reshape(pieces * samples, n), inputs[p:], mode)
             if change < 0:
-                return Arrival(path[-1, -1], mode, None, None)
+                return Move(path[-1, -1], mode, None, [])
             before = change // samples
             p += before
             start = path[before - 1, -1] if before else x
@@ -356,9 +355,9 @@ class SampledMotion(Motion):
             if move.chatter is not None:
                 earlier = float(self.lengths[kinds[:p]].sum())
                 chatter = move.chatter._replace(time=move.chatter.time + earlier)
-                return Arrival(move.x, move.place, None, chatter)
+                return Move(move.x, move.place, None, [], chatter)
             x, mode, p = move.x, move.place, p + 1
-        return Arrival(x, mode, None, None)
+        return Move(x, mode, None, [])
 
     def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
         return self._flow(leg.place, leg.x, u, tau)

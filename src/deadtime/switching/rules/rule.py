@@ -286,7 +286,6 @@ def as_rule(name: str, value: Any) -> Rule:
 
 
 def _polyhedron(i: int, region: Sequence[ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
-    """One region with its shapes checked."""
     if not isinstance(region, (tuple, list)) or len(region) != 2:
         raise ArgumentError(f"regions[{i}] must be a pair (H, h), got {region!r}.")
     H = real_array(f"regions[{i}][0]", region[0], "(rows, n)", 2)
@@ -301,7 +300,6 @@ def _polyhedron(i: int, region: Sequence[ArrayLike]) -> tuple[np.ndarray, np.nda
 def _fill(
     rule: PolyhedralRule, rows: np.ndarray, offsets: np.ndarray, first: ArrayLike, modes: ArrayLike
 ) -> None:
-    """Set the read-only arrays of a polyhedral rule."""
     first, modes = np.asarray(first, np.int64), np.asarray(modes, np.int64)
     for array in (rows, offsets, first, modes):
         array.flags.writeable = False
