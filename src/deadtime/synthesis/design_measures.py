@@ -189,7 +189,7 @@ def _form(
 
     n, m = plant.B.shape[1:]
     A, B = read_only(plant.A[mode]), read_only(plant.B[mode])
-    Q, R = (None, np.eye(m)) if weight is None else (weight.Q, weight.R)
+    Q, R = (plant.identity, np.eye(m)) if weight is None else (weight.Q, weight.R)
     lags = np.unique(np.append(np.concatenate([one.stretch.lag for one in pieces]), 0))
     X, form = np.eye(n, n + lags.size * m), np.zeros((n + lags.size * m,) * 2)
     form[n : n + m, n : n + m] = step * R  # lag 0 comes first
