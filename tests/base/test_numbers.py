@@ -9,7 +9,7 @@ import pytest
 import deadtime as dt
 from deadtime.base.checks import as_floats, brief, count, index, number, real_array
 from deadtime.numerics.covariance import noise_covariance
-from deadtime.numerics.exponential import discretise, energy_gramian
+from deadtime.numerics.exponential import discretise, gramian
 from deadtime.spectrum import characteristic_roots
 
 PAPER = dt.problems.paper()
@@ -29,7 +29,7 @@ def test_an_exponential_of_any_size_comes_to_an_end_and_what_it_does_not_know_is
     A, B = np.array([[size, size], [0.0, size]]), np.ones((2, 1))
     for array in (A, B):
         array.flags.writeable = False
-    for result in (*discretise(A, B, tau), energy_gramian(A, B, tau)):
+    for result in (*discretise(A, B, tau), gramian(A, B, tau, np.eye(len(A)))):
         assert not np.isfinite(result).all()
     assert not np.isfinite(noise_covariance(A, np.eye(2), tau)).all()
 

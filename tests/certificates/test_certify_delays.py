@@ -19,7 +19,7 @@ from deadtime.certificates.proof import check
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import Enclosures, cells_of
 from deadtime.numerics.precision import precision
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 from shares import mostly_long
 
 CASES = [name for name in corpus.CASES if name.startswith("delays-")]

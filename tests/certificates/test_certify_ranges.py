@@ -19,7 +19,7 @@ from deadtime.certificates.proof.box import FIRST, Box
 from deadtime.certificates.proof.covering import enclosures_of
 from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.numerics.precision import precision
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 from shares import mostly_long
 
 STEP, NEAR = 0.1, 1e-10

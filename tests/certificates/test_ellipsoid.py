@@ -19,7 +19,7 @@ from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.certificates.proof.sway import Sway, kronecker
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.numerics.precision import precision
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 
 H, D, N = 0.1, 0.234, 3
 PLANTS = 4000

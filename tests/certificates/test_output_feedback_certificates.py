@@ -13,7 +13,7 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.cli.application import main
 from deadtime.feedback.recurrence import recurrence_of
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 from exponential_products import ellipses
 
 STEP = 0.1

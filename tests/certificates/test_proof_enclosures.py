@@ -15,7 +15,7 @@ from deadtime.certificates.proof.box import FIRST, POLYTOPE, U
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import Enclosures, cells_of
 from deadtime.numerics.precision import precision
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 from shares import mostly_long
 
 DELAYS = [(0.3, 0.3), (0.234, 0.234), (0.034, 0.034), (0.2, 0.29)]

@@ -19,7 +19,7 @@ from deadtime.certificates.proof import Check, StretchEvidence, balls, check, lo
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import StretchInequalities
 from deadtime.numerics.precision import precision
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 
 LEFT = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])  # mode 0 grows
 TURNING = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])

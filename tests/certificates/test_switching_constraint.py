@@ -131,7 +131,7 @@ def test_v_falls_along_admissible_runs_as_it_claims(certificate):
     known = {}
     for _ in range(4):
         signal, x0 = drawn(rng, 8.0), rng.normal(size=2)
-        dt.SignalClass(DWELL, transitions=THROUGH).limits(3).require(signal)
+        signal.require_within(dt.SignalClass(DWELL, transitions=THROUGH).limits(3))
         run = dt.simulate(PLANT, LAW, signal, x0, 8.0, H, u0=rng.normal(size=(2, 3)))
         past = [run.inputs[:, k] for k in range(80)]
         before, age = None, 0
@@ -239,7 +239,7 @@ def test_a_witness_is_admissible_and_grows_as_it_says():
     found = dt.falsify(PLANT, LAW, DWELL, H, budget=4_000, **options)
     assert found.proven
     assert 2 in found.modes
-    dt.SignalClass(DWELL, **options).limits(3).require(found.signal, tolerance=1.1e-5)
+    found.signal.require_within(dt.SignalClass(DWELL, **options).limits(3), tolerance=1.1e-5)
     size = np.linalg.norm(found.simulate(30).states, axis=0)
     assert math.log(size[-1]) / (30 * found.length) == pytest.approx(found.growth_rate, abs=0.05)
 
@@ -255,7 +255,7 @@ def test_a_law_that_is_run_is_run_along_admissible_cycles_only():
     law = dt.StateDependentPredictor(plant, K, lambda x: int(x[0] > 0.0), allow_unstable=True)
     options = {"transitions": [[0, 1, 0], [0, 0, 1], [1, 0, 0]], "maximum_dwell": [0.5, 0.7, 0.9]}
     found = dt.falsify(plant, law, DWELL, H, budget=4_000, **options)
-    dt.SignalClass(DWELL, **options).limits(3).require(found.signal, tolerance=1.1e-5)
+    found.signal.require_within(dt.SignalClass(DWELL, **options).limits(3), tolerance=1.1e-5)
 
 
 # -- the graph -----------------------------------------------------------------------------------

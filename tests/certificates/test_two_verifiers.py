@@ -22,7 +22,7 @@ from deadtime.certificates.proof import (
 from deadtime.certificates.proof.evidence import Centre, Setting
 from deadtime.certificates.proof.work import allowance, operations
 from deadtime.numerics.precision import precision
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 from fuzzing import mutators
 from second_verifier import both, second_verifier
 

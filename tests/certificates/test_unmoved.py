@@ -6,7 +6,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.certificates.reach import why_unmoved
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import Polytope
 
 STEP = 0.1
 SCALAR = plants.scalar([0.0, 0.5])

@@ -62,7 +62,7 @@ def test_inputs_before_the_start_need_not_be_given_for_an_fmu_of_two(folder):
     [
         (["--plant-fmu", "x.txt"], "path must end in .fmu"),
         (["--plant-fmu", "no/x.fmu"], "path 'no/x.fmu' cannot be written"),
-        (["--plant-fmu", "m.fmu"], "path 'm.fmu' is asked for twice"),
+        (["--plant-fmu", "m.fmu"], "path 'm.fmu' is given twice"),
         (["--plant-fmu", "there.fmu"], "path 'there.fmu' cannot be written: Is a directory"),
     ],
 )

@@ -113,7 +113,7 @@ def changed(k, value):
 
 
 WRONG = [
-    (Nothing(), r"Nothing\.relay must return a Heard, got NoneType"),
+    (Nothing(), r"Nothing\.relay must return ReceivedData, got NoneType"),
     (Own(sample=list), r"Own\.relay must return arrays, got sample"),
     (Own(sample=lambda a: a.astype(float)), r"sample as integers of shape \(21,\), got float64"),
     (Own(sample=lambda a: a[1:]), r"sample as integers of shape \(21,\), got int64 .*\(20,\)"),

@@ -44,7 +44,8 @@ def test_the_least_dwell_times_of_a_ring_hold_the_limit_between_them(mode):
         assert "in mode 0 of" in found.message
     worst = dict(zip(found.witness.modes, found.witness.sojourns, strict=True))
     assert turn(RATES, [worst[i] for i in range(3)]) > 0.0
-    dt.SignalClass(found.refuted_each, **LIMITS).limits(3).require(found.witness.signal, 1.1e-5)
+    limits = dt.SignalClass(found.refuted_each, **LIMITS).limits(3)
+    found.witness.signal.require_within(limits, 1.1e-5)
     limits = found.certificate.evidence.setting.limits
     assert limits.following == ((1,), (2,), (0,))
     assert limits.dwell_time == pytest.approx(found.certified_each, rel=1e-12)
@@ -112,7 +113,7 @@ def test_a_delay_margin_goes_beyond_a_mode_that_grows_but_is_never_held():
     worst = dt.falsify(beyond, LAW, step=0.1, budget=2_000, **SWITCHED)
     assert worst.proven
     assert worst.growth_rate > 0.0
-    dt.SignalClass(**SWITCHED).limits(3).require(worst.signal, 1.1e-5)
+    worst.signal.require_within(dt.SignalClass(**SWITCHED).limits(3), 1.1e-5)
 
 
 BAD = {

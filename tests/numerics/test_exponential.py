@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import plants
-from deadtime.numerics.exponential import discretise, discretise_modes, energy_gramian
+from deadtime.numerics.exponential import discretise, discretise_modes, gramian
 
 rng = np.random.default_rng(3)
 NILPOTENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
@@ -75,7 +75,7 @@ def test_nothing_happens_in_no_time():
     Phi, Gamma = discretise(*CASES["random"][:2], 0.0)
     assert np.array_equal(Phi, np.eye(4))
     assert not Gamma.any()
-    assert not energy_gramian(*CASES["random"][:2], 0.0).any()
+    assert not gramian(*CASES["random"][:2], 0.0, np.eye(len(CASES["random"][0]))).any()
 
 
 def test_a_nilpotent_plant_has_polynomials():
@@ -109,7 +109,7 @@ def test_the_gramian_equals_van_loan_s_in_50_digits(case):
     whole = precise(np.block([[-Z.T, E], [np.zeros_like(Z), Z]]), tau)
     with mpmath.workdps(DIGITS):
         reference = rounded(whole[size:, size:].T * whole[:size, size:])
-    Q = energy_gramian(A, B, tau)
+    Q = gramian(A, B, tau, np.eye(len(A)))
     # The scale of an entry is that of its diagonal: B of 1e8 must not hide the other entries.
     scale = np.sqrt(np.outer(np.diag(reference), np.diag(reference)))
     assert (np.abs(Q - reference) <= 1e-12 * scale).all()

@@ -191,7 +191,7 @@ def test_an_error_leaves_python_s_way_open():
 
     with pytest.raises(IndexError):
         fails(np.ones(2))
-    assert not kernels._HERE.within
+    assert not kernels._THREAD.interpreting
 
 
 def run(code, folder, **environment):

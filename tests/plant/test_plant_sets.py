@@ -5,8 +5,7 @@ import pytest
 
 import certificate_corpus as corpus
 import deadtime as dt
-from deadtime.plant.plant_set import PlantSet, PlantUncertainty
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
 from deadtime.plant.uncertain import Ellipsoid
 from deadtime.plant.uncertainties import KEYS, SETS, UNCERTAINTIES, read_set
 

@@ -102,5 +102,5 @@ def test_delays_of_their_own_need_a_covariance_of_each():
 
 
 def test_a_level_of_one_is_refused():
-    with pytest.raises(dt.ArgumentError, match="level must be between 0 and 1"):
+    with pytest.raises(dt.ArgumentError, match="level must be above 0 and below 1"):
         dt.UncertainPlant(SMALL, np.eye(5)).corners(1.0)

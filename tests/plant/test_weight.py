@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 import deadtime as dt
 from deadtime.imperfections import Noise, Saturation, WhiteDisturbance
-from deadtime.numerics.exponential import energy_gramian
+from deadtime.numerics.exponential import gramian
 from deadtime.plant.weight import weight_of
 from deadtime.switching import HalfSpace
 from shares import mostly_long
@@ -149,7 +149,7 @@ def test_the_gramian_with_q_is_van_loan_s_of_an_exponential(tau):
     Z, E = np.zeros((2, 5, 5))
     Z[:3, :3], Z[:3, 3:], E[:3, :3] = A, B, Q
     whole = expm(tau * np.block([[-Z.T, E], [np.zeros((5, 5)), Z]]))
-    assert energy_gramian(A, B, tau, Q) == pytest.approx(whole[5:, 5:].T @ whole[:5, 5:], rel=1e-9)
+    assert gramian(A, B, tau, Q) == pytest.approx(whole[5:, 5:].T @ whole[:5, 5:], rel=1e-9)
 
 
 def test_cost_does_not_depend_on_the_units_of_states_and_inputs():

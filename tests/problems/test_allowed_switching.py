@@ -81,7 +81,7 @@ def test_signals_of_the_file_are_those_it_allows_and_it_is_asked_about_them(load
     asked = signals_of(problem, problem.signal)
     assert asked.signals == dt.SignalClass(LEAST, MOST, WAYS)
     limits = asked.signals.limits(3)
-    limits.require(problem.signal)
+    problem.signal.require_within(limits)
     assert kept(random_model(limits).sample(60.0, seed=2))
     longer = signals_of(problem, problem.signal, [0.5], [2.0])
     assert longer.signals == dt.SignalClass(0.5, 2.0, WAYS)

@@ -157,8 +157,8 @@ semi = SemiMarkov
         (
             lambda: semi([1.0, stats.lomax(1.0)]).ages(0.01),
             "step = 0.01 s is too short for sojourn[1] = lomax(1): its hazard still changes after "
-            "100,000 steps, which it outlives with probability 0.001; lengthen the step, or say "
-            "with `most` how many ages to tell apart.",
+            "100,000 steps, which it outlives with probability 0.001; lengthen the step, or "
+            "limit the number of ages by `most`.",
         ),
         (lambda: semi(1.0).ages(0.01, most=0), "most must be an integer of at least 1, got 0."),
         (lambda: semi(1.0).outlives(np.nan), "time must be finite, got nan."),

@@ -148,7 +148,7 @@ def test_what_cannot_be_is_refused_by_name():
     with pytest.raises(ArgumentError, match=r"in mode 1, longer than its maximum_dwell of 0\.5"):
         SemiMarkov.fit(logs, maximum_dwell=[2.0, 0.5, 2.0])
     for family in ("uniform", "shifted exponential"):
-        with pytest.raises(ArgumentError, match=r"family must not be .* which say where it begins"):
+        with pytest.raises(ArgumentError, match=r"family must not be .* which are its parameters"):
             SemiMarkov.fit(logs, family=family, dwell_time=LOW)
     even = np.linspace(0.3, 1.25, 41)[1:]  # crowds upwards: no exponential describes it best
     times = np.concatenate(([0.0], np.cumsum(np.repeat(even, 2))))

@@ -5,38 +5,35 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from deadtime.base.errors import ArgumentError
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-
 _FILL = "fill them (.filled) or leave them out (.compressed)"
-_WHAT = {
+_REMEDIES = {  # by the kind of a NumPy type
     "c": " Pass its .real if the imaginary part is round-off.",
     "U": " Convert text with float.",
 }
-_LONG = 200  # letters of a value in a message
+_LONGEST = 200  # characters of a value in a message
 
 
 def number(name: str, value: object) -> float:
     """A finite real number."""
-    if isinstance(value, (str, bytes)):  # float would read some of them, and comparisons none
+    if isinstance(value, (str, bytes)):  # float would convert some of them
         raise ArgumentError(
             f"{name} must be a number, got {brief(value)}, a {type(value).__name__}: pass it "
             "without quotes, or convert it with float."
         )
-    if isinstance(value, np.ndarray):  # float would read arrays of one entry, and masked ones
+    if isinstance(value, np.ndarray):  # float would convert arrays of one entry, and masked ones
         if np.ma.is_masked(value):
             raise ArgumentError(f"{name} must be a number, got a masked one: {_FILL}.")
         if value.ndim:
             raise ArgumentError(f"{name} must be one number, got an array of shape {value.shape}.")
     if isinstance(value, (complex, np.complexfloating)):
-        raise ArgumentError(f"{name} must be a real number, got {brief(value)}.{_WHAT['c']}")
+        raise ArgumentError(f"{name} must be a real number, got {brief(value)}.{_REMEDIES['c']}")
     try:
         result = float(value)  # pyright: ignore[reportArgumentType]
     except OverflowError:
@@ -71,19 +68,19 @@ def index(name: str, value: object, count: int) -> int:
 
 
 def instance(name: str, value: object, kind: type) -> None:
-    """Refuse a value that is not of a kind."""
+    """Refuse a value that is no instance of a class."""
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} must be a {kind.__name__}, got {type(value).__name__}.")
 
 
 def reporter(name: str, value: Callable[[str], None] | None) -> Callable[[str], None]:
-    """A function that takes a few words about progress; one that ignores them for None."""
+    """A function that takes messages about progress; for None, one that ignores them."""
     if value is None:
         return lambda _: None
     if not callable(value):
         raise ArgumentError(
-            f"{name} must be a function that takes a few words, got {value!r}: leave it out to "
-            "hear nothing."
+            f"{name} must be a function that takes a few words, got {value!r}: leave it out for "
+            "no messages."
         )
     return value
 
@@ -140,13 +137,13 @@ def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
             "give every row, and every matrix, as many numbers as the others."
         ) from None
     if raw.dtype.kind not in "biuf":
-        what = _WHAT.get(raw.dtype.kind, "")
-        raise ArgumentError(f"{name} must {reals}, got an array of {raw.dtype}.{what}")
+        remedy = _REMEDIES.get(raw.dtype.kind, "")
+        raise ArgumentError(f"{name} must {reals}, got an array of {raw.dtype}.{remedy}")
     return raw
 
 
 def require_unmasked(name: str, value: Any) -> Any:
-    """A value without masked entries, which `numpy.asarray` would take as if they were there."""
+    """A value without masked entries, whose mask `numpy.asarray` would ignore."""
     if _is_masked(value):
         raise ArgumentError(f"{name} must be whole, got masked entries: {_FILL}.")
     return value
@@ -159,26 +156,26 @@ def _floats(raw: np.ndarray) -> np.ndarray:
 
 
 def _is_masked(value: object) -> bool:
-    """Whether entries are masked, those of lists of arrays included."""
+    """Whether entries are masked, also in lists of arrays."""
     if isinstance(value, (list, tuple)):
         return any(map(_is_masked, value))
     return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
 
 
 def _as_given(value: object, result: float) -> str:
-    """How a number that is not finite was written: a longdouble may be beyond floats."""
+    """The text of a number that is not finite as a float: a longdouble may be larger."""
     beyond = isinstance(value, np.floating) and np.isfinite(value) and not math.isfinite(result)
     return f"{value!s}, which is beyond 1.8e308" if beyond else str(result)
 
 
 def brief(value: object) -> str:
-    """A value as messages print it, on one line and never long."""
+    """A value as messages print it: one line of at most 200 characters."""
     try:
         text = repr(value)
     except ValueError:  # Python refuses to print integers of more than some 4300 digits
         return "an integer of thousands of digits"
     text = " ".join(text.split())
-    return text if len(text) <= _LONG else f"{text[:_LONG]}…"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
 def bound(name: str, value: ArrayLike, size: int) -> np.ndarray:
@@ -214,7 +211,7 @@ def require_probabilities(name: str, values: np.ndarray) -> None:
 
 
 def require_covariance(name: str, W: np.ndarray) -> None:
-    """Refuse matrices (…, n, n) that are no covariances but for round-off."""
+    """Refuse matrices (…, n, n) that are, beyond round-off, no covariances."""
     allowed = 1e-9 * np.abs(W).max()
     askew = np.abs(W - W.swapaxes(-1, -2)).max() > allowed
     if askew or np.linalg.eigvalsh(W).min() < -allowed:
@@ -224,7 +221,8 @@ def require_covariance(name: str, W: np.ndarray) -> None:
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """A contiguous view that cannot be written through: one type for the compiled functions."""
+    """A contiguous view that cannot be written through."""
+    # Numba compiles a function for writable and read-only arrays separately: all get the latter.
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view

@@ -1,8 +1,7 @@
 """The exceptions of the package.
 
-Every error raised on purpose derives from `DeadtimeError` and from the builtin
-that a caller would expect. Its message names the argument, says what was
-expected and what was given, and what to do about it.
+Every error raised on purpose derives from `DeadtimeError` and from the builtin that a caller would
+expect. Its message names the argument, the expected and the given value, and a remedy.
 """
 
 
@@ -11,7 +10,7 @@ class DeadtimeError(Exception):
 
     def __init_subclass__(cls) -> None:
         if cls.__module__ == __name__:
-            cls.__module__ = "deadtime"  # as users import it, and tracebacks should name it
+            cls.__module__ = "deadtime"  # users import it from there: tracebacks show that name
 
 
 DeadtimeError.__module__ = "deadtime"
@@ -34,18 +33,15 @@ class CertificateFileError(ArgumentError):
 
 
 class InfeasibleError(DeadtimeError, ValueError):
-    """A request that nothing meets: the message gives the solver's verdict."""
+    """A request without a solution; the message gives the solver's verdict."""
 
 
 class SolverError(DeadtimeError, RuntimeError):
-    """A solver is broken or gave up: nothing is known of what was asked for.
-
-    The message says which solver said what, and what to install.
-    """
+    """A solver failed, so nothing is concluded; the message has its status and what to install."""
 
 
 class ChatteringError(DeadtimeError, RuntimeError):
-    """A prediction cannot go on: its switches pile up, or it knows no boundary to slide along."""
+    """A prediction chatters: its switches accumulate, or no boundary to slide along is known."""
 
 
 class WorkerError(DeadtimeError, RuntimeError):

@@ -1,9 +1,8 @@
 """Figures of a given width whose files are the same every time, as publishers want them.
 
-As PGF, LaTeX sets them in the fonts of its document; no TeX is needed to write them. Matplotlib's
-own backend asks a TeX for the size of every text. Here sizes are those of the fonts
-that other formats have: they decide how much room a text is given, and where the rest of the figure
-lies; each text is anchored where it belongs and is as large as LaTeX makes it.
+LaTeX sets the texts of a PGF file in the fonts of its document. Matplotlib's own backend needs a
+TeX installation to measure every text. Here texts are measured in the fonts of the other formats,
+which fixes the layout; LaTeX then sets each text at its anchor, in its own size.
 """
 
 from __future__ import annotations
@@ -28,16 +27,15 @@ WIDTHS = {"column": 3.5, "page": 7.16}  # inches: of one and of two columns of a
 _SMALL = {
     "font.size": 8.0, "legend.fontsize": 7.5, "axes.titlesize": 8.5, "lines.linewidth": 1.2
 }  # fmt: skip
-# Fonts as TrueType (Type 42), which publishers take and editors can edit; identifiers that are no
-# random numbers.
+# TrueType fonts (Type 42), which publishers require and editors can edit; no random identifiers.
 _FILES: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.hashsalt": "deadtime"}
 _DATES: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 
 class PaperFigure(Figure):
-    """A matplotlib figure that is written without a date, fonts as Type 42, and as PGF without TeX.
+    """A matplotlib figure whose files have no date, Type 42 fonts, and PGF without a TeX.
 
-    `savefig` takes what matplotlib's takes.
+    `savefig` has the arguments of matplotlib's.
     """
 
     def savefig(self, fname: Any, **options: Any) -> None:
@@ -57,13 +55,13 @@ def new_figure(natural: float, height: float, width: Width | None = None) -> Pap
 
 
 def legend_columns(figure: Figure, names: Iterable[str], most: int, beside: float = 0.0) -> int:
-    """How many keys of a legend fit beside each other, where `beside` inches are taken."""
+    """How many legend entries fit beside each other, with `beside` inches taken; at most `most`."""
     longest = max(map(len, names), default=1)
     return max(1, min(most, int(16.0 * (figure.get_figwidth() - beside)) // (longest + 7)))
 
 
 def style_of(width: Width | None) -> dict[Any, Any]:
-    """Parameters to draw with: smaller letters in figures that are narrow."""
+    """Matplotlib parameters, with smaller letters in a narrow figure."""
     return STYLE | _SMALL if width is not None and inches(width) < 4.0 else STYLE
 
 
@@ -98,7 +96,7 @@ _END = "\\end{pgfpicture}\n\\makeatother\n\\endgroup\n"
 
 
 class _Renderer(RendererPgf):
-    """The backend's renderer, measured by the fonts of PNG files; rasters lie in PNG files."""
+    """Matplotlib's PGF renderer with texts measured by Agg, and images written to PNG files."""
 
     def __init__(self, figure: Figure, file: IO[str], path: Path) -> None:
         super().__init__(figure, file)
@@ -113,7 +111,7 @@ class _Renderer(RendererPgf):
         super().draw_text(gc, x, y, _mixed(s) if ismath else latex(s), *args, **more)
 
     def option_scale_image(self) -> Any:
-        return False  # so that images come without a transform
+        return False  # then `draw_image` gets images in pixels, without a transform
 
     def draw_image(self, gc: Any, x: Any, y: Any, im: Any, transform: Any = None) -> None:
         target = self._path.with_name(f"{self._path.stem}-{self.image_counter}.png")
@@ -126,7 +124,7 @@ class _Renderer(RendererPgf):
 
 
 def _mixed(text: str) -> str:
-    """Text with mathematics between dollars, which stays as it is."""
+    """Text escaped for LaTeX, except mathematics between dollars."""
     parts = re.split(r"(?<!\\)\$", text)
     plain = [latex(part.replace(r"\$", "$")) for part in parts[::2]]
     maths = [f"${part}$" for part in parts[1::2]]
@@ -134,7 +132,7 @@ def _mixed(text: str) -> str:
 
 
 def write_pgf(figure: Figure, path: Path) -> None:
-    """Write a figure for \\input; what of it is a raster goes into PNG files beside it."""
+    """Write a figure for \\input, its images as PNG files beside it."""
     width, height = figure.get_size_inches()
     sizes = {"%NAME": path.name, "%WIDTH": f"{width:f}", "%HEIGHT": f"{height:f}"}
     head = re.sub("|".join(sizes), lambda found: sizes[found[0]], _HEAD)

@@ -1,7 +1,7 @@
-"""How figures look: sizes, colours, lines and safe text, for one column of a paper.
+"""Style of figures: sizes, colours, lines and escaped text, for one column of a paper.
 
-The colours of figures and pages begin with those of Okabe and Ito. Colour-blind readers tell them
-apart too, and all can be read on a light and on a dark ground.
+The first colours are those of Okabe and Ito, which colour-blind readers can distinguish; all are
+legible on a light and on a dark background.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from deadtime.base.wording import one_line
 BLUE, VERMILION, GREEN, PINK = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 ORANGE, SKY, BLACK = "#E69F00", "#56B4E9", "#000000"
 PURPLE, BROWN, OLIVE, SLATE, GREY = "#7a4fa3", "#8b5a2b", "#7f9f2f", "#4a6b8a", "#8a8a8a"
-
 
 COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, BLACK)
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6.0, 1.5, 1.0, 1.5, 1.0, 1.5)))
@@ -39,9 +38,10 @@ STYLE: dict[Any, Any] = {
 
 
 def plain(text: str) -> str:
-    """A user's text for matplotlib: no mathematics in it, and never hidden from a legend.
+    """A user's text for matplotlib, line by line: `$` escaped, unprintable characters replaced.
 
-    What cannot be printed would make an SVG malformed; lines stay.
+    A label that begins with an underscore would be left out of legends; a zero-width space before
+    it prevents that.
 
     Examples
     --------

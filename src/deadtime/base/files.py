@@ -1,8 +1,8 @@
 """Text files: read whole and within bounds, or refused; written whole or not at all.
 
-What is written is made beside its place and moved there when all is made. So an interrupt, a full
-disk or a second writer never leaves a half-written file, and who reads while a file is replaced
-sees the old one or the new one.
+Files are written under a temporary name beside their target and renamed when all are complete. So
+an interrupt, a full disk or a second writer never leaves a half-written file, and a concurrent
+reader sees the old file or the new one.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ def read_text(
     path : path
         The file.
     most : int
-        Bytes that it may have. A device without end is not read at all.
+        Largest size, bytes. A device without end is not read at all.
     kind : type of ArgumentError
-        What to raise.
+        The exception to raise.
     called : str
         How a message begins; with the path by default.
     hint : str
-        How to come by such a file, for when there is none to read.
+        Where to get such a file, for the message if it cannot be read.
 
     Raises
     ------
@@ -56,14 +56,14 @@ def read_text(
     Traceback (most recent call last):
     deadtime.ArgumentError: /dev/zero is neither a file nor a pipe: give a file.
     """
-    # A name may hold what no terminal shows, and what would break the line.
+    # A name may contain control characters, which would break the line of the message.
     called = called or (str(path) if str(path).isprintable() else ascii(str(path)))
     try:
         with Path(path).open("rb") as file:
             status = fstat(file.fileno())
             if not (stat.S_ISREG(status.st_mode) or stat.S_ISFIFO(status.st_mode)):
                 raise kind(f"{called} is neither a file nor a pipe: give a file.")
-            # A regular file tells its size; of a pipe one byte too many is enough to know.
+            # The size of a pipe is not known before it is read: one byte too many is enough.
             content = b"" if status.st_size > most else file.read(most + 1)
     except OSError as error:
         raise kind(f"{called} cannot be read: {error.strerror}{hint and f'; {hint}'}.") from None
@@ -82,7 +82,7 @@ def read_text(
 class Staging:
     """Files and folders that appear together, or none of them.
 
-    If one fails, or the user interrupts, nothing is written, and what was there is as it was.
+    If one fails, or the user interrupts, nothing is written or changed.
 
     Examples
     --------
@@ -97,14 +97,14 @@ class Staging:
     """
 
     def __init__(self) -> None:
-        self._moves: list[tuple[Path, Path, str]] = []  # from, to, and what errors call it
+        self._moves: list[tuple[Path, Path, str]] = []  # from, to, and its name in messages
         self._parents: list[Path] = []
 
     def __enter__(self) -> Staging:
         return self
 
     def folder(self, target: Path) -> Path:
-        """An empty folder, for the files of `target`; others that it has stay in it."""
+        """An empty folder for new files of `target`, whose other files stay."""
         require_no_root("folder", target)
         try:
             if not target.is_dir():
@@ -118,10 +118,10 @@ class Staging:
         return place
 
     def file(self, target: Path, name: str = "path") -> Path:
-        """An empty file with the ending of `target`, for what that will hold.
+        """An empty file with the suffix of `target`, to write its content to.
 
-        What is no file, such as a pipe, and a file in a folder where none can be made beside it
-        are themselves what is written to.
+        A target that is no regular file, such as a pipe, or that is in a folder where no file can
+        be created, is returned itself and written to directly.
         """
         try:
             if target.is_dir():
@@ -156,6 +156,7 @@ class Staging:
                     except OSError as failed:
                         raise unwritable(name, target, failed) from None
         finally:
+            # After success only the emptied folders are left of them.
             for place, _, _ in self._moves:
                 if place.is_dir():
                     shutil.rmtree(place, ignore_errors=True)
@@ -167,17 +168,15 @@ class Staging:
                     parent.rmdir()
 
     def _make(self, folder: Path) -> None:
-        """A folder and those above it, remembered in case that nothing comes into them."""
+        """Create a folder and its parents, noted for removal in case they stay empty."""
         for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
             one.mkdir()
             self._parents.append(one)
 
     def _place(self, beside: Path, target: Path, name: str, asked: Path | None = None) -> Path:
-        """A name that nobody else uses, on the same file system; `asked`, as the user wrote it."""
+        """A unique name on the same file system; `asked` is the target as the user wrote it."""
         if any(target == other for _, other, _ in self._moves):
-            raise ArgumentError(
-                f"{name} {str(asked or target)!r} is asked for twice: give two names."
-            )
+            raise ArgumentError(f"{name} {str(asked or target)!r} is given twice: give two names.")
         place = beside / f".deadtime-{uuid4().hex}{target.suffix}"
         self._moves.append((place, target, name))
         return place
@@ -190,7 +189,7 @@ def replacing(target: str | os.PathLike[str], name: str = "path") -> Iterator[Pa
     Raises
     ------
     ArgumentError
-        If it cannot be written, now or while the block lasts; `name` is what the message calls it.
+        If it cannot be written, now or within the block; `name` is the argument in the message.
 
     Examples
     --------
@@ -213,9 +212,9 @@ def replacing(target: str | os.PathLike[str], name: str = "path") -> Iterator[Pa
 
 @contextmanager
 def _alone(folders: list[Path]) -> Iterator[None]:
-    """While no other writer moves files into these folders, where the system can say so.
+    """Lock folders against other writers, on systems that have file locks.
 
-    Else the files of two might be mixed, such as one law's code with the tables of another.
+    Files of two writers might be mixed otherwise, such as one law's code with another's tables.
     """
     with ExitStack() as held:
         with suppress(ImportError, OSError):
@@ -229,7 +228,7 @@ def _alone(folders: list[Path]) -> Iterator[None]:
 
 
 def _move(place: Path, target: Path) -> None:
-    """Move what was made; the files of a folder one by one, if that is there already."""
+    """Rename a file or folder to its target; into an existing folder, file by file."""
     if place.is_dir() and target.is_dir():
         for one in sorted(place.iterdir()):
             _move(one, target / one.name)
@@ -240,7 +239,7 @@ def _move(place: Path, target: Path) -> None:
 
 
 def require_no_root(name: str, folder: Path) -> None:
-    """Refuse the root of a file system: nobody means to scatter files there."""
+    """Refuse the root of a file system, to which nobody means to write."""
     whole = folder.resolve()
     if whole == whole.parent:
         raise ArgumentError(
@@ -250,5 +249,4 @@ def require_no_root(name: str, folder: Path) -> None:
 
 
 def unwritable(name: str, target: Path, error: OSError) -> ArgumentError:
-    """The error that says why a place cannot be written."""
     return ArgumentError(f"{name} {str(target)!r} cannot be written: {error.strerror or error}.")

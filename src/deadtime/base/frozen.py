@@ -1,10 +1,9 @@
 """Immutable objects: the arrays that a frozen dataclass holds cannot be written through.
 
 A frozen dataclass refuses new values for its attributes, but not `run.states[:] = 0`. Arrays are
-therefore made read-only at construction; and again whenever an object is rebuilt without its
-constructor, by `pickle` or `copy`, where arrays forget that they were: what an object answers
-may rest on tables made from them, and compiled functions are compiled anew for arrays that can be
-written to.
+therefore made read-only at construction, and again by `pickle` and `copy`, which restore an object
+without its constructor and with writable arrays: an object may cache tables computed from its
+arrays, and Numba would compile every function again for writable ones.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ import numpy as np
 class Frozen:
     """A base of frozen dataclasses that hold arrays, alone or in tuples.
 
-    A class with its own ``__post_init__`` calls this one's at its end. Arrays that can be written
-    to are copied: nobody else's become read-only, and nobody else can change them. To hand over an
-    array without a copy, pass it through `checks.read_only`. A constructor of one's own
-    (``init=False``) makes its arrays read-only itself.
+    A class with its own ``__post_init__`` calls this one at its end. Writable arrays are copied, so
+    that the caller's stay writable and changes of them have no effect; an array that passed
+    `checks.read_only` is not. A class with its own constructor (``init=False``) makes its arrays
+    read-only itself.
 
     Examples
     --------
@@ -35,6 +34,7 @@ class Frozen:
     """
 
     def __post_init__(self) -> None:
+        # Through `vars`, because a frozen dataclass refuses assignment.
         own = vars(self)
         for name, value in own.items():
             own[name] = _freeze(value)
@@ -45,9 +45,9 @@ class Frozen:
 
 
 class Stateful:
-    """A base of objects that change as they run: `copy.copy` gives one that goes on by itself.
+    """A base of objects with a running state: `copy.copy` gives an independent one.
 
-    A copy has arrays of its own, but for those that cannot be written to.
+    The two share read-only arrays and frozen objects.
     """
 
     def __copy__(self) -> Self:
@@ -57,7 +57,7 @@ class Stateful:
 
 
 def _share(value: Any, memo: dict[int, Any], seen: set[int]) -> None:
-    """Note in `memo` what a copy may share: frozen objects, and arrays nobody can write to."""
+    """Enter into deepcopy's `memo` the frozen objects and read-only arrays in a value."""
     if id(value) in seen:
         return
     seen.add(id(value))
@@ -74,7 +74,7 @@ def _share(value: Any, memo: dict[int, Any], seen: set[int]) -> None:
 
 
 def _freeze(value: Any) -> Any:
-    """A value, of arrays and of those in tuples a copy that cannot be written to."""
+    """A value with its arrays, also those in tuples, as read-only copies."""
     if isinstance(value, np.ndarray) and value.flags.writeable:
         value = value.copy(order="K")
         value.flags.writeable = False
@@ -86,7 +86,7 @@ def _freeze(value: Any) -> Any:
 
 
 def _lock(value: Any) -> None:
-    """Make arrays that nobody else has, those in containers included, read-only in place."""
+    """Make arrays, also those in containers, read-only in place."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
     elif isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Ctrl-C: where work is done it is an exception, before and after that the end of the process."""
+"""Ctrl-C: an exception while work is done, the end of the process before and after that."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-INTERRUPTED = 130  # what a shell says of a command that Ctrl-C has ended
+INTERRUPTED = 130  # the exit status that shells give to a command that Ctrl-C has ended
 
 
 def end_on_interrupt() -> None:
-    """Let Ctrl-C end the process in one line, where nothing is open yet or any more.
+    """Let Ctrl-C end the process with one line, while modules load and while Python exits.
 
-    While modules load and while Python takes itself down, an exception would become a traceback.
-    Who was started with interrupts ignored, as in the background of a shell, goes on ignoring.
+    An exception would become a traceback there. A process that was started with interrupts ignored,
+    as in the background of a shell, ignores them still.
     """
     _hand_over(signal.default_int_handler, _end)
 
 
 @contextmanager
 def raising_on_interrupt() -> Iterator[None]:
-    """Where Ctrl-C is a KeyboardInterrupt; afterwards it is again what it was before."""
+    """A block in which Ctrl-C raises KeyboardInterrupt; the former handler is restored after it."""
     changed = _hand_over(_end, signal.default_int_handler)
     try:
         yield
@@ -33,9 +33,9 @@ def raising_on_interrupt() -> Iterator[None]:
 
 
 def _hand_over(old: Any, new: Any) -> bool:
-    """Whether Ctrl-C was handled by `old`, as it then is by `new`."""
-    at_hand = threading.current_thread() is threading.main_thread()
-    if not at_hand or signal.getsignal(signal.SIGINT) is not old:
+    """Replace the handler `old` by `new`; False if another one is installed."""
+    in_main = threading.current_thread() is threading.main_thread()  # others may set no handler
+    if not in_main or signal.getsignal(signal.SIGINT) is not old:
         return False
     signal.signal(signal.SIGINT, new)
     return True

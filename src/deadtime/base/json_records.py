@@ -1,4 +1,4 @@
-"""Results as records, for JSON: dictionaries, lists, texts, numbers, and None for ∞ and NaN."""
+"""Results as JSON data: dictionaries, lists, texts, numbers, and None for ∞ and NaN."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _SCRIPTS = {"<super>": "^", "<sub>": "_"}
 
 
 def latex(text: str) -> str:
-    r"""Text that LaTeX prints as it stands; letters that are neither ASCII nor mathematics stay.
+    r"""A text escaped for LaTeX, which prints it unchanged; other non-ASCII letters are kept.
 
     Examples
     --------
@@ -53,14 +53,10 @@ def _character(one: str) -> str:
 _POWER = re.compile(r"(?<![\w.])(\d\.\d)e(-?\d+)(?!\w)")
 
 
-def _power(found: re.Match[str]) -> str:
-    return rf"\ensuremath{{{found[1]}\cdot10^{{{found[2]}}}}}"
-
-
-def booktabs(headings: Sequence[str], rows: Sequence[Sequence[str]], said: Sequence[str]) -> str:
+def booktabs(headings: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
     """A `tabular` of the package booktabs, its first column left, the others right.
 
-    `said` are comments above it: what the numbers are, for who finds the file again.
+    `notes` become comments above it, which say where the numbers come from.
 
     Examples
     --------
@@ -75,8 +71,9 @@ def booktabs(headings: Sequence[str], rows: Sequence[Sequence[str]], said: Seque
     \\bottomrule
     \\end{tabular}
     """
-    comments = [*(" ".join(one.split()) for one in said), r"needs: \usepackage{booktabs}"]
-    cells = [[_POWER.sub(_power, latex(cell)) for cell in row] for row in (headings, *rows)]
+    comments = [*(" ".join(one.split()) for one in notes), r"needs: \usepackage{booktabs}"]
+    power = r"\\ensuremath{\1\\cdot10^{\2}}"
+    cells = [[_POWER.sub(power, latex(cell)) for cell in row] for row in (headings, *rows)]
     lines = [" & ".join(row) + r" \\" for row in cells]
     begin = rf"\begin{{tabular}}{{l{'r' * (len(headings) - 1)}}}"
     whole = [begin, r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"]

@@ -1,12 +1,5 @@
-"""Notices while something takes long, to be replaced by who has a place to say them."""
-
-from __future__ import annotations
-
-from collections.abc import Callable
+"""Notices about slow operations: silent, unless an application replaces them."""
 
 
-def _nothing() -> None:
-    """Libraries are silent."""
-
-
-compiling: Callable[[], None] = _nothing  # once compiling takes a while
+def compiling() -> None:
+    """Called when compiling has taken a second."""

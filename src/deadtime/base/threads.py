@@ -1,4 +1,4 @@
-"""Work that is shared out to threads."""
+"""Work in threads."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from concurrent.futures import Future, wait
 from queue import SimpleQueue
 from typing import Any
 
-_CHECK = 0.2  # seconds between looks at the keyboard
-_MOST = 8  # at once: each takes memory, and what is Python of their work takes turns
+_CHECK = 0.2  # seconds between checks for Ctrl-C
+_MOST = 8  # threads: each takes memory, and their work in Python is done in turns
 _SERVING: list[threading.Thread] = []
 
 
@@ -22,7 +22,9 @@ def processors() -> int:
 
 
 def at_work() -> bool:
-    """Whether threads of `in_order` run: if compiled code returns to a Python that ends, it aborts.
+    """Whether threads of `in_order` run.
+
+    Compiled code that returns to Python while that exits would abort the process.
 
     Examples
     --------
@@ -33,10 +35,10 @@ def at_work() -> bool:
 
 
 def in_order(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
-    """work(item) of every item, in their order, as many at once as there are processors, up to 8.
+    """work(item) of every item, in their order, in a thread per processor, at most 8.
 
-    What takes its time outside Python, such as a solver, leaves Python to the others. Ctrl-C ends
-    it at once: nothing waits for threads that are at work.
+    Work outside Python, such as a solver's, runs in parallel. Ctrl-C ends it at once, without
+    waiting for threads that are at work: an executor of the standard library would wait for them.
 
     Examples
     --------
@@ -69,6 +71,7 @@ def in_order(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
         _SERVING.append(thread)
     try:
         for future in futures:
+            # A wait without a limit would not be interrupted by Ctrl-C on every system.
             while not future.done():
                 wait([future], _CHECK)
             yield future.result()

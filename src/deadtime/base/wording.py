@@ -1,4 +1,4 @@
-"""Numbers in prose, and names that users give."""
+"""Numbers as texts, and names that users give."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import re
 from collections.abc import Iterable, Sequence
 from decimal import ROUND_CEILING, ROUND_DOWN, ROUND_FLOOR, Decimal
 
-# Malformed in XML, refused by compilers or Python, or able to show text in another order than it
-# has: control characters, marks of direction, halves of pairs, what is no character.
+# Malformed in XML, refused by compilers, or able to show text in another order than it has: control
+# characters, marks of direction, surrogates and noncharacters.
 _UNPRINTABLE = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
 )
 
 
 def with_names(text: str, modes: Sequence[str]) -> str:
-    """A sentence with the names of modes in place of their numbers; words are names of their own.
+    """A sentence with the names of modes in place of "mode" and a number.
 
     Examples
     --------
@@ -29,14 +29,14 @@ def with_names(text: str, modes: Sequence[str]) -> str:
         numbers = re.findall(r"\d+", match[0])
         if any(int(number) >= len(modes) for number in numbers):
             return match[0]
-        told = re.sub(r"\d+", lambda number: modes[int(number[0])], match[0])
-        return told.removeprefix("modes ").removeprefix("mode ")
+        text = re.sub(r"\d+", lambda number: modes[int(number[0])], match[0])
+        return text.removeprefix("modes ").removeprefix("mode ")
 
     return re.sub(r"\bmodes? \d+(?:(?: to| or| and) \d+(?![\d.]))*(?![\d.]\d)", named, text)
 
 
 def one_line(text: str) -> str:
-    """A user's text on one line, fit for any file: what cannot be printed becomes U+FFFD.
+    """A user's text on one line, with unprintable characters as U+FFFD.
 
     Examples
     --------
@@ -47,7 +47,7 @@ def one_line(text: str) -> str:
 
 
 def amount(value: float) -> str:
-    """A positive number for prose: three digits, a power of ten when it is far from 1.
+    """A positive number in a sentence: three digits, with a power of ten if it is far from 1.
 
     Examples
     --------
@@ -66,9 +66,9 @@ def amount(value: float) -> str:
 
 
 def inwards(value: float, nominal: float) -> str:
-    """An end of an interval around a nominal value, rounded towards that, never outwards.
+    """An end of an interval around a nominal value, rounded towards that value.
 
-    To three digits of its own, or of its distance from the nominal value where that is less.
+    To three digits, or to three of its distance from the nominal value if that is smaller.
 
     Examples
     --------
@@ -79,7 +79,7 @@ def inwards(value: float, nominal: float) -> str:
     if not exact.is_finite() or exact in (0, centre):
         return f"{value:g}"
     places = min(exact.adjusted(), abs(exact - centre).adjusted()) - 2
-    # A double that stands for a short decimal is that decimal.
+    # 0.1 shall be printed as 0.1, so the shortest decimal of the double is what is rounded.
     short = Decimal(repr(float(value)))
     rounding = ROUND_CEILING if exact < centre else ROUND_FLOOR
     rounded = short.quantize(Decimal(1).scaleb(min(places, 0)), rounding)
@@ -90,7 +90,7 @@ def inwards(value: float, nominal: float) -> str:
 
 
 def error_percent(value: float, nominal: float) -> str:
-    """How far an end of an interval is from the nominal value, in percent, rounded towards 0.
+    """The distance of a value from the nominal one in percent, rounded towards 0.
 
     Examples
     --------
@@ -144,7 +144,7 @@ def as_rate(value: float) -> str:
 
 
 def number_of(number: int, noun: str) -> str:
-    """A number of things, of which the noun is one.
+    """A number with its noun, in the plural unless the number is 1.
 
     Examples
     --------
@@ -155,7 +155,7 @@ def number_of(number: int, noun: str) -> str:
 
 
 def subscript(number: int) -> str:
-    """Digits below the line.
+    """A number in subscript digits.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def subscript(number: int) -> str:
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:
-    """Names for as many signals.
+    """The names of so many signals: the letter with subscripts from 1.
 
     Examples
     --------
@@ -177,7 +177,7 @@ def numbered(letter: str, count: int) -> tuple[str, ...]:
 
 
 def input_names(count: int) -> tuple[str, ...]:
-    """Names of inputs that have none.
+    """The default names of inputs.
 
     Examples
     --------
@@ -188,7 +188,7 @@ def input_names(count: int) -> tuple[str, ...]:
 
 
 def file_name(name: str) -> str:
-    """The name of a law or a problem in names of files.
+    """The name of a law or a problem as a part of a file name.
 
     Examples
     --------
@@ -199,7 +199,7 @@ def file_name(name: str) -> str:
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Names of laws as they stand in names of files, numbered where they would not differ.
+    """Names of laws as parts of file names, numbered if some would be equal.
 
     Examples
     --------

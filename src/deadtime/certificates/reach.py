@@ -23,8 +23,7 @@ from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import same_outputs
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.plant_set import PlantSet, PlantUncertainty
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
 from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
 from deadtime.switching import SignalClass

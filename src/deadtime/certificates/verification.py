@@ -26,8 +26,7 @@ from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.plant_set import PlantUncertainty
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import PlantUncertainty, Polytope
 from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode, SwitchingConstraint
 from deadtime.switching.signal_class import CLOCK_TOLERANCE, SignalOptions

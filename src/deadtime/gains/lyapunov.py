@@ -115,7 +115,7 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
             if found is not None:
                 return found
             missed = "" if answer is None else ", but it fails when put back"
-            verdicts.append(verdict._replace(said=verdict.said + missed))
+            verdicts.append(verdict._replace(status=verdict.status + missed))
             if verdict.infeasible:
                 break
     require_answer(verdicts)
@@ -383,7 +383,7 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
                 if design is not None and design.decay_rate >= rate:
                     return design
                 missed = "" if verdict.x is None else ", but its answer misses the rate"
-                verdicts.append(verdict._replace(said=verdict.said + missed))
+                verdicts.append(verdict._replace(status=verdict.status + missed))
                 if verdict.infeasible:
                     break
     require_answer(verdicts)

@@ -230,12 +230,12 @@ def _sampled_lqr_mode(
     """The discrete Riccati equation with a cross term, put back."""
     from scipy.linalg import solve_discrete_are
 
-    from deadtime.numerics.exponential import energy_gramian
+    from deadtime.numerics.exponential import gramian
 
     A, B = plant.A[i], plant.B[i]
     n = A.shape[0]
     Phi, Gamma = finite_discretisation(A, B, step)
-    M = energy_gramian(A, B, step, read_only(Q))
+    M = gramian(A, B, step, read_only(Q))
     M[n:, n:] += step * R
     try:
         X = solve_discrete_are(Phi, Gamma, M[:n, :n], M[n:, n:], s=M[:n, n:])

@@ -1,4 +1,4 @@
-"""The interfaces of imperfections, and the sizes of a loop that they must know."""
+"""The interfaces of imperfections, and the sizes of a loop."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deadtime.plant import SwitchedSystem
 
 
 class Sizes(NamedTuple):
-    """The sizes of a loop that an imperfection must know; the step in seconds."""
+    """The sizes of a loop, and its step in seconds."""
 
     modes: int
     states: int
@@ -27,24 +27,24 @@ class Sizes(NamedTuple):
 
     @classmethod
     def of(cls, plant: SwitchedSystem, step: float) -> Sizes:
-        """Those of a plant under a law that measures the whole state."""
+        """The sizes of a plant under a law that measures the whole state."""
         return cls(plant.modes, plant.states, plant.inputs, step)
 
 
 class Seen(NamedTuple):
-    """The state and mode that reach the law at a sample; x is NaN where nothing did."""
+    """The state and mode that reach the law at a sample; x is NaN if the sample is lost."""
 
     x: np.ndarray
     mode: int
 
 
 Sense = Callable[[Seen], Seen]
-Act = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from u_k as asked and u_{k−1} as applied
-Piece = tuple[np.ndarray, float]  # A and how many seconds the plant has it
+Act = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (u_k commanded, u_{k−1} applied) -> applied
+Piece = tuple[np.ndarray, float]  # A and its duration, seconds
 
 
 class Limits(NamedTuple):
-    """Bounds (m,) of the inputs, or, if relative, of their change from those applied before."""
+    """Bounds (m,) of the inputs or, if relative, of their change since the last period."""
 
     low: np.ndarray
     high: np.ndarray
@@ -56,57 +56,57 @@ Size = TypeVar("Size", int, Sizes)
 
 
 class Imperfection(Frozen, ABC):
-    """Something between the law and its plant."""
+    """A deviation of the loop from the ideal one."""
 
 
 class Drawing(ABC):
-    """A part that draws so many numbers of one kind: those of many runs are drawn at once.
+    """A part that draws all random numbers of a run in advance, as batches need.
 
-    `normal` says whether they are of the standard normal distribution, or uniform on [0, 1).
+    They are standard normal if `normal`, else uniform on [0, 1).
     """
 
     normal: ClassVar[bool] = False
 
     @abstractmethod
     def count(self, sizes: Sizes, samples: int) -> int:
-        """How many numbers a run takes."""
+        """Number of random numbers of a run."""
 
     @final
     def draw(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
-        """Those of one run."""
+        """The numbers of one run."""
         size = self.count(sizes, samples)
         return rng.standard_normal(size) if self.normal else rng.random(size)
 
 
 class SensorImperfection(Imperfection):
-    """Changes what the law is told; one that reads no state says so by `Relaying`."""
+    """Changes the measurements; one that does not depend on the state is a `Relaying`, too."""
 
     @abstractmethod
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        """A function from what is seen to what the law is told, called once a sample."""
+        """A function from the true to the received state and mode, called once a sample."""
 
 
 class TimingImperfection(Imperfection):
-    """Changes when the law's measurement is taken.
+    """Changes when the state is measured.
 
-    `waits` says whether what was measured before time 0 is missing, or time 0 is taken instead.
+    For a measurement instant before 0 the sample is lost if `waits`, else x(0) is measured.
     """
 
     waits: ClassVar[bool]
 
     @abstractmethod
     def lags(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
-        """How long before each sample x is measured, seconds (samples,)."""
+        """The time from the measurement of x to each sample, seconds (samples,)."""
 
 
 class DrawnTiming(Drawing, TimingImperfection):
-    """Timing from numbers that are drawn at once, of one run or of many."""
+    """Timing from random numbers that are drawn in advance, for one run or for many."""
 
     @abstractmethod
     def lags_from(self, numbers: np.ndarray, sizes: Sizes, samples: int) -> np.ndarray:
-        """The lags (runs, samples) of runs that drew these numbers (runs, count), or of one run.
+        """Lags (runs, samples) from random numbers (runs, count), or those of one run.
 
-        An axis of length 1 stands for all runs, or for all samples.
+        An axis of length 1 stands for all runs or samples.
         """
 
     @final
@@ -116,26 +116,26 @@ class DrawnTiming(Drawing, TimingImperfection):
 
 
 class ActuatorImperfection(Imperfection):
-    """Changes what the plant is given."""
+    """Changes the commanded input."""
 
     @abstractmethod
     def actuator(self, sizes: Sizes) -> Act:
-        """A function to be called once a sample."""
+        """A function to the applied input, called once a sample."""
 
 
 class Limiting(ABC):
-    """A part that clips the input: a base beside `ActuatorImperfection`, as `Relaying` is."""
+    """An actuator that clips the input: a second base beside `ActuatorImperfection`."""
 
     @abstractmethod
     def limits(self, sizes: Sizes) -> Limits:
-        """The least and the largest input, and whether they are relative to the input before."""
+        """The bounds of the input."""
 
     @final
     def actuator(self, sizes: Sizes) -> Act:
         low, high, relative = self.limits(sizes)
         if relative:
-            return lambda asked, before: np.minimum(np.maximum(asked, before + low), before + high)
-        return lambda asked, before: np.minimum(np.maximum(asked, low), high)
+            return lambda u, before: np.minimum(np.maximum(u, before + low), before + high)
+        return lambda u, before: np.minimum(np.maximum(u, low), high)
 
 
 class Disturbance(Imperfection):
@@ -145,24 +145,24 @@ class Disturbance(Imperfection):
     def draws(
         self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
-        """Numbers (steps, lengths, r) that decide w over stretches of these lengths, in steps."""
+        """Random numbers (steps, lengths, r) for stretches of these lengths, s, in each period."""
 
     @abstractmethod
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
-        """(n, r): from a stretch's numbers to what w adds to x over these pieces of it."""
+        """(n, r): from the numbers of a stretch to the change of x by w over its pieces."""
 
     @property
-    def goes_by_mode(self) -> bool:
-        """Whether w is a force that the mode decides; `force_by_mode` then says which."""
+    def depends_on_mode(self) -> bool:
+        """Whether w is a force of the mode, then given by `force_by_mode`."""
         return False
 
     def force_by_mode(self, sizes: Sizes) -> np.ndarray | None:
-        """c (modes, n) of w = c_σ times the one number drawn; None where w is anything else."""
+        """c (modes, n) if w is c_σ times a single number, else None."""
         return None
 
 
 class Stacked(ABC):
-    """A disturbance that spreads over many stretches at once: a base beside `Disturbance`."""
+    """A disturbance with vectorised `spreads`: a second base beside `Disturbance`."""
 
     @abstractmethod
     def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -178,19 +178,20 @@ class Stacked(ABC):
 
 
 def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.Generator]:
-    """A generator for each, which the presence of the others does not change."""
+    """A generator for each imperfection, independent of the other ones in the list."""
     if not isinstance(imperfections, Sequence) or isinstance(imperfections, str):
         raise ArgumentError(
             f"imperfections must be a list of imperfections, got {type(imperfections).__name__}."
         )
     for each in imperfections:
         instance("imperfections", each, Imperfection)
+    # Numbered within the class, so that one of another class changes no stream.
     names = [type(each).__name__ for each in imperfections]
     return [stream(seed, name, names[:place].count(name)) for place, name in enumerate(names)]
 
 
 def require(one: Imperfection, sizes: Sizes) -> None:
-    """Refuse an imperfection that does not fit its loop, as a run would."""
+    """Refuse an imperfection with arguments that do not fit its loop, as a run would."""
     rng = np.random.default_rng(0)
     match one:
         case SensorImperfection():
@@ -207,19 +208,19 @@ def require(one: Imperfection, sizes: Sizes) -> None:
 
 
 def once(check: Callable[[Any, Size], Checked]) -> Callable[[Any, Size], Checked]:
-    """Remember what a check of an imperfection's fields made of them, size by size.
+    """Cache the result of a check of an imperfection's fields, by size.
 
-    Many runs ask for it as often as they draw, and checking takes as long as drawing.
+    Every run of a batch checks again before it draws, and checking takes as long as drawing.
     """
 
     @functools.wraps(check)
-    def memory_size(one: Any, size: Size) -> Checked:
-        found = vars(one).setdefault("_found", {})
-        if size not in found:
-            found[size] = check(one, size)
-        return found[size]
+    def cached(one: Any, size: Size) -> Checked:
+        results = vars(one).setdefault("_checked", {})
+        if size not in results:
+            results[size] = check(one, size)
+        return results[size]
 
-    return memory_size
+    return cached
 
 
 def per_signal(name: str, value: ArrayLike, size: int) -> np.ndarray:

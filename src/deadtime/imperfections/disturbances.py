@@ -1,8 +1,8 @@
 """Disturbances of the plant: dx/dt = A_σ x + B_σ u(t − D) + w(t).
 
-Over each stretch of a period (from one arrival of an input to the next) what w adds to x is drawn
-with its exact distribution, switches within it included. Between the ends of stretches the constant
-force that adds as much is held, so that a run can be evaluated anywhere.
+Over each stretch of a period (from one arrival of an input to the next) the change of x by w is
+drawn with its exact distribution, also across switches. Within a stretch w is replaced by the
+constant force with the same effect, so that a run can be evaluated at any time.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from deadtime.plant.discretisation import snap
 
 
 class DrawnDisturbance(Stacked, Disturbance):
-    """A disturbance that draws as many normal numbers for each stretch.
+    """A disturbance with a fixed number of normal random numbers per stretch.
 
-    The first stretch of all periods has the run's stream, the second one the first that this
-    spawns, and so on: a seed draws the same numbers for a stretch however many there are of them,
-    and a longer run begins as a shorter one.
+    The first stretch of all periods has the run's stream, the second one the first stream spawned
+    from it, and so on: so the numbers of a stretch do not depend on how many others there are, and
+    a longer run continues a shorter one.
     """
 
     @abstractmethod
     def counts(self, sizes: Sizes) -> tuple[int, int]:
-        """How many normal numbers a stretch takes before the first period, and in every one."""
+        """Numbers per stretch: before the first period, and in every one."""
 
     @abstractmethod
     def draws_from(
@@ -47,9 +47,9 @@ class DrawnDisturbance(Stacked, Disturbance):
         steps: int,
         room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> Float[np.ndarray, "stretch some steps r"]:
-        """The numbers that decide w in runs that drew these, stretch by stretch.
+        """`Disturbance.draws` of runs, from their normal numbers, stretch by stretch.
 
-        No length is 0. An axis of length 1 stands for all runs. `room_for` gives memory for it.
+        No length is 0. An axis of length 1 stands for all runs. `room_for` allocates the result.
         """
 
     @abstractmethod
@@ -58,7 +58,7 @@ class DrawnDisturbance(Stacked, Disturbance):
     ) -> Float[np.ndarray, "count n r"]:
         """`Disturbance.spread` of many stretches, (count, n, r).
 
-        Each has tau (count, pieces) seconds in a mode (count, pieces) of A (modes, n, n).
+        Their pieces last tau (count, pieces) seconds in a mode (count, pieces) of A (modes, n, n).
         """
 
     @final
@@ -71,30 +71,29 @@ class DrawnDisturbance(Stacked, Disturbance):
         self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
         before, each = self.counts(sizes)
-        (there,) = np.nonzero(np.array(lengths))
-        # All spawn, so that who is missing changes nobody's numbers.
+        (present,) = np.nonzero(np.array(lengths))
+        # Stretches of length 0 have a stream, too, so that the others keep theirs.
         streams = [rng, *rng.spawn(len(lengths) - 1)]
-        numbers = [streams[i].standard_normal((1, before + each * steps)) for i in there]
-        found = self.draws_from(np.stack(numbers), sizes, tuple(lengths[i] for i in there), steps)
-        draws = np.zeros((steps, len(lengths), found.shape[3]))
-        draws[:, there] = found[:, 0].transpose(1, 0, 2)
+        numbers = [streams[i].standard_normal((1, before + each * steps)) for i in present]
+        own = self.draws_from(np.stack(numbers), sizes, tuple(lengths[i] for i in present), steps)
+        draws = np.zeros((steps, len(lengths), own.shape[3]))
+        draws[:, present] = own[:, 0].transpose(1, 0, 2)
         return draws
 
 
 @dataclass(frozen=True)
 class WhiteDisturbance(DrawnDisturbance):
-    """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s), W that of the mode where each has its own.
+    """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s), with W of the mode if W is per mode.
 
     The states at the samples and at the arrivals of inputs have exactly the distribution of the
-    stochastic differential equation. The roughness of a path within a stretch is left out: it would
-    add tr(W) h/6 a second to ∫|x|² on average.
+    stochastic differential equation. Paths are smooth within a stretch, which leaves tr(W) h/6 per
+    second out of the mean of ∫|x|².
 
     Parameters
     ----------
     intensity : array_like
         W: a number for W = number·I, shape (n,) for a diagonal, (n, n), or (modes, n, n) for one
-        per mode, which acts from the instant of a switch on; positive semidefinite, in units of x²
-        per second.
+        per mode; positive semidefinite, in units of x² per second.
     """
 
     intensity: ArrayLike
@@ -166,6 +165,7 @@ class ColouredDisturbance(DrawnDisturbance):
         room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> np.ndarray:
         _, std, T = self._check(sizes.states)
+        # c(t + τ) given c(t) is normal with mean `kept` c and standard deviation `fresh`.
         tau = np.array(lengths)[:, None]
         kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
         draws = room_for((*numbers.shape[:2], steps, 2 * std.size + sizes.states))
@@ -179,7 +179,7 @@ class ColouredDisturbance(DrawnDisturbance):
     def spreads_in(
         self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
     ) -> np.ndarray:
-        """From c at both ends and n normal numbers: the mean given c, and what is left."""
+        """From c at both ends and n normal numbers: the mean given c, and the rest."""
         E, std, T = self._check(sizes.states)
         n, q = E.shape
         total = tau.sum(axis=1)[:, None]
@@ -190,9 +190,10 @@ class ColouredDisturbance(DrawnDisturbance):
         rate = np.maximum(rates(A), (1.0 / T).max(initial=0.0))
         M, Q = accumulate(joint, W, rate, mode, tau)
         kept, variance = np.exp(-total / T), std**2 * -np.expm1(-2.0 * total / T)
+        # x given c at both ends is normal: regression on the new c, and the residual covariance.
         slope = Q[:, :n, n:] / np.where(variance > 0.0, variance, 1.0)[:, None]
-        left = lower_root(Q[:, :n, :n] - slope @ Q[:, n:, :n])
-        return np.concatenate((M[:, :n, n:] - slope * kept[:, None], slope, left), axis=2)
+        rest = lower_root(Q[:, :n, :n] - slope @ Q[:, n:, :n])
+        return np.concatenate((M[:, :n, n:] - slope * kept[:, None], slope, rest), axis=2)
 
     @once
     def _check(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -212,13 +213,13 @@ class ColouredDisturbance(DrawnDisturbance):
 
 @dataclass(frozen=True)
 class StepDisturbance(DrawnDisturbance):
-    """A constant force on dx/dt from the first sample at or after `start` up to that of `end`.
+    """A constant force on dx/dt between two times, each rounded up to a sample.
 
     Parameters
     ----------
     force : array_like, shape (n,) or (modes, n)
-        Units of x per second; with a row per mode the force changes with the mode, at the instant
-        of the switch: dx/dt = A_σ x + B_σ u(t − D) + c_σ.
+        Units of x per second; with a row per mode the force changes at the instant of a switch:
+        dx/dt = A_σ x + B_σ u(t − D) + c_σ.
     start, end : float
         Seconds, 0 ≤ start < end.
     """
@@ -261,11 +262,11 @@ class StepDisturbance(DrawnDisturbance):
         return accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:]
 
     @property
-    def goes_by_mode(self) -> bool:
+    def depends_on_mode(self) -> bool:
         return np.ndim(self.force) == 2
 
     def force_by_mode(self, sizes: Sizes) -> np.ndarray | None:
-        return self._check(sizes) if self.goes_by_mode else None
+        return self._check(sizes) if self.depends_on_mode else None
 
     def _check(self, sizes: Sizes) -> np.ndarray:
         name, modes, n = "StepDisturbance.force", sizes.modes, sizes.states
@@ -280,8 +281,11 @@ class StepDisturbance(DrawnDisturbance):
 def _follow_many(std, kept, fresh, numbers, draws, sources, states):
     """Fill `draws` with c before and after every stretch, c ← kept c + fresh·number, and the rest.
 
-    c starts at std times the first numbers of the first stretch. `sources` and `states` are the
-    sizes of c and x as the lengths of tuples, so that short loops are unrolled.
+        numbers (stretch, run, count):  q initial values | q for c, n for x | q, n | … per step
+        draws (stretch, run, step, width):  c before (q) | c after (q) | numbers for x (n)
+
+    c starts at std times the initial values of the first stretch. `sources` and `states` are
+    tuples of lengths q and n, so that the compiler unrolls short loops.
     """
     (stretches, runs, steps, _), count = draws.shape, numbers.shape[2]
     q, more = len(sources), len(sources) + len(states)
@@ -308,10 +312,11 @@ def _follow_many(std, kept, fresh, numbers, draws, sources, states):
 def _follow_one(
     std: np.ndarray, kept: np.ndarray, fresh: np.ndarray, numbers: np.ndarray, draws: np.ndarray
 ) -> None:
-    """`_follow_many` of one run, which needs no compiler."""
+    """`_follow_many` of one run, without compiling."""
     stretches, _, steps, width = draws.shape
     q = std.size
     own = numbers[:, 0, q:].reshape(stretches, steps, width - q)
+    # (steps, stretches): in the order of time, period by period.
     more = (fresh[:, None] * own[:, :, :q]).transpose(1, 0, 2).reshape(-1, q)
     for j in range(q):
         c, path = float(std[j] * numbers[0, 0, j]), []
@@ -325,13 +330,13 @@ def _follow_one(
     draws[:, 0, :, 2 * q :] = own[:, :, q:]
 
 
-_LONG = re.compile(r"\b\d+\.\d{6,}(e[+-]?\d+)?\b")
+_LONG = re.compile(r"\b\d+\.\d{6,}(e[+-]?\d+)?\b")  # such as estimates
 
 
 def in_words(each: Imperfection) -> str:
-    """An imperfection in words: an offset by its modes, everything else by its class and numbers.
+    """An imperfection as text: its class and numbers, the latter to four digits if they are long.
 
-    A constant force that acts all through a run and changes with the mode is an offset, c_σ.
+    A force per mode that acts at all times is an offset, c_σ.
 
     Examples
     --------
@@ -341,18 +346,15 @@ def in_words(each: Imperfection) -> str:
     >>> in_words(Dropout(1 / 30))
     'Dropout(probability=0.03333)'
     """
-    if not isinstance(each, StepDisturbance) or np.ndim(each.force) != 2:
-        return _briefly(each)
-    if each.start > 0.0 or math.isfinite(each.end):
-        return _briefly(each)
+    if (
+        not (isinstance(each, StepDisturbance) and each.depends_on_mode)
+        or each.start > 0.0
+        or math.isfinite(each.end)
+    ):
+        return _LONG.sub(lambda number: f"{float(number[0]):.4g}", repr(each))
     rows = [
         f"[{', '.join(f'{value:g}' for value in row)}] in mode {mode}"
         for mode, row in enumerate(np.asarray(each.force, dtype=float))
         if row.any()
     ]
     return f"offset {' and '.join(rows) or 0}"
-
-
-def _briefly(each: Imperfection) -> str:
-    """Its class and numbers; of numbers with many digits, such as estimates, the first four."""
-    return _LONG.sub(lambda number: f"{float(number[0]):.4g}", repr(each))

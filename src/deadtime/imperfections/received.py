@@ -1,9 +1,9 @@
 """The measurements and modes that reach a law at all samples of a run, drawn before it.
 
-Which sample's measurement reaches the law, what was added to it and which mode is named in place of
-another depend neither on the state nor on the mode. So a whole run of it is drawn at once, for
-compiled loops and for many runs, and its sensors are functions of arrays, one after the other.
-Imperfections that arrays do not say all of are functions, to be called once a sample.
+The received sample, its noise and wrong mode reports depend neither on the state nor on the mode.
+So they are drawn for a whole run in advance, as compiled loops and batches need, and these sensors
+are functions of arrays, applied one after the other. Sensors that depend on the state are functions
+that are called once a sample.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ from deadtime.imperfections.base import (
 
 _BLOCK = 64  # samples
 
-Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in the next ones
+Draw = Callable[[int], np.ndarray]  # from a number of samples to the noise of the next ones
 
 
 class ReceivedData(NamedTuple):
     """The measurements and modes that reach a law at every sample of a run.
 
-    Of many runs, each array has an axis of them in front; axes of length 1 stand for all runs, and
+    For many runs, each array has an axis of runs in front; axes of length 1 stand for all runs, and
     for all samples of `noise` and `named`.
 
     sample : (samples,)
-        Whose measurement; −1 for none.
+        The sample whose measurement is received; −1 for none.
     noise : (samples, n)
-        What was added to it.
+        The noise of that measurement.
     mode_of : (samples,)
-        Whose mode; −1 for none.
+        The sample whose mode is reported; −1 for none.
     named : (samples, modes)
-        What each mode is taken for.
+        The mode that is reported for each true one.
 
     Examples
     --------
-    >>> heard = Heard.perfect(3, Sizes(modes=2, states=1, inputs=1, step=0.1))
-    >>> heard.at(np.array([-1, 0, 0])).modes(np.array([1, 0, 0]))
+    >>> received = ReceivedData.perfect(3, Sizes(modes=2, states=1, inputs=1, step=0.1))
+    >>> received.at(np.array([-1, 0, 0])).modes(np.array([1, 0, 0]))
     array([-1,  1,  1])
     """
 
@@ -65,12 +65,12 @@ class ReceivedData(NamedTuple):
 
     @classmethod
     def of_many(cls, samples: int, sizes: Sizes) -> ReceivedData:
-        """Every sample of all runs at once and as it is."""
+        """Perfect measurements of many runs, as one for all of them."""
         each, noise = np.arange(samples)[None], np.zeros((1, 1, sizes.states))
         return cls(each, noise, each, np.arange(sizes.modes)[None, None])
 
     def each(self, runs: int) -> Iterator[ReceivedData]:
-        """One for each of so many runs."""
+        """The data of each run."""
         samples = self.samples
         shapes = [(runs, samples), (runs, samples, self.noise.shape[-1]), (runs, samples)]
         shapes.append((runs, samples, self.named.shape[-1]))
@@ -80,32 +80,29 @@ class ReceivedData(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """How many there are."""
+        """Number of samples."""
         return self.sample.shape[-1]
 
     @classmethod
     def perfect(cls, samples: int, sizes: Sizes) -> ReceivedData:
-        """Every sample at once and as it is."""
+        """Perfect measurements of one run: no delay, noise, loss or error."""
         each, noise = np.arange(samples), np.zeros((samples, sizes.states))
         named = np.broadcast_to(np.arange(sizes.modes), (samples, sizes.modes))
         return cls(each, noise, each, named)
 
     def at(self, sample: Int[np.ndarray, "*runs sample"]) -> ReceivedData:
-        """Those of other samples, one for each; nothing at −1."""
-        found = mode_of = self._through(self.sample, sample)
-        if self.mode_of is not self.sample:
-            mode_of = self._through(self.mode_of, sample)
-        noise, named = _of_samples(self.noise, sample), _of_samples(self.named, sample)
-        return ReceivedData(found, noise, mode_of, named)
+        """This data behind a further sensor, which passes on sample[k] at k; −1 for none."""
 
-    def _through(self, received: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """Which samples are heard at samples of which these are heard, −1 for none."""
-        if (
-            received.size == self.samples
-            and (received.reshape(-1) == np.arange(self.samples)).all()
-        ):
-            return sample
-        return np.where(sample < 0, -1, at_samples(received, sample))
+        def through(received: np.ndarray) -> np.ndarray:
+            all_received = np.arange(self.samples)
+            if received.size == self.samples and (received.reshape(-1) == all_received).all():
+                return sample
+            return np.where(sample < 0, -1, at_samples(received, sample))
+
+        source = through(self.sample)
+        mode_of = source if self.mode_of is self.sample else through(self.mode_of)
+        noise, named = _of_samples(self.noise, sample), _of_samples(self.named, sample)
+        return ReceivedData(source, noise, mode_of, named)
 
     def with_modes_of(self, sample: Int[np.ndarray, " sample"]) -> ReceivedData:
         """These measurements with the modes of other samples."""
@@ -113,19 +110,19 @@ class ReceivedData(NamedTuple):
         return self._replace(mode_of=mode_of, named=named)
 
     def modes(self, sampled: Int[np.ndarray, "*runs sample"]) -> Int[np.ndarray, "*runs sample"]:
-        """The mode that the law is told at each sample, from σ(t_k); −1 where it is told none."""
+        """The reported mode at each sample, from σ(t_k); −1 for none."""
         true = at_samples(sampled, self.mode_of)
-        if self.named.size == self.named.shape[-1]:  # one row, of all samples and runs
-            told = self.named.reshape(-1)[true]
+        if self.named.size == self.named.shape[-1]:  # one row for all samples and runs
+            reported = self.named.reshape(-1)[true]
         else:
-            told = np.take_along_axis(self.named, true[..., None], -1)[..., 0]
-        return np.where(self.mode_of < 0, -1, told)
+            reported = np.take_along_axis(self.named, true[..., None], -1)[..., 0]
+        return np.where(self.mode_of < 0, -1, reported)
 
 
 def at_samples(array: np.ndarray, sample: np.ndarray) -> np.ndarray:
-    """Entries of an array (…, samples) at samples, those of all runs or of each.
+    """Entries of an array (…, samples) at samples, the same for all runs or one row per run.
 
-    At −1 any entry is found.
+    At −1 the entry is arbitrary.
     """
     if array.shape[-1] == 1:
         return array
@@ -133,14 +130,14 @@ def at_samples(array: np.ndarray, sample: np.ndarray) -> np.ndarray:
     if one is not None or array.size == array.shape[-1]:
         return array[..., one] if one is not None else array.reshape(-1)[sample]
     if array.ndim == sample.ndim == 2 and len(array) == len(sample):
-        # As `take_along_axis` does, in a third of its time.
+        # `take` of the flat array: a third of the time of `take_along_axis`.
         begin = array.shape[1] * np.arange(len(array))[:, None]
         return np.take(array.reshape(-1), begin + sample)
     return np.take_along_axis(array, sample, -1)
 
 
 def _of_samples(rows: np.ndarray, sample: np.ndarray) -> np.ndarray:
-    """Rows of an array (…, samples, entries) at samples; one row stands for all."""
+    """Rows of an array (…, samples, entries) at samples; a single row stands for all."""
     if rows.shape[-2] == 1:
         return rows
     if sample.ndim == 1:
@@ -149,20 +146,20 @@ def _of_samples(rows: np.ndarray, sample: np.ndarray) -> np.ndarray:
 
 
 class Relaying(ABC):
-    """A sensor that asks for no state and no mode.
+    """A sensor that depends neither on the state nor on the mode, which compiled loops support.
 
-    A base beside `SensorImperfection`, by which compiled loops know what they can take.
+    It is a second base beside `SensorImperfection`.
     """
 
     @abstractmethod
     def relay(self, received: ReceivedData, sizes: Sizes, rng: np.random.Generator) -> ReceivedData:
-        """The measurements through it; a longer run of the same numbers begins as a shorter one."""
+        """The data behind the sensor; a longer run from the same generator continues a shorter."""
 
     @final
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        """`relay` called once a sample: for a loop beside a sensor that is no `Relaying`."""
+        """`relay` as a function per sample, for a loop with other sensors that are functions."""
         seen: list[Seen] = []
-        nothing = np.full(sizes.states, np.nan)
+        lost = np.full(sizes.states, np.nan)
 
         def draw(samples: int) -> ReceivedData:
             return relayed(self, ReceivedData.perfect(samples, sizes), sizes, copy.deepcopy(rng))
@@ -171,6 +168,7 @@ class Relaying(ABC):
 
         def sense(now: Seen) -> Seen:
             nonlocal received
+            # Twice as many samples at a time: each draw starts again from the same generator.
             k = len(seen)
             seen.append(now)
             if k == received.samples:
@@ -178,7 +176,7 @@ class Relaying(ABC):
             j, i = received.sample[k], received.mode_of[k]
             mode = -1 if i < 0 else seen[i].mode
             return Seen(
-                nothing if j < 0 else seen[j].x + received.noise[k],
+                lost if j < 0 else seen[j].x + received.noise[k],
                 -1 if mode < 0 else int(received.named[k, mode]),
             )
 
@@ -188,19 +186,13 @@ class Relaying(ABC):
 def relayed(
     by: Relaying, received: ReceivedData, sizes: Sizes, rng: np.random.Generator
 ) -> ReceivedData:
-    """Its measurements; refused where they do not fit, as compiled loops index with them."""
+    """The data behind a sensor; refused where it does not fit, as compiled loops index with it."""
     found = by.relay(received, sizes, rng)
     if type(by).__module__.startswith("deadtime."):
-        return found  # tested to fit; looking again would cost a third of drawing it
-    _require_fit(f"{type(by).__name__}.relay", found, len(received.sample), sizes)
-    kinds = np.int64, float, np.int64, np.int64
-    return ReceivedData(*(part.astype(kind) for part, kind in zip(found, kinds, strict=True)))
-
-
-def _require_fit(name: str, found: object, samples: int, sizes: Sizes) -> None:
-    """Refuse what is no `ReceivedData` of so many samples."""
+        return found  # covered by tests; checking takes a third of the time of drawing
+    name, samples = f"{type(by).__name__}.relay", len(received.sample)
     if not isinstance(found, ReceivedData):
-        raise ArgumentError(f"{name} must return a Heard, got {type(found).__name__}.")
+        raise ArgumentError(f"{name} must return ReceivedData, got {type(found).__name__}.")
     each, one = np.arange(samples), (samples,)
     shapes = one, (samples, sizes.states), one, (samples, sizes.modes)
     for field, array, shape in zip(ReceivedData._fields, found, shapes, strict=True):
@@ -218,23 +210,25 @@ def _require_fit(name: str, found: object, samples: int, sizes: Sizes) -> None:
             k = int(wrong.argmax())
             raise ArgumentError(
                 f"{name} must return {field} with −1 ≤ {field}[k] ≤ k, got {field}[{k}] = "
-                f"{array[k]}: a law hears of no later sample."
+                f"{array[k]}: no later sample has been taken."
             )
     if found.named.min(initial=0) < 0 or found.named.max(initial=0) >= sizes.modes:
         raise ArgumentError(
             f"{name} must return named with 0 ≤ named < modes = {sizes.modes}, got numbers from "
             f"{found.named.min()} to {found.named.max()}."
         )
+    types = np.int64, float, np.int64, np.int64
+    return ReceivedData(*(part.astype(kind) for part, kind in zip(found, types, strict=True)))
 
 
 class DrawnRelaying(Drawing, Relaying):
-    """A relaying by numbers that are drawn at once, of one run or of many."""
+    """A `Relaying` from random numbers that are drawn in advance, for one run or for many."""
 
     @abstractmethod
     def relay_from(
         self, numbers: Float[np.ndarray, "*runs count"], received: ReceivedData, sizes: Sizes
     ) -> ReceivedData:
-        """The measurements through it in runs that drew these numbers, which it may overwrite."""
+        """The data behind the sensor from these random numbers, which may be overwritten."""
 
     @final
     def relay(self, received: ReceivedData, sizes: Sizes, rng: np.random.Generator) -> ReceivedData:
@@ -242,7 +236,7 @@ class DrawnRelaying(Drawing, Relaying):
 
 
 class Additive(Relaying):
-    """A sensor that adds to the measured state, whatever it is, and leaves the mode alone."""
+    """A sensor that adds noise to the measured state and does not change the mode."""
 
     @abstractmethod
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
@@ -256,9 +250,9 @@ class Additive(Relaying):
 
 
 def is_known(each: Imperfection) -> bool:
-    """Whether a compiled loop can take all that it does: each part that it plays counts.
+    """Whether compiled loops support an imperfection: its sensor and its actuator.
 
-    A sensor or an actuator that is written anew in a subclass is a function again.
+    They do not if a subclass overrides `sensor` or `actuator`.
 
     Examples
     --------
@@ -279,9 +273,9 @@ def is_known(each: Imperfection) -> bool:
 
 
 def is_batched(each: Imperfection) -> bool:
-    """Whether the engine of many scenarios can take all that it does."""
-    if isinstance(each, Disturbance) and each.goes_by_mode:
-        return False  # within a period that is cut it is no one force
+    """Whether the batch engine supports an imperfection."""
+    if isinstance(each, Disturbance) and each.depends_on_mode:
+        return False  # the force changes within a period
     drawing = (Relaying, TimingImperfection, Disturbance)
-    # One that draws as two of these shares a stream between them: no array is each part's alone.
+    # One that is two of these draws both from one stream, in turns, and not in an array for each.
     return is_known(each) and sum(isinstance(each, part) for part in drawing) <= 1

@@ -1,7 +1,4 @@
-"""Imperfections of sensors (noise; lost, late, wrong samples; timing), and limits of actuators.
-
-`limit_input` is the step that applies the limits, in one run and in many.
-"""
+"""Imperfections of sensors (noise; lost, late, wrong samples; timing), and limits of actuators."""
 
 from __future__ import annotations
 
@@ -41,7 +38,7 @@ class Noise(DrawnRelaying, Additive, SensorImperfection):
     Parameters
     ----------
     std : array_like
-        Standard deviation, a scalar or shape (n,), in the states' units; (p,) for a law that
+        Standard deviation, a scalar or shape (n,), in the units of the states; (p,) for a law that
         measures outputs.
     """
 
@@ -56,7 +53,8 @@ class Noise(DrawnRelaying, Additive, SensorImperfection):
         whole = *before.shape[:-2], received.samples, sizes.states
         before = np.broadcast_to(before, whole).reshape(*before.shape[:-2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
-            # In place, as numbers of many runs are long, and over rows that are long.
+            # In place, because the numbers of many runs are a large array, and by rows of
+            # samples · n entries, because NumPy is slow along short rows.
             numbers *= np.tile(std, received.samples)
             numbers += before
         return received._replace(noise=numbers.reshape(*numbers.shape[:-1], *whole[-2:]))
@@ -75,9 +73,9 @@ class Noise(DrawnRelaying, Additive, SensorImperfection):
 
 @dataclass(frozen=True)
 class Dropout(DrawnRelaying, SensorImperfection):
-    """Lost samples: the law learns neither x nor σ, and its last input is held.
+    """Lost samples: neither x nor σ is received, and the last input is held.
 
-    A law that measures outputs goes on instead: its observer predicts.
+    With a law that measures outputs the observer predicts instead.
 
     Parameters
     ----------
@@ -97,12 +95,12 @@ class Dropout(DrawnRelaying, SensorImperfection):
 
 @dataclass(frozen=True)
 class LateSamples(DrawnRelaying, SensorImperfection):
-    """Samples that come late: the law uses the newest that has arrived, as if it were fresh.
+    """Late samples: the law uses the newest sample that has arrived, as if it were current.
 
     Parameters
     ----------
     periods : int
-        How late, in periods.
+        Delay of a late sample, in periods.
     probability : float
         Of each sample, independently; 1 for a constant measurement delay.
     """
@@ -118,7 +116,7 @@ class LateSamples(DrawnRelaying, SensorImperfection):
         p = probability_of("LateSamples.probability", self.probability)
         each, delayed = np.arange(received.samples), numbers < p
         newest = np.where(delayed, -1, each)
-        # Of those that are due at a sample its own is newer, where that is there.
+        # Arriving at sample k: k itself unless it is late, and k − late if that one was late.
         due = each[: max(0, each.size - late)]
         came = np.where(delayed[..., : due.size], due, -1)
         newest[..., late:] = np.maximum(newest[..., late:], came)
@@ -127,12 +125,12 @@ class LateSamples(DrawnRelaying, SensorImperfection):
 
 @dataclass(frozen=True)
 class ModeDelay(DrawnRelaying, SensorImperfection):
-    """Late mode detection: the law is told the mode of some samples ago.
+    """Mode detection delay: the reported mode is that of some samples ago.
 
     Parameters
     ----------
     periods : int
-        How late, in periods.
+        The delay, in periods.
     """
 
     periods: int
@@ -149,7 +147,7 @@ class ModeDelay(DrawnRelaying, SensorImperfection):
 
 @dataclass(frozen=True)
 class WrongMode(DrawnRelaying, SensorImperfection):
-    """Wrong mode detection: the law is told another mode, any with equal probability.
+    """Wrong mode detection: another mode is reported, each with equal probability.
 
     Parameters
     ----------
@@ -160,7 +158,7 @@ class WrongMode(DrawnRelaying, SensorImperfection):
     probability: float
 
     def count(self, sizes: Sizes, samples: int) -> int:
-        return samples * (2 if sizes.modes > 2 else 1)  # of two modes there is no choice to draw
+        return samples * (2 if sizes.modes > 2 else 1)  # with two modes only one is wrong
 
     def relay_from(self, numbers: np.ndarray, received: ReceivedData, sizes: Sizes) -> ReceivedData:
         p, others = probability_of("WrongMode.probability", self.probability), sizes.modes - 1
@@ -173,15 +171,16 @@ class WrongMode(DrawnRelaying, SensorImperfection):
         named = np.empty((*wrong.shape, sizes.modes), np.int64)
         for mode in range(sizes.modes):
             taken = received.named[..., mode]
+            # `other` counts the modes without the reported one.
             named[..., mode] = np.where(wrong, other + (other >= taken), taken)
         return received._replace(named=named)
 
 
 @dataclass(frozen=True)
 class MeasurementDelay(DrawnTiming):
-    """The law is told x(t_k − d) at t_k, nothing before t = d; the mode comes in time.
+    """Measurement delay: x(t_k − d) is received at t_k, nothing before t = d; the mode in time.
 
-    A law whose model has the delay D + d makes up for it: its prediction starts d earlier.
+    A law whose model has the delay D + d compensates for it: its prediction starts d earlier.
 
     Parameters
     ----------
@@ -202,9 +201,9 @@ class MeasurementDelay(DrawnTiming):
 
 @dataclass(frozen=True)
 class Jitter(DrawnTiming):
-    """Samples are taken up to `most` seconds early, uniformly, and used as if they were not.
+    """Jitter: samples are taken up to `most` seconds early, uniformly, and used as if on time.
 
-    The first is taken at time 0.
+    The first sample is taken at time 0.
 
     Parameters
     ----------
@@ -230,7 +229,7 @@ class Jitter(DrawnTiming):
 
 @dataclass(frozen=True)
 class Saturation(Limiting, ActuatorImperfection):
-    """Inputs are clipped to [low, high].
+    """Input saturation: inputs are clipped to [low, high].
 
     Parameters
     ----------
@@ -264,7 +263,7 @@ class Saturation(Limiting, ActuatorImperfection):
 
 @dataclass(frozen=True)
 class RateLimit(Limiting, ActuatorImperfection):
-    """Inputs change by at most `rate`·step from one period to the next.
+    """Rate limit: inputs change by at most `rate`·step from one period to the next.
 
     Parameters
     ----------
@@ -294,7 +293,7 @@ class InputLimits(NamedTuple):
 
     @classmethod
     def of(cls, imperfections: Sequence[Imperfection | Limiting], sizes: Sizes) -> InputLimits:
-        """The limits among them."""
+        """The limits among these imperfections."""
         limits = [each.limits(sizes) for each in imperfections if isinstance(each, Limiting)]
         shape = len(limits), sizes.inputs
         return cls(
@@ -304,10 +303,10 @@ class InputLimits(NamedTuple):
         )
 
 
-# Arrays of their own and not a tuple of them: that would cost as much as 50 terms.
+# The arrays are separate arguments: passing an `InputLimits` costs as much as 50 multiply-adds.
 @kernel(nogil=True, forceinline=True, _nrt=False)
 def limit_input(low, high, relative, i, u, before):
-    """Limit input i: u is the value asked for, `before` the one applied in the last period.
+    """The applied input i: u is the commanded one, `before` the one applied in the last period.
 
     Numbers are floats, or vectors of eight scenarios (`deadtime.numerics.numbers`).
     """

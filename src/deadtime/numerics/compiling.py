@@ -1,6 +1,6 @@
-"""Kernels compiled by Numba, and kept as long as their sources stand.
+"""Compilation of kernels by Numba, with a cache on disk that is valid until a source changes.
 
-A kernel is a `deadtime.numerics.kernels.Kernel`, which imports this module when it needs Numba.
+A `deadtime.numerics.kernels.Kernel` imports this module when it needs Numba.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from numba.extending import typeof_impl
 
 from deadtime.base import notices
 from deadtime.numerics.lanes.code import make_code
-from deadtime.numerics.lanes.operators import make_operators  # all that is done with numbers
+from deadtime.numerics.lanes.operators import make_operators  # registers operators of vectors
 
-_LONG = 1.0  # seconds of compiling after which it is said
-_GARBAGE = 20_000  # objects between two collections while compiling
+_LONG = 1.0  # seconds of compiling after which there is a notice
+_GARBAGE = 20_000  # objects between two garbage collections while compiling
 
 
 class _CacheFile(IndexDataCacheFile):
-    """The files of a kernel on disk: one for each of its signatures, which name themselves.
+    """The files of a kernel on disk: one for each signature, named by a hash of it.
 
-    Numba keeps an index of a kernel's files, which it reads, adds to and writes. Where two
-    processes compile at the same time, one would lose what it added, or find the other's code under
-    its own signature. Here the index only says that there is something.
+    Numba's index of a kernel's files is read, extended and written. With two processes compiling at
+    the same time, one loses its entry, or gets the other's code for its own signature. Here the
+    index only marks that a file exists.
     """
 
     def save(self, key: Any, data: Any) -> None:
@@ -50,14 +50,14 @@ class _CacheFile(IndexDataCacheFile):
             if (version, stamp) != (self._version, self._source_stamp):
                 return None
             found, data = pickle.loads(content)
-        except (OSError, AttributeError, ImportError):  # none, or about types that have moved since
+        except (OSError, AttributeError, ImportError):  # no file, or types that have been renamed
             return None
         return data if found == key else None
 
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
-        except (AttributeError, ImportError):  # it is about types that have moved since
+        except (AttributeError, ImportError):  # types that have been renamed
             return {}
 
     def _file_of(self, key: Any) -> str:
@@ -66,17 +66,17 @@ class _CacheFile(IndexDataCacheFile):
 
 
 def dispatcher_of(kernel: Any) -> Any:
-    """A kernel's dispatcher, which keeps what it compiles on disk where it can."""
-    _introduce(type(kernel))
-    # A wrapper for callers in C, which a kernel has none of, is a tenth of what compiling costs.
+    """A kernel's dispatcher, with a cache on disk if a folder is writable."""
+    _register_type(type(kernel))
+    # A wrapper for callers in C takes a tenth of the time to compile, and kernels have none.
     options: dict[str, Any] = {"no_cfunc_wrapper": True, **kernel.options}
     dispatcher: Any = njit(**options)(kernel.function)
     try:
         dispatcher.enable_caching()
-    except RuntimeError:  # no folder can be written: it is compiled anew in each process
+    except RuntimeError:  # no writable folder: it is compiled in each process
         return dispatcher
-    # Numba's own stamp is that of one file, and calls into others would go unnoticed.
-    with contextlib.suppress(AttributeError):  # a Numba that names these otherwise keeps its own
+    # Numba's own stamp is that of one file, so that changes of called functions have no effect.
+    with contextlib.suppress(AttributeError):  # in a Numba with other names, its own stamp remains
         cache, own = dispatcher._cache, dispatcher._cache._cache_file
         files = _CacheFile(cache.cache_path, cache._impl.filename_base, _stamp(kernel))
         cache._cache_file = files if isinstance(own, IndexDataCacheFile) else own
@@ -84,20 +84,20 @@ def dispatcher_of(kernel: Any) -> Any:
 
 
 def is_cached(dispatcher: Any) -> bool:
-    """Whether this machine has it compiled, for whatever arguments; no where that is unknown."""
+    """Whether this machine has it compiled for some arguments; False if that is unknown."""
     try:
         return bool(dispatcher._cache._cache_file._load_index())
-    except AttributeError:  # nothing is kept, or Numba names it otherwise
+    except AttributeError:  # no cache, or a Numba with other names
         return False
 
 
 def is_kept(dispatcher: Any) -> bool:
-    """Whether what is compiled is there for other processes, too."""
+    """Whether compiled code is cached for other processes."""
     return isinstance(getattr(dispatcher._cache, "_cache_file", None), _CacheFile)
 
 
 class _Listener(event.Listener):
-    """Does something whenever compiling starts, with what is compiled."""
+    """Calls a function with the dispatcher whenever compiling starts."""
 
     def __init__(self, do: Callable[[Any], None]) -> None:
         self._do = do
@@ -111,20 +111,20 @@ class _Listener(event.Listener):
 
 @contextlib.contextmanager
 def where_compiling_starts(do: Callable[[Any], None]) -> Iterator[None]:
-    """Call do(dispatcher) whenever something has to be compiled; what is found on disk has not."""
+    """Call do(dispatcher) whenever a function is compiled, but not when it is loaded from disk."""
     with event.install_listener("numba:compile", _Listener(do)):
         yield
 
 
 def _stamp(kernel: Any) -> tuple[Any, ...]:
-    """The sources of a kernel and of all of this package that it calls.
+    """The stamp of a kernel and of all functions of the package that it calls, recursively.
 
-    That is name, time and size of the files that they lie in, and the numbers that they read.
+    It is the name, time and size of their files, and the global numbers that they use.
     """
     reached, codes, numbers = [kernel.function, make_operators, make_code], [], []
     for function in reached:
         inner = [function.__code__]
-        for code in inner:  # intrinsics are made by functions within them
+        for code in inner:  # intrinsics contain the functions that generate their code
             inner += [part for part in code.co_consts if isinstance(part, CodeType)]
             for name in code.co_names:
                 named = function.__globals__.get(name)
@@ -141,7 +141,7 @@ def _stamp(kernel: Any) -> tuple[Any, ...]:
 
 
 def _function_of(named: Any, caller: Any) -> Any:
-    """The Python of what compiled code calls, if it is a kernel or of the same package."""
+    """The Python function of a callee, if it is a kernel or of the caller's package; else None."""
     function = named
     for attribute in ("function", "py_func", "_defn"):  # of a kernel, a dispatcher, an intrinsic
         function = getattr(named, attribute, function)
@@ -153,13 +153,13 @@ def _function_of(named: Any, caller: Any) -> Any:
 
 
 @functools.cache
-def _introduce(kind: Any) -> None:
+def _register_type(kind: Any) -> None:
     """Let kernels call kernels."""
     typeof_impl.register(kind)(lambda kernel, _: types.Dispatcher(kernel.dispatcher))
 
 
 class _Notice(event.Listener):
-    """Says once compiling takes a while, of kernels and of functions under `njit` alike."""
+    """Calls `notices.compiling` when compiling takes long, of kernels and `njit` functions."""
 
     def __init__(self) -> None:
         self._depth, self._began, self._spent = 0, 0.0, 0.0
@@ -182,9 +182,9 @@ class _Notice(event.Listener):
 
 
 class _RareCollections(event.Listener):
-    """Collects garbage rarely while Numba compiles, of which a tenth is collecting otherwise.
+    """Reduces garbage collection while Numba compiles, which takes a tenth of the time otherwise.
 
-    It makes millions of small objects, most of which go by themselves.
+    Numba allocates millions of small objects, most of which reference counting frees.
     """
 
     def __init__(self) -> None:

@@ -1,15 +1,15 @@
-"""Linear systems under white noise: transitions and covariances, and the roots of these.
+"""Linear systems under white noise: transitions and covariances, and square roots of these.
 
-Over a piece of τ seconds dx/dt = J x + w, E[w(t) w(s)ᵀ] = W δ(t − s), moves x by Φ and adds the
-covariance Q,
+Over a piece of τ seconds dx/dt = J x + w, E[w(t) w(s)ᵀ] = W δ(t − s), has the transition Φ and adds
+the covariance Q,
 
-    Φ = Σ_k (Jτ)ᵏ/k!,    Q = Σ_k S_k τ^{k+1},    S_0 = W,  (k + 2) S_{k+1} = J S_k + S_k Jᵀ,
+    Φ = Σ_k (Jτ)ᵏ/k!,    Q = Σ_k S_k τ^{k+1},    S_0 = W,  (k + 2) S_{k+1} = J S_k + S_k Jᵀ.
 
-series about τ = 0, so that short pieces have all their digits. Their terms depend on the system
-alone and are the same for all pieces. A long piece is halved until they fall fast, then doubled,
-Φ(2τ) = Φ², Q(2τ) = Q + Φ Q Φᵀ: for covariances a sum of positive terms. Pieces that follow each
-other compose alike. Where there are many, they are compiled, which takes a third of NumPy's time;
-both ways give the same bits.
+The series are about τ = 0, so that short pieces have full relative precision; their coefficients
+are the same for all pieces. A long piece is halved until the series converge fast, then doubled,
+Φ(2τ) = Φ², Q(2τ) = Q + Φ Q Φᵀ: a sum of positive terms, without cancellation. Consecutive pieces
+are composed likewise. Many pieces are compiled, which takes a third of NumPy's time, with bitwise
+equal results.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from deadtime.base.checks import read_only
 from deadtime.numerics.exponential import balanced, discretise_each, product, products
 from deadtime.numerics.kernels import kernel
 
-_MANY = 100_000  # numbers of stretches that are worth a compiler
+_MANY = 100_000  # numbers in the arguments from which compiling pays
 _ROUND_OFF = 1e-18
-_LONGEST = 1100  # doublings, more than any finite number has
+_LONGEST = 1100  # doublings: more than the exponents of doubles
 
 
 def accumulate(
@@ -35,10 +35,10 @@ def accumulate(
     mode: Int[np.ndarray, "count piece"],
     tau: Float[np.ndarray, "count piece"],
 ) -> tuple[Float[np.ndarray, "count N N"], Float[np.ndarray, "count N N"]]:
-    """M and Q over stretches of some pieces each, tau seconds (0 for none) in a mode.
+    """Transition M and covariance Q over stretches of pieces, tau seconds (0 for none) in a mode.
 
-    `rate` (1/s) is the size of J in units in which that is small; W is one for all modes or one of
-    each, and None is no noise.
+    `rate` (1/s) is the norm of J in units in which it is balanced; W is one matrix or one per mode,
+    None for no noise.
 
     Examples
     --------
@@ -54,22 +54,23 @@ def accumulate(
     longest = float((size[mode] * tau).max(initial=0.0))
     Phi, S = _terms(J, np.zeros(J.shape[1:]) if W is None else W, size, min(longest, 0.5))
     M, Q = np.empty((2, len(tau), *J.shape[1:]))
-    given = np.array(mode, np.int64), np.array(tau, float)  # of one type, and one kernel for all
+    given = np.array(mode, np.int64), np.array(tau, float)  # the kernel is compiled for one type
     with np.errstate(over="ignore", invalid="ignore"):
         _follow(Phi, S, size, *given, W is not None, M, Q)
     return M, Q
 
 
 def rates(A: Float[np.ndarray, "mode n n"]) -> Float[np.ndarray, " mode"]:
-    """The sizes of A, 1/s, in units in which it is balanced."""
+    """The norms of A, 1/s, in units in which it is balanced."""
     return balanced(np.ascontiguousarray(A))[1]
 
 
 def _terms(
     J: np.ndarray, W: np.ndarray, size: np.ndarray, longest: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The terms of Φ and Q in s = size·τ ≤ `longest`, (mode, term, N, N), the highest last."""
+    """Coefficients of Φ and Q in s = size·τ ≤ `longest`, (mode, term, N, N), the highest last."""
     N, J = J.shape[1], J / size[:, None, None]
+    # |S_k| grows as (2 size)ᵏ/(k + 1)!, because J acts on both sides.
     count = next(k for k in range(2, 60) if (2.0 * longest) ** k / math.factorial(k) < _ROUND_OFF)
     Phi, S = np.empty((2, len(J), count + 2, N, N))
     Phi[:, 0], S[:, 0] = np.eye(N), W / size[:, None, None]
@@ -90,7 +91,7 @@ def _follow_by_numpy(
     M: np.ndarray,
     Q: np.ndarray,
 ) -> None:
-    """`_follow` in a few operations on all stretches, which lie in the last axis."""
+    """`_follow` by array operations on all stretches, which are in the last axis."""
     N = M.shape[1]
     moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)
     added = np.zeros(moved.shape)
@@ -98,6 +99,7 @@ def _follow_by_numpy(
         (on,) = np.nonzero(tau[:, p] > 0.0)
         a, s = mode[on, p], size[mode[on, p]] * tau[on, p]
         doublings = np.zeros(on.size, np.int64)
+        # An infinite s would be halved for ever without the limit.
         while (long := (s > 0.5) & (doublings < _LONGEST)).any():
             s[long] *= 0.5
             doublings[long] += 1
@@ -127,7 +129,7 @@ def _congruence_all(P: np.ndarray, R: np.ndarray) -> np.ndarray:
 
 @kernel(nogil=True, plain=_follow_by_numpy, large=_MANY)
 def _follow(Phi, S, size, mode, tau, noisy, M, Q):
-    """Fill M and Q of every stretch."""
+    """Fill M and Q of every stretch; the other arguments are those of `_follow_by_numpy`."""
     N = Phi.shape[2]
     P, R, half, spare = np.empty((N, N)), np.zeros((N, N)), np.empty((N, N)), np.empty((N, N))
     for e in range(tau.shape[0]):
@@ -168,7 +170,8 @@ def _follow(Phi, S, size, mode, tau, noisy, M, Q):
 
 @kernel(eager=True, nogil=True)
 def _horner_into(terms, a, s, scale, result):
-    """result = scale Σ terms[a, k] sᵏ: entries inside, so that they are summed side by side."""
+    """result = scale Σ terms[a, k] sᵏ, by Horner's rule."""
+    # The loops over entries are the inner ones, on flat arrays, so that they are vectorised.
     value, given = result.reshape(-1), terms.reshape(-1)
     size, last = value.size, terms.shape[1] - 1
     at = (a * (last + 1) + last) * size
@@ -194,8 +197,8 @@ def _congruence(P, R, half, result):
             result[i, j] = total
 
 
-_SPENT = 1e-14  # of a variance: less of it is none
-_NODES, _PIECES = 8, 512  # of a rule that is exact to round-off over a time constant
+_SPENT = 1e-14  # share of a variance that counts as round-off
+_NODES, _PIECES = 8, 512  # of a Gauss rule, exact to round-off over a time constant
 
 
 def noise_covariance(
@@ -217,10 +220,9 @@ def noise_covariances(
     W: Float[np.ndarray, "*count n n"],
     tau: Float[np.ndarray, " each"],
 ) -> Float[np.ndarray, "all n n"]:
-    """`noise_covariance` of many, of one W or of one each; not finite where e^{Aτ} is not.
+    """`noise_covariance` of many systems, with one W or one each; not finite where e^{Aτ} is not.
 
-    Of as many times as systems each takes its own, of k times as many each takes k, one after the
-    other.
+    There are k times for each system, those of a system consecutive in tau.
     """
     mode = np.repeat(np.arange(len(A)), tau.size // len(A))[:, None]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -235,9 +237,9 @@ def switched_covariances(
 
         Q_ij = (1/τ) ∫₀^τ (e^{A_j s} Q_i(τ − s) e^{A_jᵀ s} + Q_j(s)) ds
 
-    is the mean over s, the time spent in j, which is spread evenly. By Gauss and Legendre's rule on
-    pieces of [0, τ] over which e^{As} changes by a factor of about e, of which there are at most
-    512: what decays faster than that has gone.
+    is the mean over the time s in mode j, which is uniformly distributed. The integral is computed
+    by Gauss–Legendre quadrature on pieces of [0, τ] over which e^{As} changes by a factor of about
+    e, at most 512: modes that decay faster are negligible.
 
     Examples
     --------
@@ -256,7 +258,7 @@ def switched_covariances(
     Phi, Q = Phi.reshape(modes, s.size, n, n), Q.reshape(modes, s.size, n, n)
     result = np.empty((modes, modes, n, n))
     for i, j in np.ndindex(modes, modes):
-        # Nodes lie symmetrically: those of τ − s are those of s, read backwards.
+        # The nodes are symmetric: Q_i at τ − s is Q_i at the nodes s in reverse order.
         moved = Phi[j] @ Q[i, ::-1] @ Phi[j].transpose(0, 2, 1) + Q[j]
         result[i, j] = np.tensordot(share, 0.5 * (moved + moved.transpose(0, 2, 1)), 1)
     return result
@@ -276,7 +278,8 @@ def transitions(
 
 
 def square_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n n"]:
-    """L with L Lᵀ = Q, Q positive semidefinite up to round-off, whatever the units of its rows."""
+    """L with L Lᵀ = Q, Q positive semidefinite up to round-off, in any units of its rows."""
+    # Of the correlations, so that variances of any magnitude keep their relative precision.
     unit = np.sqrt(np.diagonal(Q, axis1=-2, axis2=-1))
     scale = np.where(unit > 0.0, unit, 1.0)
     values, vectors = np.linalg.eigh(Q / (scale[..., :, None] * scale[..., None, :]))
@@ -284,10 +287,10 @@ def square_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n
 
 
 def lower_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n n"]:
-    """Cholesky's L, L Lᵀ = Q, which moves little where Q does; a Q that is singular has one, too.
+    """The Cholesky factor L, L Lᵀ = Q, also of a singular Q; it is continuous in Q.
 
-    Q is positive semidefinite up to round-off, whatever the units of its rows. Of a row that those
-    before it determine up to 1e-14 of itself, nothing else is left.
+    Q is positive semidefinite up to round-off, in any units of its rows. A row that depends on the
+    rows before it up to 1e-14 of its variance has zeros from the diagonal on.
 
     Examples
     --------
@@ -302,7 +305,7 @@ def lower_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n 
     L = np.zeros(Q.shape)
     for j in range(Q.shape[-1]):
         rest = C[..., j:, j] - (L[..., j:, :j] * L[..., j : j + 1, :j]).sum(axis=-1)
-        spent = rest[..., :1] <= _SPENT  # not where it is no number, for that is to be seen
+        spent = rest[..., :1] <= _SPENT  # False for NaN, which is to propagate
         root = np.sqrt(np.where(spent, 1.0, rest[..., :1]))
         L[..., j:, j] = np.where(spent, 0.0, rest / root)
     return unit[..., :, None] * L

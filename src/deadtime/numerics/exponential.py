@@ -1,14 +1,14 @@
-"""Φ, Γ and Gramians over a piece of time, as kernels, and of many pieces at once by NumPy.
+"""Φ, Γ and Gramians over a piece of time, as kernels, and of many pieces together by NumPy.
 
 A piece of length τ in mode i under a constant input u takes x to Φ x + Γ u,
 
     Φ = e^{Aτ},    Γ = W B,    W = ∫₀^τ e^{As} ds,    Φ = I + A W.
 
 W is summed as a Taylor series for a short τ and doubled, W(2τ) = W(τ) + Φ(τ) W(τ), in units of
-the states in which A is balanced: how often depends on that balanced ‖A‖τ alone, so neither a
-badly scaled plant nor a badly scaled B costs accuracy, and no matrix is inverted, so a
-singular A needs no special case. The tests hold it against the exponential of
-[[A, B], [0, 0]] computed by SciPy and in 50-digit arithmetic.
+the states in which A is balanced. The number of doublings depends on the balanced ‖A‖τ only, so
+that bad scaling of the plant or of B costs no accuracy; no matrix is inverted, so that a singular A
+is no special case. The tests compare it with the exponential of [[A, B], [0, 0]], by SciPy and in
+50-digit arithmetic.
 
 The Gramian of a piece gives integrals of xᵀQx exactly: with z = (x, u), dz/dt = Z z,
 Z = [[A, B], [0, 0]], E = diag(Q, 0),
@@ -16,10 +16,10 @@ Z = [[A, B], [0, 0]], E = diag(Q, 0),
     ∫₀^τ xᵀQx dt = z(0)ᵀ M z(0),    M(τ) = ∫₀^τ e^{Zᵀs} E e^{Zs} ds,
     M(2τ) = M(τ) + e^{Zᵀτ} M(τ) e^{Zτ}:   a sum of positive terms, no cancellation.
 
-By NumPy a step of the series or a doubling is a few operations on all pieces, which lie in the
-last axis inside and in the first one of what is given and returned. What is added to what is the
-same, in the same order, so each piece has the bits that the kernels give it; a hundred of them cost
-little more than one, and nothing is compiled.
+In NumPy each term of the series and each doubling is a few operations on the arrays of all pieces,
+with the pieces in the last axis (the first one of arguments and results). The order of additions is
+that of the kernels, so that results are bitwise equal; a hundred pieces take little more time than
+one, and nothing is compiled.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from deadtime.base.checks import read_only
 from deadtime.numerics.kernels import kernel
 
 ROUND_OFF = 1e-18
-LARGEST = 2.0**1000  # |A|τ beyond which no exponential is tried
+LARGEST = 2.0**1000  # |A|τ from which the exponential is NaN
 
 
 @kernel
@@ -82,6 +82,7 @@ def balance(A):
                     row += abs(A[i, j]) * t[j] / t[i]
                     column += abs(A[j, i]) * t[i] / t[j]
             if row > 0.0 and column > 0.0:
+                # Powers of two, so that scaling by them is exact.
                 power = np.rint(0.5 * np.log2(row / column))
                 if abs(power) >= 1.0:
                     t[i] *= 2.0**power
@@ -145,6 +146,7 @@ def _transition(Z, size, tau, Phi, W):
                 term[i, j] = spare[i, j] * (short / k)
                 W[i, j] += term[i, j]
         bound *= size / 2.0**count / k
+    # Φ = I + Z W, and not a series of its own: so W and Φ agree, and Φ − I keeps its precision.
     product(Z, W, Phi)
     for i in range(n):
         Phi[i, i] += 1.0
@@ -159,7 +161,7 @@ def _transition(Z, size, tau, Phi, W):
 
 @kernel
 def discretise_into(A, B, tau, Phi, Gamma):
-    """`discretise` into arrays at hand."""
+    """`discretise` into the arrays Phi and Gamma."""
     n, m = B.shape
     Z, W = np.empty((n, n)), np.empty((n, n))
     unit = balance(A)
@@ -167,7 +169,7 @@ def discretise_into(A, B, tau, Phi, Gamma):
     for i in range(n):
         for j in range(n):
             Z[i, j] = A[i, j] * unit[j] / unit[i]
-            Phi[i, j] = np.nan
+            Phi[i, j] = np.nan  # stays if the exponential overflows
         for j in range(m):
             Gamma[i, j] = np.nan
     if size < LARGEST:
@@ -183,7 +185,7 @@ def discretise_into(A, B, tau, Phi, Gamma):
 def discretise(A, B, tau):
     """Φ (n, n) and Γ (n, m): dx/dt = A x + B u over `tau` seconds with the input held.
 
-    Both are NaN where |A|τ is beyond what floats hold.
+    Both are NaN where |A|τ overflows.
     """
     Phi, Gamma = np.empty(A.shape), np.empty(B.shape)
     discretise_into(A, B, tau, Phi, Gamma)
@@ -208,16 +210,9 @@ def discretise_each(A, B, tau):
     return Phi, Gamma
 
 
-def energy_gramian(
-    A: np.ndarray, B: np.ndarray, tau: float, Q: np.ndarray | None = None
-) -> np.ndarray:
-    """M (n + m, n + m) with ∫₀^τ xᵀQx dt = zᵀ M z, z = (x(0), u), the input held; None: Q = I."""
-    return gramian(A, B, tau, read_only(np.eye(len(A))) if Q is None else Q)
-
-
 @kernel(error_model="numpy")
 def _units(A, B, tau):
-    """Units (n + m,) of z: of x, in which A is balanced; of u, in which B is as large as A."""
+    """Units (n + m,) of z = (x, u), in which A is balanced and B is as large as A."""
     n, m = B.shape
     unit, states = np.ones(n + m), balance(A)
     size = max(balanced_norm(A, states), 1.0 / tau)
@@ -232,12 +227,12 @@ def _units(A, B, tau):
     return unit
 
 
-@kernel(error_model="numpy")  # of units beyond floats, infinity is the answer
+@kernel(error_model="numpy")  # a unit may overflow to infinity
 def gramian(A, B, tau, Q):
-    """`energy_gramian`.
+    """M (n + m, n + m) with ∫₀^τ xᵀQx dt = zᵀ M z, z = (x(0), u), the input held.
 
-    Bad scaling of states or inputs asks for no needless doublings: they are counted in units in
-    which A is balanced and B as large as A. M is NaN where |A|τ is beyond what floats hold.
+    The number of doublings is that in units in which A is balanced and B as large as A. M is NaN
+    where |A|τ overflows.
     """
     n, m = B.shape
     q = n + m
@@ -250,6 +245,7 @@ def gramian(A, B, tau, Q):
             Z[i, j] = A[i, j] * unit[j] / unit[i]
         for j in range(m):
             Z[i, n + j] = B[i, j] / unit[i] * unit[n + j]
+    # The rows of u in Z are zero; the factor 2 is for Zᵀ and Z on both sides of the Gramian.
     largest = 0.0
     for i in range(n):
         total = 0.0
@@ -272,7 +268,7 @@ def gramian(A, B, tau, Q):
 
 @kernel
 def _double_gramian(Z, Q, unit, size, count, tau, M):
-    """M += ∫₀^τ e^{Zᵀs} E e^{Zs} ds, its Taylor series over τ/2^count and then doubled."""
+    """M += ∫₀^τ e^{Zᵀs} E e^{Zs} ds: its Taylor series over τ/2^count, then `count` doublings."""
     n, q = Q.shape[0], Z.shape[0]
     term, half, spare = np.zeros((q, q)), np.empty((q, q)), np.empty((q, q))
     Phi, short = np.empty((q, q)), tau / 2.0**count
@@ -291,6 +287,7 @@ def _double_gramian(Z, Q, unit, size, count, tau, M):
         bound *= size / 2.0**count / k
     _transition(Z, size / 2.0 / 2.0**count, short, Phi, half)
     for _ in range(count):
+        # A copy, because `add_congruence` writes to M while it reads.
         for i in range(q):
             for j in range(q):
                 half[i, j] = M[i, j]
@@ -353,11 +350,11 @@ def congruence_all(T: np.ndarray, M: np.ndarray) -> np.ndarray:
 
 
 def balanced(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of every mode, units (n, modes) in which A is balanced, and its norm in them."""
+    """Units (n, modes) in which A of each mode is balanced, and its norm in them."""
     return _balanced(A.tobytes(), A.shape)
 
 
-@lru_cache(maxsize=64)  # searches ask for the same plant a thousand times
+@lru_cache(maxsize=64)  # searches evaluate the same plant a thousand times
 def _balanced(A: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     modes = np.frombuffer(A).reshape(shape)
     units = [balance(mode) for mode in modes]
@@ -365,7 +362,7 @@ def _balanced(A: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]
 
 
 def _units_all(A: np.ndarray, B: np.ndarray, mode: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Units (n + m, pieces) of x, in which A is balanced, and of u, in which B is as large as A."""
+    """`_units` (n + m, pieces) of all pieces."""
     states, norm = balanced(A)
     largest = np.abs(B / states.T[:, :, None]).max(axis=1)[mode].T
     inputs = np.maximum(norm[mode], 1.0 / tau) / largest
@@ -377,20 +374,15 @@ def _each(matrices: np.ndarray, mode: np.ndarray) -> np.ndarray:
 
 
 def products(X: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """X Y of every piece, the last axis, summed in the order of `exponential.product`."""
+    """X Y of every piece, the last axis, summed in the order of `product`."""
     result = np.zeros((X.shape[0], *Y.shape[1:]))
-    add_products(X, Y, result)
+    for k in range(X.shape[1]):
+        result += X[:, k, None] * Y[k]
     return result
 
 
-def add_products(X: np.ndarray, Y: np.ndarray, result: np.ndarray) -> None:
-    """Add X Y of every piece, the last axis."""
-    for k in range(X.shape[1]):
-        result += X[:, k, None] * Y[k]
-
-
 def _doublings_all(size: np.ndarray) -> np.ndarray:
-    """The least s with size / 2^s ≤ 1/2, of every piece."""
+    """`_doublings` of every piece."""
     count = np.zeros(size.shape, np.int64)
     while (large := size > 0.5).any():
         size, count = np.where(large, size * 0.5, size), count + large
@@ -398,13 +390,14 @@ def _doublings_all(size: np.ndarray) -> np.ndarray:
 
 
 def _transitions(Z: np.ndarray, size: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Φ = e^{Zτ} and W = ∫₀^τ e^{Zs} ds, of |Z| τ = `size`."""
+    """`_transition` of every piece."""
     n, count = Z.shape[0], _doublings_all(size)
     parts = 2.0**count
     short, bound, k = tau / parts, np.ones(tau.shape), 1
     term = np.zeros(Z.shape)
     term[range(n), range(n)] = short
     W = term.copy()
+    # Pieces leave the sum one by one, each after as many terms as in the kernel.
     while k < 40 and (on := bound > ROUND_OFF).any():
         k += 1
         term = products(Z, term) * (short / k)
@@ -422,7 +415,7 @@ def _transitions(Z: np.ndarray, size: np.ndarray, tau: np.ndarray) -> tuple[np.n
 def _doubled(
     Z: np.ndarray, Q: np.ndarray, unit: np.ndarray, size: np.ndarray, tau: np.ndarray
 ) -> np.ndarray:
-    """∫₀^τ e^{Zᵀs} E e^{Zs} ds, its Taylor series over a part of τ and then doubled."""
+    """`_double_gramian` of every piece."""
     n, count = Q.shape[0], _doublings_all(size)
     parts = 2.0**count
     short, bound, k = tau / parts, np.ones(tau.shape), 1

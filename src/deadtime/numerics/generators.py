@@ -1,28 +1,25 @@
-"""Random numbers of many scenarios or seeds at once, compiled: Philox4x64-10, and PCG64.
+"""Compiled random numbers of many scenarios or seeds: Philox4x64-10, and PCG64.
 
-Of Philox numbers are a function of where they stand. Ten rounds of multiplications turn a counter
-of four words and a key of two into four random words. There is no state to advance, so number w of
-block b of stream s of a scenario is the same in whatever order, in whatever company and on whatever
-thread it is asked for:
+Philox is counter-based: ten rounds of multiplications turn a counter of four words and a key of two
+into four random words,
 
     words = Philox(key, counter = (b, scenario, s, 0))
 
-A word x becomes the double (⌊x/2¹²⌋ + 1/2)/2⁵², which is exact and never 0 or 1. With one bit more
-the largest would round to 1.
+for block b of stream s. Without a state the numbers do not depend on the order of calls, on other
+scenarios or on threads. A word x becomes the double (⌊x/2¹²⌋ + 1/2)/2⁵², which is exact and never 0
+or 1; with one bit more the largest would round to 1. `numpy.random.Philox` has the same words (it
+adds 1 to the counter before the first one). Stream s = 0 is left to NumPy's own use.
 
-`numpy.random.Philox` gives the same words (it adds 1 to the counter before the first of them). Its
-own streams begin at s = 0, which is left to it.
+PCG64 is the generator of `numpy.random.default_rng`: a linear congruential state of 128 bits, each
+of which gives a word of 64 bits. A uniform number is the upper 53 bits of a word. A normal number
+is drawn by the ziggurat of Marsaglia and Tsang: 256 layers of equal area v under e^{−x²/2}, the
+edge of layer i at x_i with x_i (f(x_{i+1}) − f(x_i)) = v. A word gives a layer, a sign and a
+position in it; a position left of the next edge, as 99 % are, is below the curve.
 
-Of PCG64 they are those that `numpy.random.default_rng` draws. It multiplies a state of 128 bits and
-adds to it; each state gives a word of 64 bits. A uniform number is the upper 53 bits of a word. A
-normal one is taken by Marsaglia and Tsang's ziggurat: 256 layers of equal area v under e^{−x²/2},
-the edge of layer i at x_i with x_i (f(x_{i+1}) − f(x_i)) = v. A word chooses a layer, a sign and a
-place in it; a place left of the next edge is below the curve, which 99 % are.
+NumPy's tables of edges have round-off. The ones here are correctly rounded, so that normal numbers
+agree with NumPy's to a relative 1e-14, and uniform ones bitwise.
 
-NumPy's tables of edges carry the round-off of those who made them. Ours are exact to the last bit,
-so normal numbers agree with NumPy's to some 1e-14 of themselves, and uniform ones in all bits.
-
-This module needs Numba, so it is imported where it is used: for few numbers,
+This module needs Numba, so it is imported where it is used; for few numbers
 `deadtime.numerics.streams` has the same ones by NumPy's generators.
 
 References
@@ -61,7 +58,7 @@ _ZERO = np.uint64(0)
 
 @intrinsic
 def high_word(typing, a, b):
-    """⌊ab/2⁶⁴⌋: a machine multiplies two words in one instruction, which no Numba type can say."""
+    """⌊ab/2⁶⁴⌋: one machine instruction, for which Numba has no type."""
 
     def generate(context, builder, signature, arguments):
         wide = ir.IntType(128)
@@ -87,9 +84,10 @@ def block_words(key, block, scenario, stream):
 
 @kernel(eager=True, nogil=True)
 def first_words(seeds, purpose):
-    """The first words that NumPy draws with the key (seed, purpose), of many seeds (count, 4)."""
+    """The first words that NumPy draws with the keys (seed, purpose), (count, 4)."""
     result = np.empty((seeds.size, WORDS), np.uint64)
     for i in range(seeds.size):
+        # NumPy adds 1 to the counter before the first words.
         words = block_words((seeds[i], purpose), 1, 0, 0)
         for w in range(WORDS):
             result[i, w] = words[w]
@@ -118,7 +116,7 @@ def uniforms(key, scenarios, start, blocks, stream):
     return result
 
 
-# Where the tail begins if 256 layers of its area are to end at x = 0, where the curve is 1.
+# The beginning of the tail for which 256 layers of its area end exactly at x = 0.
 TAIL = Decimal("3.654152885361008771645429720399515763")
 _TAIL, _LAYERS, _PLACES = float(TAIL), 256, Decimal(2**52)
 _M_HIGH, _M_LOW = np.uint64(0x2360ED051FC65DA4), np.uint64(0x4385DF649FCCF645)
@@ -128,9 +126,9 @@ _EIGHT, _PLACE = np.uint64(8), np.uint64(2**52 - 1)
 
 
 class Layers(NamedTuple):
-    """Layer by layer: the width of a place, how many places are below the curve, and f at its edge.
+    """Tables by layer: width of a position, number of positions below the curve, f at the edge.
 
-    Layer 0 is the lowest, the tail included; 1, …, 255 go from the top down.
+    Layer 0 is the lowest, with the tail; 1, …, 255 go from the top down.
     """
 
     width: Float[np.ndarray, " layer"]
@@ -140,14 +138,14 @@ class Layers(NamedTuple):
 
 @lru_cache(1)
 def layers() -> Layers:
-    """The ziggurat's tables, in 40 digits until they are rounded."""
+    """The tables of the ziggurat, computed with 40 digits."""
     with localcontext() as context:
         context.prec = 40
 
         def curve(x: Decimal) -> Decimal:
             return (-x * x / 2).exp()
 
-        ratio = TAIL  # of e^{−r²/2} to its integral from r on: a continued fraction
+        ratio = TAIL  # e^{−r²/2} over its integral from r on, by a continued fraction
         for k in range(200, 0, -1):
             ratio = TAIL + k / ratio
         area = curve(TAIL) * (TAIL + 1 / ratio)
@@ -184,16 +182,16 @@ class Streams:
     spawned: tuple[int, ...] = ()
 
     def spawned_as(self, i: int) -> Streams:
-        """Number i of those that `Generator.spawn` makes of each."""
+        """The generators number i of `Generator.spawn`."""
         return replace(self, spawned=(*self.spawned, i))
 
     def draw(self, first: int, normal: bool, room: Float[np.ndarray, "some count"]) -> None:
-        """Fill `room` with the first numbers of generator number `first` and the next ones."""
+        """Fill each row of `room` with the first numbers of a generator, from number `first` on."""
         take = self.draw_compiled if draws_as_numpy() else self.draw_by_numpy
         take(first, normal, room)
 
     def draw_compiled(self, first: int, normal: bool, room: np.ndarray) -> None:
-        """`draw` by our own generator."""
+        """`draw` by the generator of this module."""
         words = self._words[first : first + len(room)]
         if normal:
             fill_normal(words, *layers(), room)
@@ -201,12 +199,12 @@ class Streams:
             fill_uniform(words, room)
 
     def draw_by_numpy(self, first: int, normal: bool, room: np.ndarray) -> None:
-        """`draw` by NumPy's."""
+        """`draw` by NumPy's generator."""
         for row, rng in zip(room, self.generators(first, len(room)), strict=True):
             row[:] = rng.standard_normal(row.size) if normal else rng.random(row.size)
 
     def generators(self, first: int, count: int) -> Iterator[np.random.Generator]:
-        """Some of them, NumPy's."""
+        """NumPy's generators first, …, first + count − 1."""
         for seed in self.seeds[first : first + count]:
             yield stream(int(seed), self.name, self.index, *self.spawned)
 
@@ -218,7 +216,7 @@ class Streams:
 
 @lru_cache(1)
 def draws_as_numpy() -> bool:
-    """Whether this NumPy draws as NumPy did when this was written: it does not promise to."""
+    """Whether the installed NumPy draws these numbers, which NumPy does not guarantee."""
     check, same = Streams(np.arange(2, dtype=np.uint64), "check", 0), True
     for normal in (False, True):
         mine, theirs = np.empty((2, 2, 1000))
@@ -230,7 +228,7 @@ def draws_as_numpy() -> bool:
 
 @kernel(eager=True, nogil=True)
 def _advance(high, low, more_high, more_low):
-    """The next state, in two words, as is what is added to it."""
+    """The next state; state and increment are two words each."""
     above = high_word(low, _M_LOW) + high * _M_LOW + low * _M_HIGH  # pyright: ignore
     low = low * _M_LOW + more_low
     return above + more_high + (_ONE if low < more_low else _ZERO), low
@@ -250,9 +248,10 @@ def _uniform(word):
 
 @kernel(eager=True, nogil=True)
 def _start(seed):
-    """The state that four words make, and what is added to it."""
+    """State and increment from a seed of four words."""
     more_high, more_low = (seed[2] << _ONE) | (seed[3] >> _BITS), (seed[3] << _ONE) | _ONE
     low = more_low + seed[1]
+    # The increment is odd, and a sum below its summand carries into the upper word.
     high = more_high + seed[0] + (_ONE if low < more_low else _ZERO)
     high, low = _advance(high, low, more_high, more_low)
     return high, low, more_high, more_low
@@ -260,7 +259,7 @@ def _start(seed):
 
 @kernel(eager=True, nogil=True)
 def _beyond(high, low, more_high, more_low):
-    """How far in the tail, and the state then."""
+    """The distance of a number in the tail from its beginning, and the state after it."""
     while True:
         high, low = _advance(high, low, more_high, more_low)
         x = -math.log1p(-_uniform(_word(high, low))) / _TAIL
@@ -272,7 +271,7 @@ def _beyond(high, low, more_high, more_low):
 
 @kernel(eager=True, nogil=True)
 def fill_uniform(seeds, result):
-    """Numbers in [0, 1) of generators with these seeds (generators, 4): (generators, count)."""
+    """Fill (generators, count) with numbers in [0, 1) from seeds (generators, 4)."""
     for g in range(seeds.shape[0]):
         high, low, more_high, more_low = _start(seeds[g])
         for i in range(result.shape[1]):
@@ -282,23 +281,26 @@ def fill_uniform(seeds, result):
 
 @kernel(eager=True, nogil=True)
 def fill_normal(seeds, width, below, height, result):
-    """`fill_uniform` of the normal distribution; the others are `layers`."""
+    """`fill_uniform` for the normal distribution, with the tables of `layers`."""
     for g in range(seeds.shape[0]):
         high, low, more_high, more_low = _start(seeds[g])
         i = 0
         while i < result.shape[1]:
             high, low = _advance(high, low, more_high, more_low)
             word = _word(high, low)
+            # Bits of the word: 8 for the layer, 1 for the sign, 52 for the position.
             layer, place = word & _BYTE, (word >> _NINE) & _PLACE
             x = np.float64(np.int64(place)) * width[layer]
             sign = 1.0 - 2.0 * np.float64(np.int64((word >> _EIGHT) & _ONE))
             if place >= below[layer]:
                 if layer == _ZERO:
+                    # NumPy takes the sign of a number in the tail from another bit.
                     sign = 1.0 - 2.0 * np.float64(np.int64((place >> _EIGHT) & _ONE))
                     x, high, low = _beyond(high, low, more_high, more_low)
                     x += _TAIL
                 else:
                     high, low = _advance(high, low, more_high, more_low)
+                    # In the wedge between two edges a second number decides, by rejection.
                     edge = height[layer]
                     rise = (height[layer - _ONE] - edge) * _uniform(_word(high, low))
                     if rise + edge >= math.exp(-0.5 * x * x):

@@ -1,24 +1,21 @@
-"""Kernels: plain loops, run by Python until they have cost about what compiling them would.
+"""Kernels: plain loops, interpreted by Python until compiling them pays.
 
-To compile a kernel takes seconds, once per machine; a run of a thousand periods spends
-milliseconds in it. So a kernel starts as the Python that it is, and goes over to Numba
+Compiling a kernel takes seconds, once per machine; a run of a thousand periods takes milliseconds
+in it. So a kernel is interpreted first, and compiled by Numba
 
-- as soon as a process has spent `START` seconds in kernels, where this machine has it compiled,
-- where not, once it has cost `PATIENCE` seconds itself,
-- at once where its arguments are large, and where it says so (`@kernel(eager=True)`). What is large
-  is what Python is likely to spend its patience on: a kernel whose time grows as its arguments do
-  can say how many numbers those are (`@kernel(large=…)`).
+- when the process has spent `START` seconds in kernels, if this machine has it compiled already,
+- otherwise when the kernel has taken `PATIENCE` seconds itself,
+- at once for large arguments (`@kernel(large=…)` sets their size), and with `@kernel(eager=True)`.
 
-At worst that is twice the time of the better choice, and a short run needs neither Numba nor a
-compiler. Where NumPy does the same over all pieces at once, it is given as `plain`: that runs in
-place of the Python, however large the arguments are. Both ways do the same floating-point
-operations in the same order: no figure depends on which is taken. What is written for both keeps to
-loops and scalars over arrays that its caller or its first lines make: array expressions cost
-seconds of compiling each. A kernel that only compiled kernels call says `no_cpython_wrapper=True`:
-unpacking its arguments from Python's may cost as much to compile as the kernel itself.
+That takes at most twice the time of the better choice, and a short run needs neither Numba nor a
+compiler. An equivalent function of NumPy on all pieces, `plain`, replaces the interpreted loops for
+arguments of any size. All ways do the same floating-point operations in the same order, so that
+results do not depend on the choice. Kernels consist of loops and scalars over arrays that exist
+before the loops: each array expression takes seconds to compile. A kernel that only compiled
+kernels call has `no_cpython_wrapper=True`: converting its arguments from Python may take as long to
+compile as the kernel itself.
 
-DEADTIME_COMPILE=always compiles everything at its first call; =never compiles nothing but what is
-eager.
+DEADTIME_COMPILE=always compiles everything at its first call; =never compiles eager kernels only.
 """
 
 from __future__ import annotations
@@ -33,19 +30,17 @@ from typing import Any
 
 import numpy as np
 
-START = 1.0  # seconds of all kernels of a process: about what loading Numba costs
+START = 1.0  # seconds of all kernels of a process: about the time to load Numba
 PATIENCE = 2.0  # seconds of one kernel
-LARGE = 50_000  # numbers in the arguments, or times that they say
+LARGE = 50_000  # numbers in array arguments, and values of integer ones, together
 WISH = os.environ.get("DEADTIME_COMPILE", "auto")
 
 
-class _Here(threading.local):
-    """Of each thread: whether it runs a kernel as Python."""
-
-    within = False
+class _Thread(threading.local):
+    interpreting = False  # whether the thread is within an interpreted kernel
 
 
-_HERE = _Here()
+_THREAD = _Thread()
 
 
 class Kernel:
@@ -54,18 +49,18 @@ class Kernel:
     Attributes
     ----------
     function : callable
-        What was decorated, as Python.
+        The decorated function.
     eager : bool
-        Whether it is never run as Python.
+        Whether it is compiled at its first call.
     options : dict
         For `numba.njit`.
     plain : callable or None
-        What runs in place of the function as Python.
+        A function of NumPy in place of the interpreted one.
     large : float
-        How many numbers in the arguments are too many for Python.
+        Size of the arguments from which it is compiled at once.
     """
 
-    spent = 0.0  # seconds of this process in the Python of kernels
+    spent = 0.0  # seconds of this process in interpreted kernels
 
     def __init__(
         self,
@@ -87,12 +82,13 @@ class Kernel:
     def __call__(self, *args: Any) -> Any:
         if self._ready is not None:
             return self._ready(*args)
-        within = _HERE.within
+        within = _THREAD.interpreting
         if self._pays(args, within):
             self._ready = self.dispatcher
             return self.dispatcher(*args)
         if not within:
             return self._interpret(args)
+        # The outermost kernel counts towards `spent`, and converts numbers at the end.
         began = time.perf_counter()
         try:
             return (self.plain or self.function)(*args)
@@ -101,13 +97,12 @@ class Kernel:
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """Numba's dispatcher of it."""
+        """Numba's dispatcher."""
         from deadtime.numerics.compiling import dispatcher_of
 
         return dispatcher_of(self)
 
     def _pays(self, args: tuple[Any, ...], within: bool) -> bool:
-        """Whether it is time to leave Python."""
         if self.eager or WISH == "never":
             return self.eager
         if WISH == "always" or self._own > PATIENCE:
@@ -122,14 +117,14 @@ class Kernel:
         return is_cached(self.dispatcher)
 
     def _interpret(self, args: tuple[Any, ...]) -> Any:
-        # Of a processor, not of the clock: on a busy machine compiling takes longer, too.
-        began, _HERE.within = time.thread_time(), True
+        # Processor time, not wall time: on a busy machine compiling takes longer, too.
+        began, _THREAD.interpreting = time.thread_time(), True
         try:
-            # Compiled code says nothing about overflow either.
+            # Compiled code does not warn about overflow either.
             with np.errstate(all="ignore"):
                 return _plain_numbers((self.plain or self.function)(*args))
         finally:
-            _HERE.within, took = False, time.thread_time() - began
+            _THREAD.interpreting, took = False, time.thread_time() - began
             self._own += took
             Kernel.spent += took
 
@@ -161,11 +156,11 @@ def kernel(
 
 
 def inner_kernel(function: Callable[..., Any]) -> Kernel:
-    """A kernel that becomes a part of those that call it, and makes no arrays.
+    """A kernel that is inlined into its callers and allocates no arrays.
 
-    For what is done again and again within a loop of a large kernel. A call that hands over arrays
-    in tuples costs more than a few lines of vectors, and so does counting how often each array is
-    in use, with every look into a tuple; who makes none need not count.
+    For functions within the loop of a large kernel: a call with arrays in tuples takes longer than
+    a few lines of vector arithmetic, and so does reference counting of arrays, which a function
+    without allocations does not need (`_nrt=False`).
     """
     return Kernel(
         function,
@@ -175,12 +170,12 @@ def inner_kernel(function: Callable[..., Any]) -> Kernel:
 
 
 def expect_many_calls() -> None:
-    """Say that kernels will run for long: what this machine has compiled is used from now on."""
+    """Announce long work in kernels: those that this machine has compiled are used at once."""
     Kernel.spent = max(Kernel.spent, START)
 
 
 def _plain_numbers(result: Any) -> Any:
-    """A result with Python's numbers in place of NumPy's, as Numba returns it."""
+    """A result with Python's numbers in place of NumPy's, as a compiled function returns it."""
     if isinstance(result, np.generic):
         return result.item()
     if isinstance(result, tuple):
@@ -190,7 +185,7 @@ def _plain_numbers(result: Any) -> Any:
 
 
 def _size(args: tuple[Any, ...]) -> int:
-    """How many numbers the arguments hold, and what counts among them count."""
+    """The number of numbers in the arguments, plus the values of integers, which are counts."""
     total = 0
     for arg in args:
         if isinstance(arg, np.ndarray):

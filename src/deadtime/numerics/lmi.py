@@ -1,11 +1,11 @@
-"""Linear matrix inequalities, solved by Clarabel, whose failures are told from its answers.
+"""Linear matrix inequalities, solved by Clarabel.
 
-A solver's answer is a proposal. Whoever asks puts it back into its inequality and keeps it only
-if it holds there; so an inaccurate answer does no harm, and other tolerances get their turn. That
-there is no solution is concluded only from what a solver that works has said.
+The answer of a solver is a candidate: callers check the inequality with it and reject it otherwise,
+so that an inaccurate answer does no harm and other tolerances are tried. Infeasibility is concluded
+only from an attempt that did not fail.
 
-Symmetric matrices are packed: the upper half by columns, what is off the diagonal times √2 where
-the solver sees it.
+Symmetric matrices are packed: the upper triangle by columns, with off-diagonal entries times √2 for
+the solver.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from deadtime.base.errors import SolverError
 
-TOLERANCES = (1e-10, None, 1e-6)  # of gap and feasibility; None: the solver's own
+TOLERANCES = (1e-10, None, 1e-6)  # of gap and feasibility; None for the solver's default
 _WORDS = {
     "Solved": "optimal",
     "AlmostSolved": "optimal_inaccurate",
@@ -29,7 +29,6 @@ _WORDS = {
     "MaxIterations": "user_limit",
     "MaxTime": "user_limit",
 }
-# What a solver says that stopped before it knew.
 _GAVE_UP = ("solver_error", "user_limit")
 
 
@@ -48,20 +47,20 @@ class Program(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """A solver's word on a program, why it failed, empty if it did not, and its answer."""
+    """A solver's status, the reason of a failure, empty for none, and its answer."""
 
-    said: str
+    status: str
     failure: str = ""
     x: np.ndarray | None = None
 
     @property
     def infeasible(self) -> bool:
-        """Whether there is nothing to find."""
-        return self.said.endswith(": infeasible")
+        """Whether the program has no solution."""
+        return self.status.endswith(": infeasible")
 
 
 def library(name: str) -> Any:
-    """A library that solves, such as clarabel; a SolverError if it does not import.
+    """A solver's library, such as clarabel; a SolverError if it does not import.
 
     Examples
     --------
@@ -78,37 +77,35 @@ def library(name: str) -> Any:
 
 
 def attempts(program: Program) -> Iterator[Verdict]:
-    """Solve a program with one tolerance after the other; yield what the solver has to say.
-
-    Whatever it throws becomes its verdict.
-    """
+    """Solve a program with one tolerance after the other; exceptions become verdicts, too."""
     solver = library("clarabel")
     for tolerance in TOLERANCES:
         x = None
         try:
-            said, x = solve(solver, program, tolerance)
-            failure = said if said in _GAVE_UP else ""
+            status, x = solve(solver, program, tolerance)
+            failure = status if status in _GAVE_UP else ""
         except (KeyboardInterrupt, SystemExit, GeneratorExit):
             raise
         except BaseException as error:  # a panic in compiled code is no Exception
-            said, failure = f"failed ({type(error).__name__})", _one_line(error)
-        yield Verdict(f"CLARABEL: {said}", failure, x)
+            status, failure = f"failed ({type(error).__name__})", _one_line(error)
+        yield Verdict(f"CLARABEL: {status}", failure, x)
 
 
 def solve(solver: Any, program: Program, tolerance: float | None) -> tuple[str, Any]:
-    """The solver's word, and its x where that is an answer."""
+    """The solver's status, and x if that is optimal."""
     from scipy.sparse import csc_matrix
 
     settings = settings_of(solver)
     if tolerance is not None:
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    # Clarabel: A x + s = b with s in the cones, here s the packed matrices.
     A = csc_matrix(-np.concatenate([pack(limit.M) for limit in program.limits]))
     b = np.concatenate([pack(limit.constant[None])[:, 0] for limit in program.limits])
     cones = [solver.PSDTriangleConeT(len(limit.constant)) for limit in program.limits]
     nothing = csc_matrix((len(program.cost),) * 2)
     found = solver.DefaultSolver(nothing, program.cost, A, b, cones, settings).solve()
-    said, x = _WORDS.get(str(found.status), "solver_error"), np.array(found.x)
-    return said, x if said.startswith("optimal") and np.isfinite(x).all() else None
+    status, x = _WORDS.get(str(found.status), "solver_error"), np.array(found.x)
+    return status, x if status.startswith("optimal") and np.isfinite(x).all() else None
 
 
 def settings_of(solver: Any) -> Any:
@@ -121,7 +118,7 @@ def settings_of(solver: Any) -> Any:
 
 
 def require_answer(verdicts: Collection[Verdict]) -> None:
-    """Refuse to conclude anything where every attempt failed.
+    """Raise a SolverError if every attempt failed.
 
     Examples
     --------
@@ -137,8 +134,8 @@ def require_answer(verdicts: Collection[Verdict]) -> None:
 
 
 def answers_of(verdicts: Collection[Verdict]) -> str:
-    """The solvers' words, each once."""
-    return ", ".join(dict.fromkeys(verdict.said for verdict in verdicts))
+    """The different statuses of the solver."""
+    return ", ".join(dict.fromkeys(verdict.status for verdict in verdicts))
 
 
 def _one_line(error: BaseException) -> str:
@@ -147,13 +144,13 @@ def _one_line(error: BaseException) -> str:
 
 
 def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and factors of a symmetric matrix packed by columns of its upper half."""
+    """Rows, columns and factors of a symmetric matrix packed by columns of its upper triangle."""
     columns, rows = np.tril_indices(size)
     return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
 def pack(M: np.ndarray) -> np.ndarray:
-    """(entries, unknowns) of a constraint Σ x_i M_i ⪰ 0."""
+    """The matrices M_i of a constraint Σ x_i M_i ⪰ 0, packed: (entries, unknowns)."""
     rows, columns, factors = packing(M.shape[1])
     return (M[:, rows, columns] * factors).T
 
@@ -167,19 +164,19 @@ def unpack(entries: np.ndarray, size: int) -> np.ndarray:
 
 
 def symmetric_basis(size: int) -> np.ndarray:
-    """The matrices (entries, size, size) that unknown packed entries multiply."""
+    """The basis matrices (entries, size, size) of the packed entries."""
     return np.array([unpack(entry, size) for entry in np.eye(size * (size + 1) // 2)])
 
 
 def symmetric_value(x: np.ndarray | None, size: int) -> np.ndarray | None:
-    """The symmetric matrix whose packed entries are the first unknowns; None without an answer."""
+    """The symmetric matrix with the first unknowns as packed entries; None without an answer."""
     return None if x is None else unpack(x[: size * (size + 1) // 2], size)
 
 
 def balanced_units(matrices: np.ndarray) -> np.ndarray:
     """Units t of the states, powers of two, in which the matrices T⁻¹ M_i T are balanced.
 
-    Solvers misjudge an inequality whose entries differ by many powers of ten.
+    Solvers are inaccurate for an inequality with entries of very different magnitude.
     """
     from scipy.linalg import matrix_balance
 

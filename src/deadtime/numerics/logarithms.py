@@ -9,6 +9,8 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
+
 
 def log(value: float) -> float:
     """log of a number ≥ 0."""
@@ -22,16 +24,12 @@ def exp(value: float) -> float:
 
 def log_sum(values: Iterable[float]) -> float:
     """log Σ e^{v}."""
-    terms = list(values)
-    top = max(terms)
-    if not math.isfinite(top):
-        return top
-    return top + math.log(math.fsum(math.exp(v - top) for v in terms))
+    return float(np.logaddexp.reduce(list(values)))
 
 
 def log_one_plus(value: float) -> float:
     """log(1 + e^value)."""
-    return log_sum((0.0, value))
+    return float(np.logaddexp(0.0, value))
 
 
 def log_integral(rate: float, length: float) -> float:
@@ -45,17 +43,17 @@ def log_integral(rate: float, length: float) -> float:
 
 
 def log_inverse(log_function: Callable[[float], float], log_value: float) -> float:
-    """The largest x found with log_function(x) ≤ log_value, where log_function(x) − x increases.
+    """The largest x with log_function(x) ≤ log_value, for an increasing log_function(x) − x.
 
-    That is λ⁻¹ for a λ with λ(ε)/ε increasing, in logarithms: x = log ε. The result is put back:
-    log_function(x) ≤ log_value holds for the x returned.
+    That is λ⁻¹ for a λ with λ(ε)/ε increasing, in logarithms: x = log ε. The inequality is checked
+    for the returned x, in floats.
     """
     from scipy.optimize import brentq
 
     def excess(x: float) -> float:
-        return min(log_function(x) - log_value, 1e300)
+        return min(log_function(x) - log_value, 1e300)  # brentq needs finite values
 
-    # log λ(ε) − log ε is smallest as ε → 0, which gives a right end; go left until below.
+    # log λ(ε) − log ε is least as ε → 0, which gives a right end; a left end is searched.
     right = log_value - (log_function(-700.0) + 700.0)
     step = 1.0
     left = right - step

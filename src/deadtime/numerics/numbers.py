@@ -1,9 +1,9 @@
-"""Functions of numbers that plain loops need beside `math`, for one scenario or for eight.
+"""Functions of numbers for plain loops, beside `math`, for one scenario or for eight.
 
-A formula of a running law is written once, over numbers: of one run a number is a float, of a batch
-it is a vector with one float of each of eight scenarios (`deadtime.numerics.lanes`), and compiled
-code has the same operators for both. What differs from scenario to scenario is then no branch but a
-choice between two values, `where`, and a comparison may be a vector of eight.
+The formulas of a running law are written once, for numbers that are floats in a single run, and in
+a batch vectors with one float per scenario of eight (`deadtime.numerics.lanes`). Compiled code has
+the same operators for both. A condition that differs between scenarios cannot be a branch; `where`
+selects one of two values instead.
 """
 
 from __future__ import annotations
@@ -34,14 +34,15 @@ def exponent(a):
 
 
 def flat(array):
-    """All numbers of an array whose rows follow each other, in one row."""
+    """A contiguous array as one row."""
     return array.reshape(-1)
 
 
 def arrays_of(*shapes: tuple[int, ...], lanes: tuple[int, ...] = ()) -> list[np.ndarray]:
-    """Arrays of zeros of these shapes in one buffer, of so many scenarios if any."""
+    """Arrays of zeros of these shapes, each followed by `lanes`, in one buffer."""
     sizes = [math.prod(shape) * math.prod(lanes) for shape in shapes]
     buffer = np.zeros(sum(sizes) + 8)
+    # Aligned to eight doubles, a cache line and a vector.
     begin = -(buffer.ctypes.data // buffer.itemsize) % 8
     arrays = []
     for shape, size in zip(shapes, sizes, strict=True):
@@ -51,5 +52,5 @@ def arrays_of(*shapes: tuple[int, ...], lanes: tuple[int, ...] = ()) -> list[np.
 
 
 def room_of(memory, sizes):
-    """`memory`, of `sizes.room` numbers, to work in; compiled code of eight takes registers."""
+    """Working memory of `sizes.room` numbers: `memory`, or registers in code for eight."""
     return memory

@@ -1,12 +1,11 @@
-"""Polynomials: the first positive place of one by proof, compiled, and Gauss–Legendre collocation.
+"""Polynomials: the proved first positive argument, compiled, and Gauss–Legendre collocation.
 
 A polynomial lies between the least and the greatest of its Bernstein coefficients on an interval.
-So an interval on which all of them are ≤ 0 holds no positive value, which is a proof and not a
-sample; any other is halved, the left half first, down to 2⁻⁴⁸.
+So an interval on which all of them are ≤ 0 contains no positive value, which is a proof; other
+intervals are bisected, the left half first, down to 2⁻⁴⁸.
 
-In collocation a function on a segment is held by its values at the interior Gauss nodes and at both
-ends; `interpolate` evaluates the polynomial through them (barycentric form). Integrals from the
-start of the segment to a node take the values at the Gauss nodes.
+In collocation a function on a segment is represented by its values at the interior Gauss nodes and
+at both ends. Integrals from the start of the segment to a node use the values at the Gauss nodes.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from jaxtyping import Float
 
 from deadtime.numerics.kernels import kernel
 
-_DEPTH = 48
+_DEPTH = 48  # bisections
 
 
 @kernel(eager=True)
@@ -39,7 +38,7 @@ def _bernstein(c):
 
 @kernel(eager=True)
 def first_positive(c):
-    """Where in (0, 1] Σ c_k s^k first exceeds 0, to 2⁻⁴⁸ and at the right end; −1 if nowhere."""
+    """The first s in (0, 1] with Σ c_k s^k > 0, to 2⁻⁴⁸, as the right end; −1 if there is none."""
     b = _bernstein(c)
     if not b.max() > 0.0:
         return -1.0
@@ -51,14 +50,15 @@ def first_positive(c):
         b = stack[top].copy()
         a, depth = start[top], level[top]
         top -= 1
-        if not b.max() > 0.0:  # neither where it is not a number
+        if not b.max() > 0.0:  # or NaN
             continue
         width = 0.5**depth
         if depth == _DEPTH:
-            # A touch is no crossing: the polynomial itself must be positive at the end.
+            # A tangent zero is no crossing: the polynomial itself must be positive at the end.
             if b[-1] > 0.0:
                 return a + width
             continue
+        # De Casteljau's scheme; the left half is on top of the stack, as the first zero is wanted.
         right, left = stack[top + 1], stack[top + 2]
         for k in range(c.size):
             left[k], right[c.size - 1 - k] = b[0], b[c.size - 1 - k]
@@ -72,7 +72,8 @@ def first_positive(c):
 
 @kernel(eager=True)
 def zero_before(c, s, band):
-    """The zero of Σ c_k s^k next to `s`, where it exceeds `band`; `s` itself if there is none."""
+    """The zero of Σ c_k s^k before `s`, where it exceeds `band`; `s` itself if there is none."""
+    # Newton's method from s: four steps suffice, as the value at s is about the band.
     root = s
     for _ in range(4):
         value, slope = 0.0, 0.0
@@ -123,7 +124,7 @@ def gauss(count: int) -> Nodes:
     support = np.concatenate(([0.0], (z + 1.0) / 2.0, [1.0]))
     difference = support[:, None] - support[None, :] + np.eye(count + 2)
     barycentric = 1.0 / difference.prod(axis=1)
-    barycentric /= np.abs(barycentric).max()
+    barycentric /= np.abs(barycentric).max()  # a common factor cancels
     return Nodes((z + 1.0) / 2.0, ahead @ expand / 2.0, w / 2.0, support, barycentric)
 
 

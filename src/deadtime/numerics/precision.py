@@ -1,4 +1,4 @@
-"""How many bits ball arithmetic computes with: one number for the whole process."""
+"""The precision of ball arithmetic, which is global to the process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ONE_THREAD = threading.RLock()
 
 @contextmanager
 def precision(bits: int = 128) -> Iterator[None]:
-    """Compute with this many bits inside; other threads wait, for all share one precision."""
+    """A block with this precision in bits; other threads wait, because all share one precision."""
     from flint import ctx
 
     with _ONE_THREAD:

@@ -1,11 +1,11 @@
-"""Many small matrices at once, (points, rows, columns): inverses, traces, eigenvalues in order.
+"""Stacks of small matrices, (points, rows, columns): inverses, traces, ordered eigenvalues.
 
-Of a matrix function Δ,
+For a matrix function Δ with the singular value decomposition Δ = Σ σₖ uₖ vₖᴴ,
 
-    d ln det Δ = tr(Δ⁻¹ dΔ) = Σ_k (uₖᴴ dΔ vₖ)/σₖ
+    d ln det Δ = tr(Δ⁻¹ dΔ) = Σ_k (uₖᴴ dΔ vₖ)/σₖ.
 
-with the singular value decomposition of Δ, rows and columns scaled alike first: left as they are,
-large entries would hide the digits of small ones.
+Rows and columns are scaled to similar size first: otherwise the round-off of large entries exceeds
+small ones.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _TINY = 1e-200
 
 
 def inverses(X: np.ndarray) -> np.ndarray:
-    """X⁻¹, large where there is none."""
+    """X⁻¹; a large matrix for a singular X."""
     if X.shape[-1] == 1:
         return 1.0 / np.where(X == 0.0, _TINY, X)
     try:
         return np.linalg.inv(X)
-    except np.linalg.LinAlgError:
+    except np.linalg.LinAlgError:  # one of them is exactly singular
         size = np.abs(X).max(axis=(1, 2), keepdims=True) + _TINY
         return np.linalg.inv(X + np.finfo(float).eps * size * np.eye(X.shape[-1]))
 
@@ -35,7 +35,7 @@ def traces(inverse: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
 
 def matched(values: np.ndarray) -> np.ndarray:
-    """Rows of eigenvalues (points, k), each in the order of the nearest ones of the row before."""
+    """Eigenvalues (points, k), each row in the order of the nearest ones of the row before."""
     if values.shape[1] < 2:
         return values
     from scipy.optimize import linear_sum_assignment
@@ -48,7 +48,7 @@ def matched(values: np.ndarray) -> np.ndarray:
 
 
 class Decomposed(NamedTuple):
-    """Scaled Δ = U diag(σ) Vᴴ at points, and other matrices scaled like it."""
+    """Scaled Δ = U diag(σ) Vᴴ at points, and other matrices with the same scaling."""
 
     left: np.ndarray
     values: np.ndarray

@@ -1,11 +1,9 @@
-"""Streams of random numbers: each is a function of a seed and of what it is for.
+"""Independent streams of random numbers, each a function of a seed and a purpose.
 
-All are keyed by words of the counter-based generator Philox, and there is no state that one takes
-from another. Whoever draws once in order takes the generator of `stream`; whoever does so for many
-seeds takes `deadtime.numerics.generators.Streams`, compiled, which draws what these generators do.
-Whoever must reach any number at once takes `uniforms`, which addresses Philox by its counter; this
-is NumPy's, for few numbers, and `deadtime.numerics.generators` gives the same ones compiled, for
-many.
+All are keyed by words of the counter-based generator Philox, without a common state. `stream` is a
+generator to draw from in order; `deadtime.numerics.generators.Streams` has the compiled generators
+of many seeds, with the same numbers. `uniforms` has random access, by the counter of Philox, for
+few numbers; `deadtime.numerics.generators.uniforms` is compiled, with the same numbers.
 """
 
 from __future__ import annotations
@@ -20,12 +18,12 @@ from numpy.typing import DTypeLike
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 
-WORDS = 4  # that Philox makes of a counter
-DROPPED = np.uint64(12)  # bits of a word, of which a double holds the others and a half
+WORDS = 4  # of Philox per counter
+DROPPED = np.uint64(12)  # bits of a word; a double holds the others plus one half
 
 
 class Words(ISpawnableSeedSequence):
-    """The beginning of a generator of NumPy's: words of Philox with the key (seed, purpose)."""
+    """A seed sequence for NumPy's generators: words of Philox with the key (seed, purpose)."""
 
     def __init__(self, seed: int, *purpose: str | int) -> None:
         self.seed, self.spawned = int(seed), 0
@@ -33,7 +31,7 @@ class Words(ISpawnableSeedSequence):
 
     @property
     def key(self) -> tuple[int, int]:
-        """The seed, and 64 bits of what it is for; of a larger seed the rest is a part of it."""
+        """The lower 64 bits of the seed, and a hash of the purpose and its other bits."""
         text = repr((*self.purpose, self.seed >> 64)).encode()
         return self.seed % 2**64, int.from_bytes(blake2b(text, digest_size=8).digest(), "little")
 
@@ -48,9 +46,7 @@ class Words(ISpawnableSeedSequence):
 
 
 def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Generator:
-    """The generator of number `index` of those called `name`; all are independent.
-
-    Or the one of number `spawned` that it spawns.
+    """The generator for a purpose `name` and number `index`; with `spawned`, one spawned from it.
 
     Examples
     --------

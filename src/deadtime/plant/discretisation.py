@@ -1,21 +1,21 @@
-"""Sampling: a mode over a period, exactly, and how the digital loop cuts time.
+"""Sampling: exact discretisation of a mode, and the windows of delayed inputs.
 
 With the input held for h seconds,
 
     x(t + h) = Φ x(t) + Γ u,    Φ = I + A W,  Γ = W B,  W = ∫₀^h e^{As} ds.
 
-Poles and ranks are asked of the difference quotient (x(t + h) − x(t))/h = (W/h)(A x + B u)
-instead: it tends to (A, B) as h → 0, where Φ → I and Γ → 0, has no cancellation, and a gain
-gives it the eigenvalues (z − 1)/h where Φ + ΓK has the eigenvalues z.
+Poles are placed and ranks computed with the difference quotient
+(x(t + h) − x(t))/h = (W/h)(A x + B u) instead. It tends to (A, B) as h → 0, where Φ → I and Γ → 0,
+and has no cancellation. Where Φ + ΓK has the eigenvalues z, it has (z − 1)/h.
 
 Sampling instants are t_k = k h. An input u_k, held on [t_k, t_{k+1}), reaches the plant D
 later, so with
 
     N = ⌈D/h⌉,    φ = D − (N − 1) h ∈ (0, h],
 
-the plant sees u_{k−N} during the first φ of step k (phase 0) and u_{k−N+1} during the
-remaining h − φ (phase 1). A ratio such as D/h within 1e-9 of an integer *is* that integer.
-Switches cut a phase further. Signals are right-continuous: a switch at t_k is seen at t_k.
+u_{k−N} acts during the first φ of step k and u_{k−N+1} during the remaining h − φ. A ratio such as
+D/h within 1e-9 of an integer *is* that integer. Signals are right-continuous: a switch at t_k takes
+effect at t_k.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from deadtime.plant.switched_system import SwitchedSystem, require_exponential
 def finite_discretisation(
     A: np.ndarray, B: np.ndarray, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Φ and Γ of one mode over a step; refused where they are beyond what floats hold."""
+    """Φ and Γ of one mode over a step; an ArgumentError where they overflow."""
     from deadtime.numerics.exponential import discretise
 
     Phi, Gamma = discretise(read_only(A), read_only(B), step)
@@ -53,10 +53,10 @@ def quotient(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np.
 
 
 def quotient_poles(poles: np.ndarray, step: float, i: int) -> np.ndarray:
-    """(e^{ph} − 1)/h for poles p in 1/s, which must not oscillate faster than samples can."""
-    turning = np.abs(np.imag(poles))
-    if (turning >= np.pi * (1.0 - 1e-9) / step).any():
-        worst = poles[np.argmax(turning)]
+    """(e^{ph} − 1)/h for poles p in 1/s, whose frequency must be below that of Nyquist."""
+    frequency = np.abs(np.imag(poles))
+    if (frequency >= np.pi * (1.0 - 1e-9) / step).any():
+        worst = poles[np.argmax(frequency)]
         raise ArgumentError(
             f"poles of mode {i}: {worst:g} oscillates faster than a period of {step:g} s shows: "
             f"|Im p| must be below π/h = {np.pi / step:.4g} 1/s; shorten the step."
@@ -66,12 +66,12 @@ def quotient_poles(poles: np.ndarray, step: float, i: int) -> np.ndarray:
 
 
 TOLERANCE = 1e-9
-_SURE = 600.0  # of |A|·step: e^(A·step) is within floats
-MOST_PERIODS = 1_000_000  # of delay: more is a slip of units
+_NO_OVERFLOW = 600.0  # |A|·step up to which e^(A·step) cannot overflow
+MOST_PERIODS = 1_000_000  # of delay: more is a mistake of units
 
 
 def snap(ratio: float) -> float:
-    """The ratio itself, or the integer that it is within 1e-9 of."""
+    """The ratio, rounded to an integer if it is within 1e-9 of one."""
     if math.isinf(ratio):
         return ratio
     nearest = math.floor(ratio + 0.5)
@@ -86,7 +86,7 @@ def snap_all(ratio: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Window:
-    """The held inputs that a delay keeps in flight.
+    """The inputs in flight under one delay.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Window:
 
     @classmethod
     def of(cls, delay: float, step: float, name: str = "delay") -> Window:
-        """The window of an input delay, by its name, at a sampling period, both in seconds."""
+        """The window of a delay at a sampling period, both in seconds; `name` is for messages."""
         ratio = snap(delay / step)
         if ratio > MOST_PERIODS:
             raise ArgumentError(
@@ -127,9 +127,9 @@ class Window:
 
 
 def require_step(plant: SwitchedSystem, step: float) -> float:
-    """A period over which a plant has an exponential, seconds."""
+    """The period, seconds, after a check that no mode overflows over it."""
     step = positive("step", step)
-    if require_exponential("step", plant.A, step) > _SURE:
+    if require_exponential("step", plant.A, step) > _NO_OVERFLOW:
         for A, B in zip(plant.A, plant.B, strict=True):
             finite_discretisation(A, B, step)
     return step
@@ -138,31 +138,32 @@ def require_step(plant: SwitchedSystem, step: float) -> float:
 def windows_of(plant: SwitchedSystem, step: float) -> list[list[Window]]:
     """The windows of a plant's delays at a period, by mode and input.
 
-    Fractions φ within 1e-9 h of each other are the least of them, so that no piece of a period is
-    shorter.
+    Fractions φ within 1e-9 h of each other become the least of them, so that no piece of a period
+    is shorter than that.
     """
-    places: dict[float, Window] = {}
+    windows: dict[float, Window] = {}
     for (i, j), delay in np.ndenumerate(plant.delays):
         name = "delay" if plant.has_one_delay else f"delay of input {j} in mode {i}"
-        places[delay.item()] = places.get(delay.item()) or Window.of(delay.item(), step, name)
+        windows[delay.item()] = windows.get(delay.item()) or Window.of(delay.item(), step, name)
+    # In ascending order each φ joins the group of the one before, if it is that close.
     phase = -step
-    for delay, window in sorted(places.items(), key=lambda place: place[1].phase):
+    for delay, window in sorted(windows.items(), key=lambda item: item[1].phase):
         if window.phase - phase > TOLERANCE * step:
             phase = window.phase
-        places[delay] = Window(step, window.count, phase)
-    return [[places[delay] for delay in row] for row in plant.delays.tolist()]
+        windows[delay] = Window(step, window.count, phase)
+    return [[windows[delay] for delay in row] for row in plant.delays.tolist()]
 
 
 @dataclass(frozen=True, eq=False)
 class Cuts(Frozen):
-    """The switches of a plant, laid on its sampling periods.
+    """The switches of a signal by sampling period.
 
     Attributes
     ----------
     step : (switches,) int
-        Index k of the step that the switch falls in.
+        Index k of the period in which the switch occurs.
     offset : (switches,) float
-        Time since t_k, in [0, h); exactly 0 or a φ when the switch falls there.
+        Time since t_k, in [0, h); exactly 0 or a φ for a switch at a sample or an arrival.
     mode : (switches + 1,) int
         The initial mode, then the mode after each switch.
     """

@@ -1,8 +1,14 @@
-"""Pieces of periods: stretches under the same inputs, what they do to the state, and Gramians.
+"""Pieces of periods, over which no acting input changes: their transitions and Gramians.
 
-Switches along a signal cut them (`PieceTable`): they are laid on the stretches of the periods that
-they lie in, and what lies between two of them within an entry is a part. NumPy takes all parts at
-once, and kernels take over, to the same bits, once they are compiled.
+    period   t_k              φ of an input              t_{k+1}
+             |---- stretch 0 ----|-------- stretch 1 --------|
+    switches          ↑ p                    ↑ p + 1
+    parts    | mode a | mode b   |  mode b   |    mode c     |
+    entries  |----- entry e -----|-------- entry e + 1 ------|
+
+Switches divide a stretch into parts. Where a switch changes the delays, and with them the acting
+inputs, it also ends the entry. NumPy computes the parts of all entries together; once compiled,
+kernels replace it, with bitwise equal results.
 """
 
 from __future__ import annotations
@@ -30,7 +36,10 @@ from deadtime.plant.discretisation import Cuts
 
 
 class Stretch(NamedTuple):
-    """Seconds from the sample on between which input j is the one of `lag[j]` samples ago."""
+    """A part of a period, start to stop in seconds after the sample, in which u_{k−lag[j]} acts.
+
+    That is input j, for every j.
+    """
 
     start: float
     stop: float
@@ -38,7 +47,7 @@ class Stretch(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """The map of a stretch: x goes to Phi x + Gamma u, u the inputs that act."""
+    """A stretch and its map: x becomes Phi x + Gamma u under the acting inputs u."""
 
     Phi: Float[np.ndarray, "n n"]
     Gamma: Float[np.ndarray, "n m"]
@@ -54,7 +63,7 @@ class Period(NamedTuple):
 
 
 class Stretches(NamedTuple):
-    """The stretches of all modes as arrays; those of mode i are first[i], …, first[i + 1] − 1."""
+    """The stretches of all modes as arrays; mode i has first[i], …, first[i + 1] − 1."""
 
     first: Int[np.ndarray, " mode+1"]
     start: Float[np.ndarray, " stretch"]
@@ -63,11 +72,11 @@ class Stretches(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """The stretches of [t_k, t_k + D) in which the inputs in flight at t_k act, one of each.
+    """The stretches of [t_k, t_k + D), in each of which one input in flight at t_k acts.
 
     start, stop : (stretches,), seconds from t_k on
     lag : (stretches, m), j of the acting u_{k−j}
-    length : (kinds,), the lengths that there are, seconds; kind : (stretches,), which each has
+    length : (kinds,), the different lengths, seconds; kind : (stretches,), index into them
     """
 
     start: Float[np.ndarray, " stretch"]
@@ -80,15 +89,15 @@ class Ahead(NamedTuple):
 class PieceTable(NamedTuple):
     """The pieces of many periods along a switching signal, each transition computed once.
 
-    Piece q, q = first[k], …, first[k + 1] − 1 in period k, is entry e = entry[q] and takes x to
-    Phi[e] x + Gamma[e] u. Where a switch leaves the acting inputs as they are, the piece goes on
-    over it: entry e begins in mode[e], and the switches cut[e, 0], …, cut[e, 1] − 1 are within it.
+    Period k has the pieces first[k], …, first[k + 1] − 1. Piece q is entry e = entry[q] and takes x
+    to Phi[e] x + Gamma[e] u. A switch that changes no acting input does not end a piece: entry e
+    begins in mode[e] and contains the switches cut[e, 0], …, cut[e, 1] − 1.
 
     first : (periods + 1,)
     entry : (pieces,)
     Phi : (entries, n, n), Gamma : (entries, n, m)
     lag : (entries, m), how many samples ago the acting inputs were computed
-    start, stop : (entries,), seconds from the period's sample on
+    start, stop : (entries,), seconds after the period's sample
     mode : (entries,)
     cut : (entries, 2)
     """
@@ -110,11 +119,11 @@ class PieceTable(NamedTuple):
 
     @property
     def sample(self) -> Int[np.ndarray, "piece m"]:
-        """The k of the u_k that act in every piece, input by input."""
+        """The k of the acting u_k, by piece and input."""
         return self.period[:, None] - self.lag[self.entry]
 
     def parts(self, entry: int, cuts: Cuts) -> list[tuple[int, float, float]]:
-        """The mode and the times, start and stop, between the switches within an entry."""
+        """Mode, start and stop of every part of an entry."""
         first, stop = self.cut[entry]
         modes = [self.mode[entry], *cuts.mode[first + 1 : stop + 1]]
         times = [self.start[entry], *cuts.offset[first:stop], self.stop[entry]]
@@ -123,10 +132,10 @@ class PieceTable(NamedTuple):
 
 
 class CutPieces(NamedTuple):
-    """The pieces of the periods with switches, and the entries that are no whole stretch.
+    """The pieces of the periods with switches, and the entries that are not a whole stretch.
 
-    Piece first[i] + j is the j-th of period[i]. Entries of one's own are numbered after the
-    stretches; `stretch` has the inputs that act in them, the rest is as in a `PieceTable`.
+    Piece first[i] + j is number j of period[i]. These entries are numbered after the stretches;
+    `stretch` is a stretch with the same acting inputs, the other arrays are as in a `PieceTable`.
     """
 
     period: np.ndarray
@@ -141,7 +150,10 @@ class CutPieces(NamedTuple):
 
 @kernel
 def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
-    """Lay the first `switches` switches; parts of a period under the same inputs are one entry."""
+    """The `CutPieces` of the first `switches` switches (`Cuts`, as arrays).
+
+    Consecutive parts of a period under the same inputs are one entry.
+    """
     whole, longest, m = stretches.start.size, 0, stretches.lag.shape[1]
     for i in range(stretches.first.size - 1):
         longest = max(longest, stretches.first[i + 1] - stretches.first[i])
@@ -150,6 +162,8 @@ def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
     stretch, mode_of = np.empty(entry.size, np.int64), np.empty(entry.size, np.int64)
     start, stop = np.empty(entry.size), np.empty(entry.size)
     cut = np.zeros((entry.size, 2), np.int64)
+    # Next numbers: i of a period with switches, e of an entry, q of a piece, p of a switch. At most
+    # two entries per stretch and switch, before and after it.
     i, e, q, p = 0, 0, 0, 0
     while p < switches:
         k, mode, now, goes_on = cut_step[p], cut_mode[p], 0.0, False
@@ -157,6 +171,7 @@ def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
         s, last = stretches.first[mode], stretches.first[mode + 1]
         while s < last:
             if p < switches and cut_step[p] == k and cut_offset[p] <= now:
+                # The switch is now: continue in the stretch of the new mode at this time.
                 p += 1
                 mode = cut_mode[p]
                 s, last = stretches.first[mode], stretches.first[mode + 1]
@@ -167,10 +182,11 @@ def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
             ends = p < switches and cut_step[p] == k and cut_offset[p] < end
             if ends:
                 end = cut_offset[p]
-            if not ends and now == stretches.start[s]:
+            if not ends and now == stretches.start[s]:  # a whole stretch
                 entry[q] = s
                 q += 1
             else:
+                # After a switch, the same lags mean the same acting inputs: the entry continues.
                 for j in range(m):
                     goes_on = goes_on and (stretches.lag[stretch[e - 1], j] == stretches.lag[s, j])
                 if not goes_on:
@@ -196,10 +212,7 @@ def sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches):
 
 
 class Parts(NamedTuple):
-    """The parts between the switches within entries: mode and seconds.
-
-    `rank` counts the parts of an entry, and `goes_on` says whether another one follows.
-    """
+    """The parts of entries: mode and seconds, number within the entry, and whether one follows."""
 
     entry: np.ndarray
     mode: np.ndarray
@@ -216,29 +229,24 @@ def parts_of(
     cut_offset: np.ndarray,
     cut_mode: np.ndarray,
 ) -> Parts:
-    """The parts of entries, those without length left out."""
-    inner = cut[:, 1] - cut[:, 0]
-    first = np.concatenate(([0], np.cumsum(inner + 1)))
-    entry = np.repeat(np.arange(start.size), inner + 1)
-    switch = consecutive(cut[:, 0], first)  # that ends a part
-    begins, ends = first[:-1], first[1:] - 1
-    until = np.empty(entry.size)
-    until[ends] = stop
-    inside = np.ones(entry.size, bool)
-    inside[ends] = False
-    until[inside] = cut_offset[switch[inside]]
-    since, of = np.empty(entry.size), np.empty(entry.size, np.int64)
-    since[1:] = until[:-1]
-    since[begins] = start
-    inside[ends], inside[begins] = True, False
-    of[inside] = cut_mode[switch[inside]]
-    of[begins] = mode
+    """The parts of positive length."""
+    count = cut[:, 1] - cut[:, 0] + 1
+    first = np.concatenate(([0], np.cumsum(count)))
+    entry = np.repeat(np.arange(start.size), count)
+    # Part r of an entry ends at switch cut[e, 0] + r, the last one at the end of the entry. That
+    # number may lie one beyond the last switch, so a NaN is appended, which `stop` replaces.
+    switch = consecutive(cut[:, 0], first)
+    until = np.append(cut_offset, np.nan)[switch]
+    until[first[1:] - 1] = stop
+    since = np.concatenate(([0.0], until))[: entry.size]
+    since[first[:-1]] = start
+    mode_of = cut_mode[switch]
+    mode_of[first[:-1]] = mode
     kept = until > since
-    entry, of, length = entry[kept], of[kept], (until - since)[kept]
-    change = np.concatenate(([True], entry[1:] != entry[:-1]))[: entry.size]
-    begin = np.flatnonzero(change)
-    rank = np.arange(entry.size) - np.repeat(begin, np.diff(np.append(begin, entry.size)))
-    return Parts(entry, of, length, rank, np.append(~change[1:], False)[: entry.size])
+    entry = entry[kept]
+    rank = np.arange(entry.size) - np.searchsorted(entry, entry)
+    goes_on = np.append(entry[1:] == entry[:-1], False)[: entry.size]
+    return Parts(entry, mode_of[kept], (until - since)[kept], rank, goes_on)
 
 
 def transitions_at_once(
@@ -255,8 +263,8 @@ def transitions_at_once(
     parts = parts_of(start, stop, mode, cut, cut_offset, cut_mode)
     Phi, Gamma = np.empty((mode.size, *A.shape[1:])), np.empty((mode.size, *B.shape[1:]))
     of, entered = discretise_all(A, B, parts.mode, parts.length)
-    Phi[parts.entry[parts.rank == 0]] = of[parts.rank == 0]
-    Gamma[parts.entry[parts.rank == 0]] = entered[parts.rank == 0]
+    begins = parts.rank == 0
+    Phi[parts.entry[begins]], Gamma[parts.entry[begins]] = of[begins], entered[begins]
     with np.errstate(all="ignore"):
         for rank in range(1, parts.rank.max(initial=0) + 1):
             now = np.flatnonzero(parts.rank == rank)
@@ -294,11 +302,11 @@ def gramians_at_once(
 
 
 def consecutive(values: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """values[i], values[i] + 1, … at the places first[i], …, first[i + 1] − 1."""
+    """The array with values[i], values[i] + 1, … at first[i], …, first[i + 1] − 1."""
     return np.repeat(values - first[:-1], np.diff(first)) + np.arange(first[-1])
 
 
-FEW = 24  # entries and switches, of which the transitions are kept
+FEW = 24  # entries and switches up to which transitions are cached
 
 
 def pieces_along(
@@ -313,9 +321,8 @@ def pieces_along(
 ) -> PieceTable:
     """The pieces of the periods 0, …, periods − 1; switch p goes to cut_mode[p + 1].
 
-    Entries up to the number of stretches are those of modes held; after them come the parts of
-    stretches that switches begin or end. Parts of one period under the same inputs are one entry.
-    `whole` are Φ and Γ of the stretches, where they are known.
+    The first entries are the stretches, each in its mode; after them come the entries that begin or
+    end at switches. `whole` are Φ and Γ of the stretches, if they are known.
     """
     switches = int(np.searchsorted(cut_step, periods))
     pieces = sample_cuts(stretches, cut_step, cut_offset, cut_mode, switches)
@@ -327,6 +334,7 @@ def pieces_along(
     counts = np.diff(stretches.first)[mode]
     counts[pieces.period] = np.diff(pieces.first)
     first = np.concatenate(([0], np.cumsum(counts)))
+    # Periods without switches have their mode's stretches; the others are overwritten.
     entry = consecutive(stretches.first[mode], first)
     entry[consecutive(first[pieces.period], pieces.first)] = pieces.entry
     return PieceTable(
@@ -345,7 +353,7 @@ def pieces_along(
 def _transitions_of(
     A: np.ndarray, B: np.ndarray, pieces: CutPieces, cut_offset: np.ndarray, cut_mode: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Φ and Γ of the entries that are no whole stretch; few of them are kept."""
+    """Φ and Γ of the entries that are not a whole stretch."""
     if not pieces.mode.size:
         return np.empty((0, *A.shape[1:])), np.empty((0, *B.shape[1:]))
     entries = map(read_only, (pieces.start, pieces.stop, pieces.mode, pieces.cut))
@@ -355,7 +363,7 @@ def _transitions_of(
     return _kept_transitions(tuple((one.dtype.char, one.shape, one.tobytes()) for one in given))
 
 
-@lru_cache(maxsize=256)  # searches move one switch of a few at a time, and go back
+@lru_cache(maxsize=256)  # searches move one switch at a time and return to former ones
 def _kept_transitions(given: tuple[tuple[str, Any, bytes], ...]) -> tuple[np.ndarray, np.ndarray]:
     arrays = [np.frombuffer(data, kind).reshape(shape) for kind, shape, data in given]
     Phi, Gamma = transitions(*arrays)
@@ -376,7 +384,7 @@ def _modes_of(stretches: Stretches) -> np.ndarray:
 
 @kernel
 def go_on(Phi, Gamma, part_Phi, part_Gamma):
-    """Let a part follow on Φ, Γ, which are overwritten."""
+    """Compose Φ, Γ with those of the part that follows, in place."""
     n, m = Gamma.shape
     moved, entered = np.empty((n, n)), np.empty((n, m))
     product(part_Phi, Phi, moved)
@@ -411,7 +419,7 @@ def transitions(A, B, start, stop, mode, cut, cut_offset, cut_mode):
 
 @kernel(plain=gramians_at_once)
 def gramians(A, B, table, cut_offset, cut_mode, Q):
-    """`gramian_up_to` of every entry, to its end."""
+    """`gramian_up_to` the end, of every entry."""
     q = B.shape[1] + B.shape[2]
     M = np.empty((table.mode.size, q, q))
     for e in range(table.mode.size):

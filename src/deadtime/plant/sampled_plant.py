@@ -1,29 +1,28 @@
-"""SampledPlant: a plant at a sampling period, as the pieces in which nothing that acts changes.
+"""SampledPlant: a plant at a sampling period, in pieces over which no acting input changes.
 
-An input u_k is held from t_k = k h on and reaches the plant a delay later, so within a period
-different samples of it act one after the other. A *piece* is a stretch of a period in which the
-mode and all acting inputs stay; its lags say how many samples before the period's own they were
-computed. An input of delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h (`deadtime.plant.discretisation`), is
+An input u_k is held from t_k = k h on and acts a delay later, so within a period several samples of
+it act one after the other. A *piece* is a part of a period with constant mode and acting inputs; a
+lag per input counts the samples since it was computed. An input of delay D, with N = ⌈D/h⌉ and
+φ = D − (N − 1) h (`deadtime.plant.discretisation`), has
 
-    on [t_k, t_k + φ):      that of t_{k−N}       lag N
-    on [t_k + φ, t_{k+1}):  that of t_{k−N+1}     lag N − 1, nothing of it where φ = h
+    on [t_k, t_k + φ):      lag N          u_{k−N}
+    on [t_k + φ, t_{k+1}):  lag N − 1      u_{k−N+1}; empty where φ = h
 
-so a period of a mode is cut at the φ of each of its inputs. Over a whole one, with the pieces' Φ
-and Γ,
+so a period of a mode is divided at the φ of each of its inputs. Over a whole period
 
     x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},    l over the lags of all pieces.
 
-Along a switching signal pieces end at switches, too: a `PieceTable` has those of many periods, as
-arrays for compiled loops. Whoever needs to know what acts when reads pieces or periods, and works
-out neither.
+Along a switching signal pieces end at switches, too: a `PieceTable` has the pieces of many periods,
+as arrays for compiled loops.
 
-A mode that the state decides is not known beforehand. It may change within a stretch of a period,
-and with it the delays with which inputs are read. With what each mode reads as inputs of its own,
+A mode that depends on the state is not known beforehand. It may change at any instant, and with it
+the delays at which inputs are read. With the input as read by each mode as inputs of their own,
 
-    dx/dt = A_σ x + B̃_σ ũ,   ũ = (u as mode 0 reads it, u as mode 1 does, …),   B̃_i = [0 … B_i … 0],
+    dx/dt = A_σ x + B̃_σ ũ,   ũ = (u as mode 0 reads it, u as mode 1 reads it, …),
+    B̃_i = [0 … B_i … 0],
 
-nothing that acts changes over a stretch of `SampledPlant.cut_alike`, whatever the mode becomes.
-Where all modes have the same delays they all read one u: ũ = u, B̃ = B.
+ũ is constant over a stretch of `SampledPlant.cut_alike`, whatever the mode becomes. If all modes
+have the same delays, ũ = u and B̃ = B.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ from deadtime.plant.pieces import (
 )
 from deadtime.plant.switched_system import SwitchedSystem
 
-_KEPT = 100_000  # periods; of more, tables are too large to lie about
+_KEPT = 100_000  # periods up to which tables are cached; longer ones are too large
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +64,9 @@ class SampledPlant(Frozen):
     step : float
         Sampling period h, seconds.
     alike : bool
-        Whether periods of every mode are cut where those of any mode are, so that stretch number p
-        is the same time in all modes: see `cut_alike`.
+        Whether the periods of all modes are divided at the same instants: see `cut_alike`.
     windows : tuple of Window
-        The windows of its delays, each once, those of shorter delays first.
+        The different windows of its delays, by increasing delay.
 
     Raises
     ------
@@ -102,16 +100,13 @@ class SampledPlant(Frozen):
 
     @classmethod
     def of(cls, plant: SwitchedSystem, step: float) -> SampledPlant:
-        """The one of a plant and a period that was made before, if it was one of the last.
-
-        So runs of one plant share what it works out.
-        """
-        return _made_before(plant, positive("step", step), alike=False)
+        """A plant at a period; the last ones are cached, so that runs of a plant share tables."""
+        return _cached(plant, positive("step", step), alike=False)
 
     def cut_alike(self) -> SampledPlant:
-        """This plant with the periods of all modes cut at the same instants, if they are not yet.
+        """This plant with the periods of all modes divided at the same instants.
 
-        So a stretch can be moved over whatever the mode becomes within it.
+        Then a switch within a stretch changes no acting input.
 
         Examples
         --------
@@ -119,14 +114,15 @@ class SampledPlant(Frozen):
         >>> [part.stop for part in SampledPlant.of(plant, 0.1).cut_alike().stretches(0)]
         [0.04999999999999999, 0.07, 0.1]
         """
-        same = (self.plant.delays == self.plant.delays[0]).all()
-        return self if same or self.alike else _made_before(self.plant, self.step, alike=True)
+        if self.plant.modes_share_delays or self.alike:
+            return self
+        return _cached(self.plant, self.step, alike=True)
 
     @property
     def window(self) -> Window:
-        """The window of the one delay; of several there are `windows`, and none is it."""
+        """The window of a plant with one delay; an ArgumentError for one with several."""
         if len(self.windows) > 1:
-            self.plant.one_delay("what asks for its window")
+            self.plant.one_delay("a single window of inputs in flight")
         return self.windows[-1]
 
     @property
@@ -152,11 +148,12 @@ class SampledPlant(Frozen):
         parts = [self.stretches(mode) for mode in range(self.plant.modes)]
         start, stop, lag = zip(*(part for mode in parts for part in mode), strict=True)
         first = np.cumsum([0, *map(len, parts)])
+        # stretch: | mode 0: first[0] … | mode 1: first[1] … | …
         return Stretches(*map(read_only, (first, np.array(start), np.array(stop), np.array(lag))))
 
     @cached_property
     def ahead(self) -> Ahead:
-        """The inputs that act until one computed now arrives."""
+        """The stretches until an input computed now arrives."""
         step, count, phase = self.window.step, self.window.count, self.window.phase
         stop = phase + np.arange(count) * step
         start = np.concatenate(([0.0], stop[:-1]))
@@ -167,20 +164,19 @@ class SampledPlant(Frozen):
     def along(self, cuts: Cuts, periods: int) -> PieceTable:
         """The pieces of the periods 0, …, periods − 1 along a switching signal.
 
-        Runs along one signal share them: the last are kept, unless they are long.
+        The last tables are cached, unless they are long, so that runs along one signal share them.
         """
         return (_kept_along if periods <= _KEPT else _along)(self, cuts, periods)
 
     def gramians_along(
         self, cuts: Cuts, periods: int, Q: Float[np.ndarray, "n n"]
     ) -> Float[np.ndarray, "entry q q"]:
-        """M of every entry of `along`: ∫xᵀQx = zᵀMz over it, z = (x, u) at its start."""
+        """M of every entry of `along`: ∫xᵀQx dt = zᵀMz over it, z = (x, u) at its start."""
         work = _kept_gramians if periods <= _KEPT else _gramians
         return work(self, cuts, periods, Q.tobytes())
 
     @cached_property
     def _whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Φ and Γ of the stretches."""
         return whole_stretches(self.plant.A, self.plant.B, self.every_stretch)
 
     def pieces(self, mode: int) -> tuple[Piece, ...]:
@@ -201,9 +197,10 @@ class SampledPlant(Frozen):
     def periods(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Whole periods in every mode: Φ (modes, n, n), Γ (modes, lags, n, m) and the lags.
 
-        The inputs u_{k−lag} that act in some mode, the oldest first; Γ is 0 in the others.
+        The lags are those of all modes, the oldest input first; Γ is 0 for lags that a mode lacks.
         """
         each = [self.period(mode) for mode in range(self.plant.modes)]
+        # Lags decrease, and searchsorted needs increasing values: hence the minus signs.
         lag = np.unique(np.concatenate([period.lags for period in each]))[::-1]
         Gamma = np.zeros((len(each), lag.size, *self.plant.B.shape[1:]))
         for mode, period in enumerate(each):
@@ -211,7 +208,7 @@ class SampledPlant(Frozen):
         return np.stack([period.Phi for period in each]), Gamma, lag
 
     def cut_period(self, mode: int, after: int, offset: float) -> Period:
-        """A period that begins in a mode and goes over to another one, `offset` seconds in.
+        """A period that begins in one mode and switches to another after `offset` seconds.
 
         Examples
         --------
@@ -242,12 +239,12 @@ _kept_gramians = lru_cache(maxsize=2)(_gramians)
 
 
 @lru_cache(maxsize=16)
-def _made_before(plant: SwitchedSystem, step: float, *, alike: bool) -> SampledPlant:
+def _cached(plant: SwitchedSystem, step: float, *, alike: bool) -> SampledPlant:
     return SampledPlant(plant, step, alike)
 
 
 def _composed(pieces: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Period:
-    """The whole of pieces that follow each other, as (Φ, Γ, lags) each."""
+    """The period that consists of these pieces, given as (Φ, Γ, lags)."""
     (Phi, first, lags), *others = pieces
     Gamma = _by_lag(first, lags)
     for part, arriving, lags in others:
@@ -269,7 +266,7 @@ def _by_lag(
 def acting_inputs(
     lag: Int[np.ndarray, " m"], inputs: Sequence[np.ndarray] | np.ndarray
 ) -> Float[np.ndarray, " m"]:
-    """The inputs that act in a piece; `inputs` are u_k, u_{k−1}, …, the latest first.
+    """The acting inputs of a piece, from the inputs u_k, u_{k−1}, ….
 
     Examples
     --------
@@ -280,14 +277,14 @@ def acting_inputs(
 
 
 class EveryReading(NamedTuple):
-    """A plant under what every mode reads.
+    """A plant with the inputs ũ of the module's docstring.
 
     plant : SwitchedSystem
-        With the inputs ũ; nobody reads its delays.
+        With the inputs ũ; its delays are meaningless.
     stretches : tuple of Stretch
-        Of a period, in any mode; `lag` (inputs of ũ,).
+        The stretches of a period in any mode; `lag` (inputs of ũ,).
     readers : int
-        How many modes stand side by side in ũ: all, or 1 where they read alike.
+        Number of modes in ũ: all, or 1 where they have the same delays.
     """
 
     plant: SwitchedSystem
@@ -296,7 +293,7 @@ class EveryReading(NamedTuple):
 
     @classmethod
     def of(cls, sampled: SampledPlant) -> EveryReading:
-        """Of a plant whose periods are cut alike in all modes.
+        """The plant with the inputs ũ, from one with all periods `cut_alike`.
 
         Examples
         --------
@@ -306,7 +303,7 @@ class EveryReading(NamedTuple):
         ([[[1.0, 0.0]], [[0.0, 2.0]]], array([2, 1]))
         """
         plant = sampled.plant
-        if (plant.delays == plant.delays[0]).all():
+        if plant.modes_share_delays:
             return cls(plant, sampled.stretches(0), 1)
         modes, n, m = plant.B.shape
         B = np.zeros((modes, n, modes, m))

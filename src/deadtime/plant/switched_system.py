@@ -1,13 +1,12 @@
-"""The plant: a linear system that switches between modes and answers its inputs late.
+"""The plant: a linear system that switches between modes, with delayed inputs.
 
     dx/dt = A_σ(t) x(t) + Σ_j b_σ(t),j u_j(t − D_σ(t),j),   x ∈ Rⁿ, u ∈ Rᵐ, σ(t) ∈ {0, …, modes − 1}
 
-A mode *reads* input j its own D_σ,j seconds back: after a switch between modes of other delays what
-acts jumps, and may be heard again or not at all; what was sent is in the delay line all the same.
+A mode *reads* input j its own D_σ,j seconds back: after a switch to a longer delay past values are
+read again, after one to a shorter delay some are skipped.
 
-Arrays hold one matrix per mode, mode first. Modes count from 0.
-
-A plant that rests elsewhere than at 0 has an `OperatingPoint`.
+Arrays hold one matrix per mode, mode first. Modes count from 0. A plant with an equilibrium other
+than 0 has an `OperatingPoint`.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from deadtime.base.checks import brief, number, positive, read_only, real_array,
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 
-ROUND_OFF = 1e-12  # relative: delays that close are one
+ROUND_OFF = 1e-12  # relative difference up to which delays are equal
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -43,7 +42,7 @@ class SwitchedSystem(Frozen):
         Input matrices.
     delay : float or array_like, shape (m,), (modes, 1) or (modes, m)
         Input delays D > 0, in seconds: one for all, one per input, one per mode, or one per mode
-        and input. One-dimensional is per input, also where there are as many modes as inputs.
+        and input. A one-dimensional array is per input, even with as many modes as inputs.
 
     Attributes
     ----------
@@ -90,16 +89,21 @@ class SwitchedSystem(Frozen):
         rows = B.shape[2] == n != B.shape[1]  # of inputs, where columns are meant
         require_shape("B", B, (modes, n, B.shape[1] if rows else B.shape[2]), "(modes, n, m)")
         delays = check_delays(delay, (modes, B.shape[2]))
-        _require_action(B, delays)
+        idle = np.flatnonzero(~B.any(axis=(0, 1)))
+        if idle.size and (delays != delays[:, :1]).any():
+            raise ArgumentError(
+                f"B[:, :, {idle[0]}] must not be zero in every mode where inputs have delays of "
+                f"their own: input {idle[0]} acts on nothing, so it has none; leave it out."
+            )
         vars(self).update(A=A, B=B, delays=delays)
         require_exponential("delay", A, self.longest_delay)
 
     def like(
         self, A: np.ndarray, B: np.ndarray, delays: np.ndarray | None = None
     ) -> SwitchedSystem:
-        """A plant made from this one: with other matrices, and its delays unless others are given.
+        """This plant with other matrices, and with other delays if they are given.
 
-        It may have inputs that act in no mode, as one of its modes alone may.
+        Its inputs may act in no mode.
         """
         plant = object.__new__(SwitchedSystem)
         delays = self.delays if delays is None else delays
@@ -169,18 +173,17 @@ class SwitchedSystem(Frozen):
         return bool((self.delays == self.delays[0, 0]).all())
 
     @property
-    def delay(self) -> float:
-        """The input delay, seconds, where there is one for all inputs and modes.
+    def modes_share_delays(self) -> bool:
+        """Whether each input has the same delay in all modes."""
+        return bool((self.delays == self.delays[0]).all())
 
-        Raises `ArgumentError` where there are several: they are `delays`.
-        """
+    @property
+    def delay(self) -> float:
+        """The input delay, seconds; an `ArgumentError` for a plant with several `delays`."""
         return self.one_delay("plant.delay, which is a number (plant.delays has all)")
 
     def one_delay(self, feature: str) -> float:
-        """The one delay, seconds, for a feature that cannot deal with several yet.
-
-        Raises `ArgumentError`, with the feature's name, where there are several.
-        """
+        """The one delay, seconds; an ArgumentError with the feature's name if there are several."""
         if not self.has_one_delay:
             raise ArgumentError(
                 f"plant must have one delay for {feature}, got delay={self.delay_text}: several "
@@ -190,16 +193,15 @@ class SwitchedSystem(Frozen):
 
     @property
     def delay_text(self) -> str:
-        """The delays in figures, as a plant is given them."""
+        """`delay_data` as text."""
         return f"{self.delay_data:g}" if self.has_one_delay else f"{self.delay_data}"
 
     @property
     def delay_data(self) -> float | list[float] | list[list[float]]:
-        """The delays as a plant is given them: a number, one per input, or per mode and input."""
+        """The delays as the constructor takes them: one, one per input, or per mode and input."""
         if self.has_one_delay:
             return float(self.delays[0, 0])
-        rows = (self.delays == self.delays[0]).all()
-        return self.delays[0].tolist() if rows else self.delays.tolist()
+        return self.delays[0].tolist() if self.modes_share_delays else self.delays.tolist()
 
     @cached_property
     def identity(self) -> Float[np.ndarray, "n n"]:
@@ -216,6 +218,7 @@ class SwitchedSystem(Frozen):
         array([[[2.15 , 1.05 ],
                 [0.025, 1.1  ]]])
         """
+        # Round-off of a mean of equal delays would make them another delay.
         same = (self.delays == self.delays[0]).all(axis=0)
         delays = np.where(same, self.delays[0], self.delays.mean(axis=0))
         A, B = self.A.mean(axis=0, keepdims=True), self.B.mean(axis=0, keepdims=True)
@@ -271,7 +274,12 @@ def check_delays(delay: ArrayLike, shape: tuple[int, int], name: str = "delay") 
             f"{name} must be a number or have shape {form}, got {delays.shape}: a list is one per "
             f"input{hint}."
         )
-    delays = _without_round_off(np.broadcast_to(delays, shape))
+    delays = np.array(np.broadcast_to(delays, shape))
+    low = -math.inf
+    for value in np.unique(delays):  # those that differ by round-off become the least of them
+        if value - low > ROUND_OFF * abs(value):
+            low = value
+        delays[delays == value] = low
     wrong = np.argwhere(delays <= 0.0)
     if wrong.size:
         i, j = wrong[0]
@@ -282,28 +290,8 @@ def check_delays(delay: ArrayLike, shape: tuple[int, int], name: str = "delay") 
     return read_only(delays)
 
 
-def _without_round_off(delays: np.ndarray) -> np.ndarray:
-    """Delays of which those that differ by round-off are the least of them."""
-    result, low = np.array(delays), -math.inf
-    for value in np.unique(delays):
-        if value - low > ROUND_OFF * abs(value):
-            low = value
-        result[delays == value] = low
-    return result
-
-
-def _require_action(B: Float[np.ndarray, "mode n m"], delays: np.ndarray) -> None:
-    """Refuse an input that acts in no mode where inputs have delays of their own."""
-    idle = np.flatnonzero(~B.any(axis=(0, 1)))
-    if idle.size and (delays != delays[:, :1]).any():
-        raise ArgumentError(
-            f"B[:, :, {idle[0]}] must not be zero in every mode where inputs have delays of their "
-            f"own: input {idle[0]} acts on nothing, so it has none; leave it out."
-        )
-
-
 def require_exponential(name: str, A: Float[np.ndarray, "mode n n"], tau: float) -> float:
-    """|A|τ, the largest of all modes; a time for which floats do not hold it is refused."""
+    """The largest |A|τ of all modes; an ArgumentError if it overflows."""
     with np.errstate(over="ignore"):
         size = float(np.abs(A).sum(axis=2).max()) * tau
     if not np.isfinite(size):
@@ -316,7 +304,7 @@ def require_exponential(name: str, A: Float[np.ndarray, "mode n n"], tau: float)
 
 @dataclass(frozen=True, eq=False, init=False)
 class OperatingPoint(Frozen):
-    """The state x₀ and the input u₀ that a plant's states and inputs are deviations from.
+    """The equilibrium x₀, u₀ from which a plant's states and inputs are deviations.
 
         dx/dt = A_σ (x − x₀) + B_σ (u(t − D) − u₀)
 
@@ -342,7 +330,9 @@ class OperatingPoint(Frozen):
         self.__post_init__()
 
     def in_words(self, states: tuple[str, ...], inputs: tuple[str, ...]) -> str:
-        """States and inputs by their names."""
-        each = zip((*states, *inputs), (*self.x.tolist(), *self.u.tolist()), strict=True)
-        said = [f"{name} = {value:.4g}" for name, value in each]
-        return f"{', '.join(said[: self.x.size])} with {', '.join(said[self.x.size :])}"
+        """The point as text, with these names of states and inputs."""
+        x, u = (
+            ", ".join(f"{name} = {value:.4g}" for name, value in zip(names, part, strict=True))
+            for names, part in ((states, self.x), (inputs, self.u))
+        )
+        return f"{x} with {u}"

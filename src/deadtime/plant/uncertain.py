@@ -1,4 +1,4 @@
-"""A plant that is known up to a covariance, as one identified from a log, and its ellipsoid."""
+"""A plant with the covariance of its parameters, such as an identified one, and its ellipsoid."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count as whole_number, instance, number, read_only, real_array
+from deadtime.base.checks import count as whole_number, instance, read_only, real_array, share
 from deadtime.base.errors import ArgumentError
-from deadtime.plant.plant_set import PlantSet, PlantUncertainty
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
 from deadtime.plant.switched_system import SwitchedSystem
 
-_SHORTEST = 1e-3  # of the likeliest delay: no plant that is drawn has a shorter one
-_OUTWARD = 1.0 + 1e-9  # so that rounding leaves no plant out
-_SYMMETRIC = 1e-6  # of a correlation: what a file's digits may leave
-_ROUNDED = 1e-10  # of an ellipsoid's axes
+_SHORTEST = 1e-3  # of the most likely delay: no random plant has a shorter one
+_OUTWARD = 1.0 + 1e-9  # so that rounding excludes no plant
+_SYMMETRIC = 1e-6  # error of a correlation that the digits of a file may cause
+_ROUNDED = 1e-10  # relative round-off of an ellipsoid's axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,34 +35,30 @@ class Ellipsoid(PlantSet):
 
     @property
     def directions(self) -> Float[np.ndarray, "d mode n nm"]:
-        """The half axes."""
         return self.axes
 
     @property
     def in_words(self) -> tuple[str, str]:
-        """As of every set."""
         return (
             f"any plant in the ellipsoid about the given one, of {len(self.axes)} half axes in the "
             "entries of A and B (constant within each period)"
         ), f"an ellipsoid of {len(self.axes)} axes"
 
     def with_inputs(self, count: int) -> Ellipsoid:
-        """This set with its first inputs alone."""
         n = self.A.shape[2]
         return replace(self, B=self.B[..., :count], axes=self.axes[..., : n + count])
 
     def misfit(self) -> str:
-        """Whether there is one vertex, and an axis."""
         fits = len(self.A) == 1 and self.axes.ndim == 4 and len(self.axes)
         return "" if fits else "axes are those of several vertices, or none"
 
-    def covers(self, asked: PlantSet) -> bool:
-        """Whether the other ellipsoid lies in this one, up to rounding."""
-        have, want = (one.reshape(len(one), -1) for one in (self.axes, asked.directions))
+    def covers(self, other: PlantSet) -> bool:
+        have, want = (axes.reshape(len(axes), -1) for axes in (self.axes, other.directions))
         unit = np.abs(have).max(axis=0)
         if want[:, unit == 0.0].any():
             return False
         have, want = have[:, unit > 0.0] / unit[unit > 0.0], want[:, unit > 0.0] / unit[unit > 0.0]
+        # Axes `want` = part · have lie in the ellipsoid of `have` if and only if |part|₂ ≤ 1.
         part = want @ np.linalg.pinv(have, rcond=_ROUNDED)
         near = bool(np.abs(want - part @ have).max() <= _ROUNDED)
         return near and bool(np.linalg.norm(part, 2) <= 1.0 + 0.5e-9)
@@ -71,23 +66,23 @@ class Ellipsoid(PlantSet):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class UncertainPlant(PlantUncertainty):
-    r"""A plant, and the covariance of its entries and delays (immutable).
+    r"""A plant with the covariance of its matrices and delays (immutable).
 
-    :math:`\theta` is normal about the plant's: all of :math:`A_0`, row by row, :math:`A_1, \dots`,
-    then :math:`B_0, \dots`, then the delays, one per input, or mode by mode where each mode has its
-    own.
+    The parameters :math:`\theta` are normally distributed about those of `plant`: the entries of
+    :math:`A_0`, row by row, of :math:`A_1, \dots`, then of :math:`B_0, \dots`, then the delays, one
+    per input, or mode by mode if the modes have different delays.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The likeliest plant.
+        The most likely plant.
     covariance : array_like, shape (size, size)
-        Of :math:`\theta`, symmetric and positive semidefinite.
+        Covariance of :math:`\theta`, symmetric and positive semidefinite.
 
     Raises
     ------
     ArgumentError
-        If the covariance has another size, or is none.
+        If the covariance has another size, or is not symmetric and positive semidefinite.
 
     Examples
     --------
@@ -130,14 +125,18 @@ class UncertainPlant(PlantUncertainty):
         vars(self).update(plant=plant, covariance=read_only(0.5 * (given + given.T)))
 
     def draw(self, count: int, seed: int = 0) -> tuple[SwitchedSystem, ...]:
-        """Plants that it may be, at random; a delay that would be below 0 is next to 0 instead.
+        """Random plants; delays are at least 0.001 of the most likely ones.
 
         Parameters
         ----------
         count : int
-            How many.
+            Number of plants.
         seed : int
-            Of the random numbers.
+            Seed of the random numbers.
+
+        Returns
+        -------
+        tuple of SwitchedSystem
         """
         how_many = whole_number("count", count)
         rng = np.random.default_rng(whole_number("seed", seed, least=0))
@@ -146,9 +145,9 @@ class UncertainPlant(PlantUncertainty):
         return tuple(self._at(shift) for shift in z @ root.T)
 
     def axes(self, level: float = 0.95) -> Float[np.ndarray, "d mode n nm"]:
-        r"""Half axes of the ellipsoid that holds A and B at a level, [A B] of each.
+        r"""Half axes of the confidence ellipsoid of A and B.
 
-        With this probability :math:`A` and :math:`B` lie in
+        With probability `level`, :math:`A` and :math:`B` lie in
 
         .. math::
 
@@ -156,14 +155,19 @@ class UncertainPlant(PlantUncertainty):
             = \big\{ \theta :
             (\theta - \hat\theta)^T \Sigma^{-1} (\theta - \hat\theta) \le r^2 \big\}
 
-        where :math:`\Sigma` is their covariance, whatever the delays are, and :math:`r^2` the
-        quantile of :math:`\chi^2` with :math:`\text{rank}\, \Sigma` degrees of freedom. `certify`
-        proves a loop for all of it.
+        with :math:`\Sigma` their covariance and :math:`r^2` the quantile of :math:`\chi^2` with
+        :math:`d = \text{rank}\, \Sigma` degrees of freedom. `certify` proves a loop stable for all
+        plants in it.
 
         Parameters
         ----------
         level : float
-            Between 0 and 1.
+            Confidence level, between 0 and 1.
+
+        Returns
+        -------
+        (d, modes, n, n + m) array
+            The half axes as changes of [A B].
 
         Examples
         --------
@@ -179,19 +183,34 @@ class UncertainPlant(PlantUncertainty):
         return np.concatenate(parts, axis=3)
 
     def plant_set(self, level: float = 0.95) -> PlantSet:
-        """The ellipsoid of `axes` at a level; the plant alone if A and B are certain."""
-        axes, middle = self.axes(level), Polytope.of([self.plant])
-        return Ellipsoid(middle.A, middle.B, axes) if len(axes) else middle
-
-    def delay_range(self, level: float = 0.95) -> tuple[Any, Any] | None:
-        """The interval of each delay at a level, (low, high) as `certify` takes it; None if known.
-
-        Each by itself, whatever the others are and A and B; two numbers if all is one delay.
+        """The confidence ellipsoid of A and B; only `plant` if they are certain.
 
         Parameters
         ----------
         level : float
-            Between 0 and 1.
+            Confidence level, between 0 and 1.
+
+        Returns
+        -------
+        PlantSet
+            An ellipsoid with the half axes `axes`, or a polytope of one plant.
+        """
+        axes, centre = self.axes(level), Polytope.of([self.plant])
+        return Ellipsoid(centre.A, centre.B, axes) if len(axes) else centre
+
+    def delay_range(self, level: float = 0.95) -> tuple[Any, Any] | None:
+        """The confidence interval of each delay.
+
+        Parameters
+        ----------
+        level : float
+            Confidence level of each interval, between 0 and 1.
+
+        Returns
+        -------
+        (low, high) or None
+            Seconds, as `certify` takes them: two numbers for a plant with one delay, else two
+            (modes, m) arrays. None if the delays are certain.
         """
         from scipy.stats import norm
 
@@ -199,26 +218,32 @@ class UncertainPlant(PlantUncertainty):
         errors = np.sqrt(np.diagonal(self.covariance)[entries:])
         if not errors.any():
             return None
-        half = float(norm.ppf(0.5 + 0.5 * _level(level))) * errors * _OUTWARD
+        half = float(norm.ppf(0.5 + 0.5 * share("level", level))) * errors * _OUTWARD
         half = np.broadcast_to(half.reshape(-1, plant.inputs), plant.delays.shape)
         low = np.maximum(plant.delays - half, _SHORTEST * plant.delays)
         high = plant.delays + half
+        # Equal delays with errors of their own have different intervals.
         if plant.has_one_delay and len(errors) == 1:
             return float(low[0, 0]), float(high[0, 0])
         return low, high
 
     def corners(self, level: float = 0.95) -> tuple[SwitchedSystem, ...]:
-        r"""A polytope that holds A and B at a level: two corners per uncertain entry.
+        r"""The vertices of a polytope that contains A and B: two per uncertain direction.
 
-        The corners :math:`\hat\theta \pm \sqrt d\, r L e_k`, :math:`\Sigma = L L^T`, span the least
-        cross-polytope about the ellipsoid of `axes`. It grows with :math:`\sqrt d`: of many entries
-        it is far wider than their intervals, and `certify` proves far more of the ellipsoid itself.
-        The delays are the likeliest ones.
+        The vertices :math:`\hat\theta \pm \sqrt d\, r L e_k`, :math:`\Sigma = L L^T`, span the
+        smallest cross-polytope around the ellipsoid of `axes`. It grows with :math:`\sqrt d`: with
+        many entries it is far wider than their intervals, and `certify` proves far more for the
+        ellipsoid itself.
 
         Parameters
         ----------
         level : float
-            Between 0 and 1.
+            Confidence level, between 0 and 1.
+
+        Returns
+        -------
+        tuple of SwitchedSystem
+            The vertices, with the most likely delays.
         """
         arms = self._arms(level)
         if not len(arms):
@@ -228,16 +253,16 @@ class UncertainPlant(PlantUncertainty):
         return tuple(self._at(np.concatenate((s * one, rest))) for one in arms for s in (1.0, -1.0))
 
     def _arms(self, level: float) -> Float[np.ndarray, "d entries"]:
-        """r L e_k of all k."""
+        """r L e_k for all k."""
         from scipy.stats import chi2
 
-        level, entries = _level(level), self.plant.A.size + self.plant.B.size
+        level, entries = share("level", level), self.plant.A.size + self.plant.B.size
         root = _root(self.covariance[:entries, :entries])
         d = root.shape[1]
         return float(np.sqrt(chi2.ppf(level, d))) * root.T if d else root.T
 
     def _at(self, shift: np.ndarray) -> SwitchedSystem:
-        """The plant that is so far from the likeliest one."""
+        """The plant with the parameters θ̂ + shift."""
         plant = self.plant
         of_A, of_B, of_D = np.split(shift, [plant.A.size, plant.A.size + plant.B.size])
         delays = plant.delays + of_D.reshape(-1, plant.inputs)
@@ -251,22 +276,16 @@ class UncertainPlant(PlantUncertainty):
         return f"UncertainPlant({self.plant!r}, {len(self.covariance)} entries)"
 
 
-def _level(level: float) -> float:
-    if not 0.0 < number("level", level) < 1.0:
-        raise ArgumentError(f"level must be between 0 and 1, got {level:g}.")
-    return level
-
-
 def _require_covariance(given: np.ndarray) -> None:
-    """Refuse what is no covariance, in units in which variances are 1."""
+    """Refuse a matrix that is no covariance, in units in which variances are 1."""
     unit = np.sqrt(np.maximum(np.diagonal(given), 0.0))
     within = np.outer(unit, unit)
     if (np.diagonal(given) < 0.0).any() or (np.abs(given - given.T) > _SYMMETRIC * within).any():
         raise ArgumentError("covariance must be symmetric, with variances ≥ 0 on its diagonal.")
     if given[within == 0.0].any():
         raise ArgumentError(
-            "covariance must be positive semidefinite, got an entry beside a variance of 0: what "
-            "is certain goes with nothing else."
+            "covariance must be positive semidefinite, got an entry beside a variance of 0: a "
+            "certain parameter is correlated with no other."
         )
     least = np.linalg.eigvalsh(_scaled(given))[0]
     if least < -_SYMMETRIC * len(given):
@@ -277,15 +296,16 @@ def _require_covariance(given: np.ndarray) -> None:
 
 
 def _scaled(covariance: np.ndarray) -> np.ndarray:
-    """The correlations; 0 where an entry is certain."""
+    """The correlations; 0 for certain parameters."""
     unit = np.sqrt(np.diagonal(covariance))
     back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
     return 0.5 * (covariance + covariance.T) * back[:, None] * back
 
 
 def _root(covariance: np.ndarray) -> Float[np.ndarray, "size d"]:
-    """L of Σ = L Lᵀ, a column per direction that is uncertain at all."""
+    """L of Σ = L Lᵀ, a column per uncertain direction."""
+    # Of the correlations, so that the rank does not depend on the units of the parameters.
     values, vectors = np.linalg.eigh(_scaled(covariance))
-    seen = values > len(values) * np.finfo(float).eps
+    uncertain = values > len(values) * np.finfo(float).eps
     unit = np.sqrt(np.diagonal(covariance))
-    return unit[:, None] * vectors[:, seen] * np.sqrt(values[seen])
+    return unit[:, None] * vectors[:, uncertain] * np.sqrt(values[uncertain])

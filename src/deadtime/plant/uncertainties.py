@@ -1,4 +1,4 @@
-"""The registry of sets of plants, and of what is known of a plant: an entry for each kind."""
+"""The registries of kinds of plant sets and of plant uncertainties."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deadtime.plant.plant_set import PlantSet, PlantUncertainty
-from deadtime.plant.polytope import Polytope
+from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
 from deadtime.plant.uncertain import Ellipsoid, UncertainPlant
 
 UNCERTAINTIES: tuple[type[PlantUncertainty], ...] = (UncertainPlant,)
@@ -16,7 +15,7 @@ KEYS = tuple(key for kind in SETS for key in kind.keys)  # of all kinds, in file
 
 
 def read_set(A: np.ndarray, B: np.ndarray, arrays: Mapping[str, np.ndarray]) -> PlantSet:
-    """The set whose `arrays` these are; a ValueError if no kind has just these."""
+    """The set with these vertices and `PlantSet.arrays`; a ValueError if no kind has them."""
     for kind in SETS:
         if set(kind.keys) == set(arrays):
             return kind(A, B, **arrays)

@@ -1,7 +1,7 @@
-"""The cost of a run, ∫ xᵀQx + uᵀRu: the one place that defines it.
+"""The cost of a run, ∫ xᵀQx + uᵀRu, and its weights.
 
-A `Weight` is given as `weight` to whatever measures or minimises a cost. None stands for the
-identity, ∫|x|² + |u|², whose integrals are there in any case.
+Functions that measure or minimise a cost take a `Weight` as `weight`; None stands for the identity,
+∫|x|² + |u|², whose integrals are always computed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from deadtime.base.json_records import record
 from deadtime.plant import SwitchedSystem
 
 PLAIN = "∫|x|² + |u|²"
-_MOST = 3  # rows of a matrix that is written out in a label
+_MOST = 3  # rows of a matrix that a label shows in full
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -30,15 +30,15 @@ class Weight(Frozen):
     Parameters
     ----------
     Q : array_like, shape (n, n), (n,) or a number
-        Of the states: a symmetric matrix, positive semidefinite; its diagonal; or a number, times
-        the identity.
+        Weight of the states: a symmetric, positive semidefinite matrix; its diagonal; or a number
+        that multiplies the identity.
     R : array_like, shape (m, m), (m,) or a number
-        Of the inputs, likewise. Laws and gains that minimise the cost ask for a definite one.
+        Weight of the inputs, likewise. Laws and gains that minimise the cost need a definite R.
 
     Raises
     ------
     ArgumentError
-        If one is not of such a shape, symmetric and semidefinite, or both are 0.
+        If Q or R has another shape or is not symmetric and semidefinite, or if both are 0.
 
     Examples
     --------
@@ -63,7 +63,7 @@ class Weight(Frozen):
 
     @property
     def text(self) -> str:
-        """The cost as labels and headings say it.
+        """The cost for labels and headings.
 
         Examples
         --------
@@ -73,12 +73,12 @@ class Weight(Frozen):
         return f"∫xᵀQx + uᵀRu, Q = {_text_of(self.Q)}, R = {_text_of(self.R)}"
 
     def of(self, plant: SwitchedSystem, where: str = "weight.") -> Weight:
-        """This weight with matrices of the plant's sizes; `where` stands before names in messages.
+        """This weight with matrices of the plant's sizes; `where` precedes names in messages.
 
         Raises
         ------
         ArgumentError
-            If it is one for other sizes.
+            If Q or R has another size.
         """
         whole = Weight.__new__(Weight)
         for name, letter, size in (("Q", "n", plant.states), ("R", "m", plant.inputs)):
@@ -94,7 +94,7 @@ class Weight(Frozen):
 
 
 def weight_of(weight: object, plant: SwitchedSystem) -> Weight | None:
-    """A weight as matrices of the plant's sizes; None for the identity, which needs none.
+    """A weight with matrices of the plant's sizes; None for the identity.
 
     Examples
     --------
@@ -114,19 +114,19 @@ def weight_of(weight: object, plant: SwitchedSystem) -> Weight | None:
 
 
 def text_of(weight: Weight | None) -> str:
-    """The cost as labels and headings say it."""
+    """The cost for labels and headings."""
     return PLAIN if weight is None else weight.text
 
 
 def record_of(weight: Weight | None) -> dict[str, dict[str, list]]:
-    """The weight for JSON: nothing for the identity."""
+    """The weight for JSON; an empty record for the identity."""
     return {} if weight is None else {"weight": record(weight, "Q", "R")}
 
 
 def costs(
     integrals: Callable[[Weight | None], tuple[float, float]], weight: Weight | None
 ) -> dict[str, float]:
-    """∫|x|² (ise), ∫|u|² (energy) and the cost, from a function that has the parts of a cost.
+    """∫|x|² (ise), ∫|u|² (energy) and the cost, from a function of a weight that has both parts.
 
     Examples
     --------
@@ -148,6 +148,7 @@ def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: b
     if not np.allclose(weight, weight.T, rtol=1e-12, atol=0.0):
         raise ArgumentError(f"{name} must be symmetric: pass ({name} + {name}.T) / 2.")
     eigenvalues = np.linalg.eigvalsh(weight)
+    # A semidefinite matrix may have an eigenvalue below 0 by round-off.
     floor = 0.0 if strict else -1e-12 * max(1.0, abs(eigenvalues).max())
     if eigenvalues[0] < floor or (strict and eigenvalues[0] <= 0.0):
         kind = "positive definite" if strict else "positive semidefinite"
@@ -156,7 +157,7 @@ def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: b
 
 
 def weight_part(name: str, value: ArrayLike, letter: str) -> np.ndarray:
-    """A number as it is; a diagonal or a matrix, positive semidefinite, as a matrix."""
+    """A number unchanged; a diagonal or a matrix, positive semidefinite, as a matrix."""
     form = f"({letter}, {letter}), ({letter},) or ()"
     ndim = as_floats(name, value, f"of shape {form}").ndim
     if ndim not in (0, 1, 2):
@@ -168,7 +169,6 @@ def weight_part(name: str, value: ArrayLike, letter: str) -> np.ndarray:
 
 
 def _text_of(part: np.ndarray) -> str:
-    """A weight in a few letters."""
     if part.size == 1:
         return f"{part.item():g}"
     diagonal = np.diag(part)

@@ -57,7 +57,7 @@ def _tables(
     n, wide = loop.plant.states, loop.acting.wide
     if loop.tables is None or not all(map(is_batched, imperfections)):
         return {}
-    if loop.forced and not (loop.plant.delays == loop.plant.delays[0]).all():
+    if loop.forced and not loop.plant.modes_share_delays:
         return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS:
         return {}

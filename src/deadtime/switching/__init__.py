@@ -1,4 +1,4 @@
-"""Switching signals, random models and rules of the state; signals laid on samples."""
+"""Switching signals, random models and rules of the state; signals on the sampling grid."""
 
 import lazy_loader
 

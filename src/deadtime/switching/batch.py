@@ -1,4 +1,4 @@
-"""Many switching signals in flat arrays: what compiled loops over scenarios read."""
+"""Many switching signals in flat arrays, for compiled loops over scenarios."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ class SignalBatch(Frozen):
         \sigma_i(t) = \text{modes}[k] \text{ for } \text{times}[k] \le t < \text{times}[k+1],
         \quad \text{first}[i] \le k < \text{first}[i+1]
 
-    with the last sojourn of each going on. ``batch[i]`` is :math:`\sigma_i`, and ``len(batch)`` how
-    many there are.
+    and the last sojourn of each without end. ``batch[i]`` is :math:`\sigma_i`, ``len(batch)`` the
+    number of signals.
 
     Parameters
     ----------
     first : (scenario + 1,) array of int64
-        Where each signal's sojourns start in the flat arrays, and the number of all sojourns.
+        Index of each signal's first sojourn in the flat arrays, then the number of sojourns.
     times : (sojourn,) array
         Starts of sojourns, seconds; strictly increasing from 0 within each signal.
     modes : (sojourn,) array of int64
         Their modes, counted from 0; neighbours in a signal differ.
     end : (scenario,) array
-        Time up to which each signal is known, seconds; infinite where without end.
+        Time up to which each signal is known, seconds; infinite for none.
     initial_age : (scenario,) array
         How long each first mode has been active before time 0, seconds.
 
@@ -81,7 +81,7 @@ class SignalBatch(Frozen):
             raise ArgumentError("first must start at 0 and increase: a signal has a sojourn.")
         require_shape("times", times, (int(first[-1]),), "(first[-1],)")
         require_shape("modes", modes, (int(first[-1]),), "(first[-1],)")
-        # Of the differences, those from one signal to the next tell nothing.
+        # Differences between the last sojourn of a signal and the first of the next do not count.
         inner = np.ones(times.size - 1, dtype=bool)
         inner[first[1:-1] - 1] = False
         _require(times[first[:-1]] == 0.0, "times must start at 0")
@@ -123,7 +123,7 @@ class SignalBatch(Frozen):
         return map(self.__getitem__, range(len(self)))
 
     def slice(self, start: int, stop: int) -> SignalBatch:
-        """Signals start, …, stop − 1 as a batch of their own, 0 ≤ start < stop ≤ len."""
+        """The batch of signals start, …, stop − 1, 0 ≤ start < stop ≤ len."""
         if not 0 <= start < stop <= len(self):
             raise ArgumentError(
                 f"start and stop must satisfy 0 ≤ start < stop ≤ {len(self)}, got {start}, {stop}."
@@ -139,7 +139,7 @@ class SignalBatch(Frozen):
         )
 
     def take(self, signals: Int[np.ndarray, " some"]) -> SignalBatch:
-        """Signals of these numbers as a batch of their own, in this order.
+        """The batch of the signals with these numbers, in this order.
 
         Examples
         --------
@@ -149,6 +149,7 @@ class SignalBatch(Frozen):
         """
         sizes = np.diff(self.first)[signals]
         first = np.concatenate(([0], np.cumsum(sizes)))
+        # Index of each sojourn in the flat arrays, signal by signal.
         own = np.repeat(self.first[signals] - first[:-1], sizes) + np.arange(first[-1])
         whole = self.end[signals], self.initial_age[signals]
         return SignalBatch(first, self.times[own], self.modes[own], *whole)
@@ -169,22 +170,22 @@ class SignalBatch(Frozen):
 
 
 def _own(name: str, values: ArrayLike, kinds: str) -> np.ndarray:
-    """An array of int64 or float64 that nobody else writes to."""
+    """A copy as int64 or float64; a read-only array itself."""
     raw = np.asarray(require_unmasked(name, values))
     if raw.dtype.kind not in kinds:
-        what = "real numbers" if "f" in kinds else "integers"
-        raise ArgumentError(f"{name} must hold {what}, got an array of {raw.dtype}.")
+        wanted = "real numbers" if "f" in kinds else "integers"
+        raise ArgumentError(f"{name} must hold {wanted}, got an array of {raw.dtype}.")
     array = raw.astype(np.float64 if "f" in kinds else np.int64, copy=False)
     return array.copy() if array.flags.writeable else array
 
 
 def _signal_of(first: Int[np.ndarray, " scenario_and_end"], sojourn: int) -> int:
-    """Whose sojourn it is."""
+    """The number of the signal with this sojourn."""
     return int(np.searchsorted(first, sojourn, side="right")) - 1
 
 
 def _require(good: np.ndarray, rule: str, first: np.ndarray | None = None) -> None:
-    """Name the first signal, or with `first` that of the first sojourn, that breaks a rule."""
+    """Refuse a signal, or with `first` a sojourn, that violates a rule, by the signal's number."""
     if not good.all():
         k = int(np.argmin(good))
         signal = k if first is None else _signal_of(first, k)

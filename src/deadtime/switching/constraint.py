@@ -1,4 +1,4 @@
-"""The sojourns that a class of switching signals allows, which mode may follow, and how often.
+"""Limits of switching signals: the dwell times of each mode, and the allowed transitions.
 
 A signal is admissible if every sojourn in mode i that ends in a switch lasts at least
 `dwell_time[i]` and none lasts longer than `maximum_dwell[i]`, and if it switches from i to j only
@@ -11,10 +11,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive, real_array
@@ -29,25 +29,24 @@ else:
 
 @kernel
 def least_slope(t, chatter):
-    """min (t_j − t_i)/(j + 1 − chatter − i) over i ≤ j where positive; infinite for no pair.
+    """min (t_j − t_i)/(j + 1 − chatter − i) over i ≤ j with a positive denominator, else infinite.
 
-    That is the average dwell time of a signal with N₀ = chatter, in one pass over its switches.
-    Between switch i and switch j ≥ i, at t_i and t_j, there are j − i + 1 of them: at most
-    N₀ + (t_j − t_i)/τ for all i, j means
+    That is the average dwell time τ of a signal with N₀ = chatter and switches at t: from switch i
+    to switch j there are j − i + 1 ≤ N₀ + (t_j − t_i)/τ of them. It is the least slope from a point
+    (i, t_i) to a point (j + 1 − N₀, t_j), in one pass: the least slope to a point comes from the
+    upper hull of the points to its left, and the first points of the hull, once steeper than the
+    following ones, never attain the minimum again.
 
-        τ ≤ (t_j − t_i)/(j + 1 − N₀ − i)   wherever the denominator is positive,
-
-    the slope from the point (i, t_i) to the point (j + 1 − N₀, t_j). The least slope to a point
-    comes from the upper hull of the points to its left, and the hull's first points, once steeper
-    than those that follow, never matter again.
-
-    References ---------- K.-M. Chung and H.-I. Lu, "An optimal algorithm for the maximum-density
-    segment problem", SIAM J. Comput. 34(2), 2004.
+    References
+    ----------
+    K.-M. Chung and H.-I. Lu, "An optimal algorithm for the maximum-density segment problem", SIAM
+    J. Comput. 34(2), 2004.
     """
     hull = np.empty(t.size, np.int64)
     first, stop, new = 0, 0, 0
     least = np.inf
     for j in range(t.size):
+        # Points (i, t_i) with a positive denominator enter the hull, from the left.
         while new <= j and j + 1 - new > chatter:
             while stop - first >= 2:
                 a, b = hull[stop - 2], hull[stop - 1]
@@ -59,6 +58,7 @@ def least_slope(t, chatter):
             new += 1
         if stop == first:
             continue
+        # Along the hull the slope to the point of j decreases and then increases.
         while True:
             a = hull[first]
             slope = (t[j] - t[a]) / (j - a + 1 - chatter)
@@ -73,35 +73,14 @@ def least_slope(t, chatter):
 
 
 T = TypeVar("T")
-ROUND_OFF = 1e-9  # of a dwell time, which a sum of times may miss
-
-
-@runtime_checkable
-class TimedModes(Protocol):
-    """A signal as a constraint reads it: times and modes of its sojourns, see `SwitchingSignal`."""
-
-    @property
-    def times(self) -> Float[np.ndarray, " sojourn"]: ...
-
-    @property
-    def modes(self) -> Int[np.ndarray, " sojourn"]: ...
-
-    @property
-    def end(self) -> float: ...
-
-    @property
-    def initial_age(self) -> float: ...
-
-    def require_modes(self, modes: int) -> Any:
-        """Refuse modes beyond so many."""
 
 
 @dataclass(frozen=True)
 class SwitchingConstraint:
-    """The limits that a `SignalClass` sets to the signals of so many modes (immutable).
+    """The limits of a `SignalClass` for a number of modes (immutable).
 
-    The class knows no number of modes, and says what somebody asked for; here every mode has its
-    times and its successors, which is what is computed with and compared.
+    A class may have one dwell time for all modes and no transitions; here every mode has its own
+    times and successors, to compute with and to compare.
 
     Attributes
     ----------
@@ -134,14 +113,14 @@ class SwitchingConstraint:
 
     @property
     def is_plain(self) -> bool:
-        """Whether a dwell time that all modes share is all that limits them."""
+        """Whether there is no limit but a dwell time that all modes share."""
         return (
             self.is_free and len(set(self.dwell_time)) == 1 and math.isinf(min(self.maximum_dwell))
         )
 
     @property
     def lasting(self) -> tuple[int, ...]:
-        """The modes that may last without end; the one mode of a plant that has no other does."""
+        """The modes that may last for ever, which a single mode always does."""
         if self.modes == 1:
             return (0,)
         return tuple(i for i, most in enumerate(self.maximum_dwell) if math.isinf(most))
@@ -156,8 +135,9 @@ class SwitchingConstraint:
 
     @cached_property
     def recurring(self) -> tuple[tuple[int, ...], ...]:
-        """As `following`, but only switches from which a signal can come back."""
+        """`following` without the switches from which no signal returns."""
         reach = self.transitions
+        # Squaring doubles the length of paths, so that modes.bit_length() rounds cover all.
         for _ in range(self.modes.bit_length()):
             reach = reach | (reach.astype(int) @ reach.astype(int) > 0)
         return tuple(
@@ -165,7 +145,7 @@ class SwitchingConstraint:
         )
 
     def in_words(self, when: str = "at any time") -> tuple[str, str]:
-        """A clause about its signals, to follow "that": how long they stay, and how they switch.
+        """Two clauses about its signals, to follow "that": their sojourns, and their switches.
 
         Examples
         --------
@@ -192,49 +172,15 @@ class SwitchingConstraint:
 
     @property
     def ways_in_words(self) -> str:
-        """Which mode each may switch to."""
+        """The allowed switches as text."""
         return ", ".join(
             f"from mode {i} {'to ' + ' or '.join(map(str, after)) if after else 'never'}"
             for i, after in enumerate(self.following)
         )
 
-    def require(self, signal: TimedModes, tolerance: float = ROUND_OFF) -> None:
-        """Refuse a signal that is not admissible, by the first switch or sojourn that is not.
-
-        Sojourns may be shorter and longer by the part `tolerance`, as a clock counts them.
-        """
-        signal.require_modes(self.modes)
-        starts = signal.times.copy()
-        starts[0] -= signal.initial_age
-        ends = np.append(signal.times[1:], signal.end)
-        for k, mode in enumerate(signal.modes.tolist()):
-            lasts, last = float(ends[k] - starts[k]), k == signal.times.size - 1
-            least, most = self.dwell_time[mode], self.maximum_dwell[mode]
-            where = f"stays in mode {mode} from {starts[k]:g} s"
-            if lasts > most * (1.0 + tolerance):
-                until = f"to {ends[k]:g} s" if ends[k] < np.inf else "on without end"
-                raise ArgumentError(
-                    f"signal {where} {until}, longer than its maximum_dwell of {most:g} s: raise "
-                    "maximum_dwell, or end the sojourn earlier."
-                )
-            if last:
-                return
-            if lasts < least * (1.0 - tolerance):
-                raise ArgumentError(
-                    f"signal {where} to {ends[k]:g} s, shorter than its dwell_time of {least:g} s: "
-                    "lower dwell_time, or let the sojourn last."
-                )
-            after = int(signal.modes[k + 1])
-            if after not in self.following[mode]:
-                may = _may_follow(self.following[mode])
-                raise ArgumentError(
-                    f"signal switches from mode {mode} to mode {after} at {ends[k]:g} s, which "
-                    f"transitions does not allow: from mode {mode} {may}."
-                )
-
 
 def time_or_each(name: str, value: object, unbounded: bool = False) -> float | tuple[float, ...]:
-    """A positive time, or several; infinite where that has a meaning."""
+    """A positive time or a tuple of them, which may be infinite if `unbounded`."""
     if not np.iterable(value) or isinstance(value, (str, bytes)):
         return _time(name, value, unbounded)
     given = list(value)  # pyright: ignore[reportCallIssue, reportArgumentType]
@@ -249,7 +195,7 @@ def _time(name: str, value: object, unbounded: bool) -> float:
 def switch_table(
     transitions: ArrayLike | tuple[tuple[bool, ...], ...],
 ) -> Bool[np.ndarray, "mode after"]:
-    """A matrix of True and False, or of 1 and 0."""
+    """A matrix of True and False, also given as 1 and 0."""
     table = real_array("transitions", transitions, "(modes, modes)", 2)
     wrong = np.argwhere((table != 0) & (table != 1))
     if wrong.size:
@@ -262,7 +208,7 @@ def switch_table(
 
 
 def require_ways(allowed: Bool[np.ndarray, "mode mode"], most: tuple[float, ...]) -> None:
-    """Refuse modes that must be left and lead nowhere, and modes on their own."""
+    """Refuse modes that must be left without a successor, and modes without any switch."""
     for i in np.flatnonzero(~allowed.any(axis=1)).tolist():
         if most[i] < np.inf:
             raise ArgumentError(
@@ -277,22 +223,8 @@ def require_ways(allowed: Bool[np.ndarray, "mode mode"], most: tuple[float, ...]
             )
 
 
-def _may_follow(modes: tuple[int, ...]) -> str:
-    """Which modes may follow, in words.
-
-    Examples
-    --------
-    >>> _may_follow(()), _may_follow((2,)), _may_follow((0, 2))
-    ('none may follow', 'only mode 2 may follow', 'only modes 0 and 2 may follow')
-    """
-    if not modes:
-        return "none may follow"
-    names = " and ".join(map(str, modes)) if len(modes) < 3 else ", ".join(map(str, modes))
-    return f"only mode{'s' if len(modes) > 1 else ''} {names} may follow"
-
-
 def one_or_each(values: tuple[T, ...]) -> T | tuple[T, ...]:
-    """A time that all modes share as one number.
+    """The common value of all modes, or the values if they differ.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Signals on the grid of samples: in which step, and how far into it, each switch falls."""
+"""Switching signals on the sampling grid: the period of each switch, and its offset in there."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from deadtime.switching.signal import SwitchingSignal
 
 @lru_cache(maxsize=4)
 def cuts_of(signal: SwitchingSignal, sampled: SampledPlant) -> Cuts:
-    """Lay the switches of `signal` on a plant's periods; those at an arrival are exactly there.
+    """The switches of a signal by sampling period; within 1e-9 h of an arrival they are at it.
 
-    Runs along one signal share its cuts, and by them what a `SampledPlant` makes of these.
+    The last are cached, so that runs along one signal share them, and with them the tables that a
+    `SampledPlant` caches by its cuts.
     """
     h, times = sampled.step, signal.times[1:]
     ratio = snap_all(times / h)
@@ -23,6 +24,7 @@ def cuts_of(signal: SwitchingSignal, sampled: SampledPlant) -> Cuts:
     offset = np.where(ratio == step, 0.0, times - step * h)
     for window in sampled.windows:
         if window.phase < h:
+            # φ + k h is an arrival: a switch within 1e-9 h of one is at it, as at a sample.
             late = snap_all((times - window.delay) / h)
             on_phase = (late == np.rint(late)) & (ratio != np.floor(ratio))
             step = np.where(on_phase, late + (window.count - 1), step)
@@ -33,9 +35,9 @@ def cuts_of(signal: SwitchingSignal, sampled: SampledPlant) -> Cuts:
 def first_reads(
     signal: SwitchingSignal, delays: np.ndarray, times: np.ndarray, slack: float
 ) -> np.ndarray:
-    """When a plant first reads what is sent at some times, by input, (times, m), seconds.
+    """The times (times, m), seconds, at which inputs computed at some times are first read.
 
-    That is the first instant t + θ ≥ t with θ ≥ D_i,j in the mode i of that instant. `delays`
+    That is the first instant t + θ ≥ t with θ ≥ D_i,j in the mode i of that instant. `delays` is
     (modes, m); a switch within `slack` seconds after an instant counts as at it.
 
     Examples
@@ -59,9 +61,5 @@ def first_reads(
 
 
 def modes_at(signal: SwitchingSignal, times: np.ndarray, step: float) -> np.ndarray:
-    """σ at the given times; a switch within 1e-9 h after one of them counts as at it.
-
-    At the samples t_k these are the modes that a controller sees; at t_k + D, the modes that
-    the inputs computed at t_k will meet.
-    """
+    """σ at the given times; a switch within 1e-9 h after one of them counts as at it."""
     return signal(times + TOLERANCE * step)

@@ -20,13 +20,13 @@ from deadtime.base.files import read_text, replacing
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known
 _MOST_NAMES, _LONGEST_NAME = 4, 20  # of modes, in a message
-TIMES = ("t", "time")  # what a column of times is called; the first that is there
+TIMES = ("t", "time")  # names of the column of times, the preferred one first
 UNITS = {"s": 0, "ms": -3, "us": -6, "ns": -9}  # of a clock, and their powers of ten
-LATEST = 10**11  # seconds; counted from 1970 it is the year 5138
+LATEST = 10**11  # seconds: counted from 1970 the year 5138
 
 
 class SwitchingLog(NamedTuple):
-    """A log's content as `SwitchingSignal` takes it: times in seconds from the first row."""
+    """The content of a log: the arguments of `SwitchingSignal`, times from the first row, s."""
 
     times: Float[np.ndarray, " sojourn"]
     modes: Int[np.ndarray, " sojourn"]
@@ -44,12 +44,11 @@ def read_log(
 ) -> SwitchingLog:
     """Times and modes from a CSV file with a header and the columns `t` (or `time`) and `mode`.
 
-    Rows may be switching events or samples, evenly spaced or not: a mode begins at the first row
-    that names it. The first row's time becomes 0, before any digit of the others is lost, so
-    clocks may count from any day. If the last row repeats the mode before it, the signal ends
-    there; otherwise it has no end, unless `end` (on the log's own clock) says otherwise. A column
-    `initial_age` (seconds, first row) says how long the first mode had been active before the log
-    began.
+    Rows may be switching events or samples, evenly spaced or not: a sojourn begins at the first row
+    with its mode. The time of the first row becomes 0, in decimal arithmetic, so that a clock may
+    count from any day. If the last row repeats the mode before it, the signal ends there; otherwise
+    it has no end, unless `end` (on the log's clock) is given. A column `initial_age` (seconds,
+    first row) gives the age of the first mode at the beginning of the log.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def read_log(
     clock = [_decimal(f"{source}, line {row.line}: {clocked}", row.time) for row in rows]
     power = _power(source, clock[0], unit)
     visited = [_mode(source, row, rows, modes, labels) for row in rows]
-    # Told from the first row, so that a clock that counts from 1970 loses nothing.
+    # As decimals: the difference of two floats that count from 1970 would lose seven digits.
     times = np.array([float((time - clock[0]).scaleb(power)) for time in clock])
     for before, row, late in zip(rows, rows[1:], times[1:] <= times[:-1], strict=False):
         if late:
@@ -94,7 +93,7 @@ def read_log(
 
 
 def _power(source: Path, start: Decimal, unit: str | None) -> int:
-    """The power of ten that makes seconds of a log's clock."""
+    """The power of ten that converts a log's clock to seconds."""
     if unit is None and abs(start) >= LATEST:
         raise ArgumentError(
             f"{source}: its clock starts at {float(start):.6g}, which is after the year 5138 if it "
@@ -106,15 +105,13 @@ def _power(source: Path, start: Decimal, unit: str | None) -> int:
 
 
 class _Row(NamedTuple):
-    """A row of a log: where it ends, and its cells as text."""
-
-    line: int
+    line: int  # where it ends
     time: str | None
     mode: str | None
 
 
 def _rows(source: Path, text: str) -> tuple[str, list[_Row], str]:
-    """The column of times, the rows, and the age of the first mode, where the log says one."""
+    """The name of the column of times, the rows, and the age of the first mode, if any."""
     reader = csv.DictReader(io.StringIO(text, newline=""))
     rows, age = [], ""
     try:
@@ -136,7 +133,7 @@ def _rows(source: Path, text: str) -> tuple[str, list[_Row], str]:
 
 
 def _decimal(name: str, text: str | None) -> Decimal:
-    """The number that a cell's text stands for, with all of its digits."""
+    """The number in a cell, with all of its digits."""
     text = (text or "").strip()
     try:
         value = Decimal(text)
@@ -154,7 +151,6 @@ def _mode(
     modes: int | None,
     labels: Mapping[str, int] | None,
 ) -> int:
-    """The mode that a row's text names."""
     text = (row.mode or "").strip()
     if labels is not None and text in labels and (modes is None or labels[text] < modes):
         return labels[text]
@@ -177,7 +173,6 @@ def _mode(
 
 
 def _short(value: object) -> str:
-    """A value, or its beginning."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:79]}…"
 

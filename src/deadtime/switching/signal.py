@@ -1,10 +1,8 @@
-"""The switching signal: which mode is active when.
+"""Switching signals: the active mode as a function of time.
 
-Signals are right-continuous: at a switching instant the new mode is already active. They live
-on [0, end); past a finite end the last mode goes on. Two neighbouring entries with the same
-mode are one sojourn, so a log sampled at regular times is a valid signal too.
-
-Random ones have a minimum or an average dwell time.
+Signals are right-continuous: at a switching instant the new mode is already active. They are
+defined on [0, end); after a finite end the last mode continues. Neighbouring entries with the same
+mode are one sojourn, so the samples of a log are a valid signal, too.
 """
 
 from __future__ import annotations
@@ -21,9 +19,11 @@ from deadtime.base.checks import as_floats, brief, count, number, positive, real
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.constraint import PerMode, SwitchingConstraint, least_slope
-from deadtime.switching.models.jump_process import JumpProcess, Quantiles, Switches, require_few
+from deadtime.switching.models.jump_process import JumpProcess, Quantiles, require_few
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential, truncate
 from deadtime.switching.signal_class import SignalClass
+
+ROUND_OFF = 1e-9  # relative error of a sojourn that is a difference of times
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -98,10 +98,8 @@ class SwitchingSignal(Frozen):
         times.flags.writeable = modes.flags.writeable = False
         vars(self).update(times=times, modes=modes, end=end, initial_age=age)
 
-    # -- reading ---------------------------------------------------------------------------
-
     def __call__(self, t: ArrayLike) -> Int[np.ndarray, ...]:
-        """σ(t) at times t ≥ 0 of any shape; past the end the last mode goes on."""
+        """σ(t) at times t ≥ 0 of any shape; after the end the last mode continues."""
         t = as_floats("t", t, "seconds")
         if not (t >= 0.0).all():
             raise ArgumentError("t must be ≥ 0: a switching signal starts at time 0.")
@@ -114,35 +112,27 @@ class SwitchingSignal(Frozen):
 
     @property
     def sojourns(self) -> Float[np.ndarray, " switch"]:
-        """Length of every sojourn that ends in a switch, seconds.
-
-        The first one began `initial_age` before 0.
-        """
+        """Length of every sojourn that ends in a switch, seconds; the first with `initial_age`."""
         lengths = np.diff(self.times)
         lengths[:1] += self.initial_age
         return lengths
 
     @property
     def dwell_time(self) -> float:
-        """The shortest sojourn that ends in a switch, in seconds.
-
-        Infinite when the signal never switches.
-        """
+        """The shortest sojourn that ends in a switch, seconds; infinite without a switch."""
         return float(self.sojourns.min()) if self.switches else np.inf
 
     def last_switch(self, t: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-        r"""When the mode active at each time :math:`t \ge 0` began; before 0 for the first."""
+        r"""The start of the sojourn at each time :math:`t \ge 0`; before 0 for the first one."""
         began = self.times.copy()
         began[0] = -self.initial_age
         return began[np.searchsorted(self.times, t, side="right") - 1]
 
     def average_dwell_time(self, chatter: float = 1.0) -> float:
-        r"""The largest average dwell time that the signal keeps, seconds.
+        r"""The average dwell time of the signal, seconds.
 
-        The largest :math:`\tau_a` with at most chatter + :math:`(t - s)/\tau_a` switches in every
-        :math:`[s, t]`.
-
-        Takes a time and a memory proportional to the switches.
+        It is the largest :math:`\tau_a` with at most chatter + :math:`(t - s)/\tau_a` switches in
+        every :math:`[s, t]`. Time and memory grow in proportion to the number of switches.
 
         References
         ----------
@@ -158,7 +148,7 @@ class SwitchingSignal(Frozen):
         return float(least_slope(self.times[1:], allowed))
 
     def require_dwell_time(self, dwell_time: float) -> SwitchingSignal:
-        """The signal itself, when it keeps the declared dwell time; an error otherwise."""
+        """The signal itself, if its dwell time is at least the declared one; an error otherwise."""
         if self.dwell_time < positive("dwell_time", dwell_time) * (1.0 - 1e-9):
             i = int(np.argmin(self.sojourns))
             raise ArgumentError(
@@ -176,7 +166,7 @@ class SwitchingSignal(Frozen):
         *,
         modes: int | None = None,
     ) -> SwitchingSignal:
-        """The signal itself, when all that it does is allowed; an error names what first is not.
+        """The signal itself, if it is admissible; else an error with the first violation.
 
         Parameters
         ----------
@@ -200,11 +190,50 @@ class SwitchingSignal(Frozen):
         """
         if modes is None:
             modes = len(transitions) if np.ndim(transitions) == 2 else int(self.modes.max()) + 1  # pyright: ignore
-        SignalClass(dwell_time, maximum_dwell, transitions).limits(modes).require(self)
+        return self.require_within(
+            SignalClass(dwell_time, maximum_dwell, transitions).limits(modes)
+        )
+
+    def require_within(
+        self, limits: SwitchingConstraint, tolerance: float = ROUND_OFF
+    ) -> SwitchingSignal:
+        """The signal itself, if it keeps these limits; else an error with the first violation.
+
+        Sojourns may be shorter or longer by a relative `tolerance`, as a clock measures them.
+        """
+        self.require_modes(limits.modes)
+        starts = self.times.copy()
+        starts[0] -= self.initial_age
+        ends = np.append(self.times[1:], self.end)
+        for k, mode in enumerate(self.modes.tolist()):
+            lasts, last = float(ends[k] - starts[k]), k == self.times.size - 1
+            least, most = limits.dwell_time[mode], limits.maximum_dwell[mode]
+            where = f"stays in mode {mode} from {starts[k]:g} s"
+            if lasts > most * (1.0 + tolerance):
+                until = f"to {ends[k]:g} s" if ends[k] < np.inf else "on without end"
+                raise ArgumentError(
+                    f"signal {where} {until}, longer than its maximum_dwell of {most:g} s: raise "
+                    "maximum_dwell, or end the sojourn earlier."
+                )
+            if last:
+                break
+            if lasts < least * (1.0 - tolerance):
+                raise ArgumentError(
+                    f"signal {where} to {ends[k]:g} s, shorter than its dwell_time of {least:g} s: "
+                    "lower dwell_time, or let the sojourn last."
+                )
+            after, allowed = int(self.modes[k + 1]), limits.following[mode]
+            if after not in allowed:
+                others = (" and " if len(allowed) < 3 else ", ").join(map(str, allowed))
+                only = f"only mode{'s' * (len(allowed) > 1)} {others}" if allowed else "none"
+                raise ArgumentError(
+                    f"signal switches from mode {mode} to mode {after} at {ends[k]:g} s, which "
+                    f"transitions does not allow: from mode {mode} {only} may follow."
+                )
         return self
 
     def require_modes(self, modes: int) -> SwitchingSignal:
-        """The signal itself, when all its modes are in 0, …, modes − 1; an error otherwise."""
+        """The signal itself, if all its modes are in 0, …, modes − 1; an error otherwise."""
         if self.modes.max() >= modes:
             i = int(np.argmax(self.modes))
             raise ArgumentError(
@@ -214,10 +243,10 @@ class SwitchingSignal(Frozen):
         return self
 
     def after(self, time: float) -> SwitchingSignal:
-        """The signal from `time` on, with that instant as its new 0; its mode keeps its age.
+        """The signal from `time` on, which becomes 0; the active mode keeps its age.
 
-        That age counts from the true last switch, which a law that sees the mode at samples only
-        may have missed: after two switches within one step it starts younger than in a whole run.
+        The age counts from the true last switch. A law that receives the mode at samples misses one
+        of two switches within a step, and then starts with a smaller age than in the whole run.
         """
         if not 0.0 <= number("time", time) < self.end:
             raise ArgumentError(f"time must be in [0, end) = [0, {self.end:g}), got {time:g}.")
@@ -227,8 +256,6 @@ class SwitchingSignal(Frozen):
         age = time - float(self.last_switch(np.array([time]))[0])
         return SwitchingSignal(times, modes, self.end - time, initial_age=age)
 
-    # -- making ----------------------------------------------------------------------------
-
     @classmethod
     def constant(cls, mode: int) -> SwitchingSignal:
         """A constant switching signal: one mode held."""
@@ -236,7 +263,7 @@ class SwitchingSignal(Frozen):
 
     @classmethod
     def periodic(cls, sojourns: ArrayLike, modes: Sequence[int], horizon: float) -> SwitchingSignal:
-        """The modes in turn, each for its sojourn in seconds, over and over up to `horizon`.
+        """A periodic signal: the modes in turn, each for its sojourn in seconds, up to `horizon`.
 
         Examples
         --------
@@ -277,8 +304,8 @@ class SwitchingSignal(Frozen):
         `mean_sojourn` (:math:`\tau_a` unless given) and pass a leaky bucket: it fills at the rate
         :math:`1/\tau_a` up to `chatter`, and each switch takes 1 from it, so every interval
         :math:`[s, t]` holds at most chatter + :math:`(t - s)/\tau_a` switches. The first mode is
-        uniform, each next one uniform over the others. With a minimum dwell time it is the signal
-        of a `SemiMarkov` model: ``SemiMarkov(expon(loc=τ_d, scale=mean_sojourn − τ_d),
+        drawn uniformly, each next one uniformly from the others. With a minimum dwell time it is
+        the signal of a `SemiMarkov` model: ``SemiMarkov(expon(loc=τ_d, scale=mean_sojourn − τ_d),
         modes=modes).sample(horizon, seed)``.
 
         Parameters
@@ -291,16 +318,15 @@ class SwitchingSignal(Frozen):
         average_dwell_time : float
             Give exactly one of the two, in seconds.
         maximum_dwell : float, or one per mode, optional
-            The longest sojourn, with a dwell time, s: sojourns are drawn as without it, given that
-            they are no longer.
+            The longest sojourn, with a dwell time, s; it truncates the distribution of sojourns.
         transitions : (modes, modes) of bool, optional
             Whether it may switch from mode i (row) to mode j (column); all by default.
         mean_sojourn : float, optional
             Mean time between switches (between proposed switches for an average dwell time), s.
         chatter : int
-            :math:`N_0 \ge 1`, how many switches an average dwell time allows at once.
+            :math:`N_0 \ge 1`, the number of switches that an average dwell time allows at once.
         seed : int
-            The same seed gives the same signal; a longer horizon continues it.
+            Seed; with it a longer horizon continues the same signal.
 
         Raises
         ------
@@ -316,18 +342,32 @@ class SwitchingSignal(Frozen):
         >>> signal.average_dwell_time(chatter=2) >= 0.5
         True
         """
-        _, times, visited = random_switches(
-            modes,
-            horizon,
-            dwell_time=dwell_time,
-            maximum_dwell=maximum_dwell,
-            transitions=transitions,
-            average_dwell_time=average_dwell_time,
-            mean_sojourn=mean_sojourn,
-            chatter=chatter,
-            seed=seed,
-        )
-        return cls(times, visited, horizon)
+        if (dwell_time is None) == (average_dwell_time is None):
+            raise ArgumentError("dwell_time or average_dwell_time: give exactly one of the two.")
+        limits = SignalClass(dwell_time, maximum_dwell, transitions).limits(count("modes", modes))
+        if dwell_time is not None:
+            means = []
+            for dwell in limits.dwell_time:
+                mean = positive("mean_sojourn", mean_or_twice(dwell, mean_sojourn))
+                if mean < dwell:
+                    raise ArgumentError(
+                        f"mean_sojourn must be at least dwell_time = {dwell:g} s, got {mean:g}."
+                    )
+                means.append(mean)
+            _, times, visited = _process(limits, np.array(means)).draw(horizon, seed)
+            return cls(times, visited, horizon)
+        if maximum_dwell is not None:
+            raise ArgumentError(
+                "maximum_dwell goes with dwell_time, not with average_dwell_time: leave it out."
+            )
+        average = positive("average_dwell_time", average_dwell_time)
+        mean = average if mean_sojourn is None else positive("mean_sojourn", mean_sojourn)
+        most = count("chatter", chatter)
+        _, times, visited = _process(limits, np.full(limits.modes, mean)).draw(horizon, seed)
+        kept = times[_passes(times, average, most)]
+        # The modes stay in the order in which they were drawn, so that each may follow the one
+        # before, whichever switches are removed.
+        return cls(kept, visited[: kept.size], horizon)
 
     @classmethod
     def from_csv(
@@ -340,7 +380,7 @@ class SwitchingSignal(Frozen):
         dwell_time: float | None = None,
         unit: str | None = None,
     ) -> SwitchingSignal:
-        """A signal from a log with columns `t` (or `time`) and `mode`: `deadtime.switching.log`."""
+        """A signal from a log with columns `t` (or `time`) and `mode`: see `switching.log`."""
         from deadtime.switching.log import read_log
 
         log = read_log(path, modes=modes, labels=labels, end=end, unit=unit)
@@ -348,7 +388,7 @@ class SwitchingSignal(Frozen):
         return signal if dwell_time is None else signal.require_dwell_time(dwell_time)
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write the log that `from_csv` reads back exactly."""
+        """Write a log that `from_csv` reads without loss."""
         from deadtime.switching.log import SwitchingLog, write_log
 
         write_log(SwitchingLog(self.times, self.modes, self.end, self.initial_age), path)
@@ -361,7 +401,6 @@ class SwitchingSignal(Frozen):
 
 
 def _mode_array(modes: ArrayLike, count: int) -> np.ndarray:
-    """`modes` as `count` non-negative integers."""
     values = real_array("modes", modes, "(sojourns,)", 1)
     if values.size != count:
         raise ArgumentError(f"modes must have one entry per time, {count}, got {values.size}.")
@@ -370,74 +409,26 @@ def _mode_array(modes: ArrayLike, count: int) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def random_switches(
-    modes: int,
-    horizon: float,
-    *,
-    dwell_time: PerMode | None,
-    maximum_dwell: PerMode | None = None,
-    transitions: ArrayLike | None = None,
-    average_dwell_time: float | None,
-    mean_sojourn: float | None,
-    chatter: int,
-    seed: int,
-) -> Switches:
-    """The one signal of `SwitchingSignal.random`, whose arguments these are."""
-    if (dwell_time is None) == (average_dwell_time is None):
-        raise ArgumentError("dwell_time or average_dwell_time: give exactly one of the two.")
-    signals = SignalClass(dwell_time, maximum_dwell, transitions)
-    allowed = signals.limits(count("modes", modes))
-    ways = allowed.transitions.astype(float)
-    if dwell_time is not None:
-        means = []
-        for dwell in allowed.dwell_time:
-            mean = positive("mean_sojourn", mean_or_twice(dwell, mean_sojourn))
-            if mean < dwell:
-                raise ArgumentError(
-                    f"mean_sojourn must be at least dwell_time = {dwell:g} s, got {mean:g}."
-                )
-            means.append(mean)
-        return _process(allowed, np.array(means), ways).draw(horizon, seed)
-    if maximum_dwell is not None:
-        raise ArgumentError(
-            "maximum_dwell goes with dwell_time, not with average_dwell_time: leave it out."
-        )
-    average = positive("average_dwell_time", average_dwell_time)
-    mean = average if mean_sojourn is None else positive("mean_sojourn", mean_sojourn)
-    most = count("chatter", chatter)
-    process = _process(allowed, np.full(allowed.modes, mean), ways)
-    _, times, visited = process.draw(horizon, seed)
-    kept = times[_passes(times, average, most)]
-    # Modes in the order drawn, whichever instants pass: each may follow the one before.
-    return Switches(np.array([0, kept.size]), kept, visited[: kept.size])
-
-
 def mean_or_twice(dwell_time: float, mean_sojourn: float | None = None) -> float:
-    """The mean of whole sojourns, seconds: twice the dwell time where none is stated."""
+    """The mean sojourn, seconds: twice the dwell time unless it is given."""
     return 2.0 * dwell_time if mean_sojourn is None else mean_sojourn
 
 
-def _process(allowed: SwitchingConstraint, mean: np.ndarray, ways: np.ndarray) -> JumpProcess:
-    """Sojourns of the dwell time and an exponential time; each next mode uniform over the others.
-
-    Where there is a longest sojourn, given that they are no longer.
-    """
-    shift, most = np.array(allowed.dwell_time), np.array(allowed.maximum_dwell)
-    drawn = [
-        Fixed(low) if wide == 0.0 or high == low else ShiftedExponential(low, wide)
-        for low, wide, high in zip(
-            shift.tolist(), (mean - shift).tolist(), most.tolist(), strict=True
-        )
-    ]
-    ends = zip(drawn, allowed.dwell_time, allowed.maximum_dwell, strict=True)
-    sojourn = [truncate("dwell_time", *each) for each in ends]
-    return JumpProcess(Quantiles.of(sojourn), ways, min(float(mean.max()), float(most.max())))
+def _process(limits: SwitchingConstraint, mean: np.ndarray) -> JumpProcess:
+    """Sojourns of the dwell time plus an exponential time, truncated at the longest sojourn."""
+    ends = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
+    sojourn = []
+    for (low, high), wide in zip(ends, (mean - np.array(limits.dwell_time)).tolist(), strict=True):
+        dist = Fixed(low) if wide == 0.0 or high == low else ShiftedExponential(low, wide)
+        sojourn.append(truncate("dwell_time", dist, low, high))
+    longest = min(float(mean.max()), max(limits.maximum_dwell))
+    return JumpProcess(Quantiles.of(sojourn), limits.transitions.astype(float), longest)
 
 
 def _passes(
     times: Float[np.ndarray, " sojourn"], average: float, chatter: int
 ) -> Bool[np.ndarray, " sojourn"]:
-    """Which instants the leaky bucket lets through; the one at 0 is no switch and costs nothing."""
+    """Whether the leaky bucket passes each switch; the instant 0 is none and always passes."""
     passed, level, last = np.ones(times.size, dtype=bool), float(chatter), 0.0
     for i, time in enumerate(times[1:].tolist(), start=1):
         level = min(float(chatter), level + (time - last) / average)

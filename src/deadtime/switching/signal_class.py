@@ -1,4 +1,4 @@
-"""`SignalClass`: the switching signals that a loop is asked about, as one value."""
+"""`SignalClass`: the admissible switching signals of a certificate or a search."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ from deadtime.switching.constraint import (
     time_or_each,
 )
 
-CLOCK_TOLERANCE = 1e-5  # quartz, and far more than binary64 and the simulator round
-LEAST_TOLERANCE, MOST_TOLERANCE = 1e-8, 0.1  # switches within 1e-9 periods of a sample are on it
-MOST_PERIODS = 100_000  # of a dwell time: more is a slip of units
+CLOCK_TOLERANCE = 1e-5  # of a quartz, and far above the round-off of the simulator
+LEAST_TOLERANCE, MOST_TOLERANCE = 1e-8, 0.1  # switches within 1e-9 periods of a sample are at it
+MOST_PERIODS = 100_000  # of a dwell time: more is a mistake of units
 MOST_LOST = 100
 INSTANTS = ("anywhere", "samples")
-
 
 Instants = Literal["anywhere", "samples"]
 
@@ -45,15 +44,15 @@ class SignalOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, init=False)
 class SignalClass:
-    r"""The admissible switching signals, and what the controller learns of them (immutable).
+    r"""The admissible switching signals, and how the controller receives the mode (immutable).
 
     `certify`, `falsify` and the margins take one in place of a dwell time.
 
     Parameters
     ----------
     dwell_time : float, or one per mode, optional
-        Shortest sojourn :math:`\tau_d`, seconds; nothing can be asked about a class without one,
-        which is all that a problem file may know.
+        Shortest sojourn :math:`\tau_d`, seconds. Certificates and searches need one; a problem
+        file may have none.
     maximum_dwell : float, or one per mode, optional
         Longest sojourn, seconds, inf for none; by default a mode may last without end.
     transitions : (modes, modes) of bool, optional
@@ -62,16 +61,15 @@ class SignalClass:
         When the mode may change: at any instant, or only where the law samples, as a computer
         would switch it. Then every sojourn is a whole number of periods, one at least.
     clock_tolerance : float
-        By what part a sojourn may be shorter than `dwell_time`, or longer than `maximum_dwell`, as
-        the controller's clock counts it; from 1e-8 to 0.1, of a search for signals from 0. So a
-        mode that begins just after a sample may end at the sample a dwell time later.
+        Relative error of the controller's clock: a sojourn may be shorter than `dwell_time` or
+        longer than `maximum_dwell` by this part; from 1e-8 to 0.1, for searches from 0. So a mode
+        that begins just after a sample may end at the sample a dwell time later.
     mode_lag : int
         L, in periods: the reported mode is that of L samples ago, as in a run with
-        `imperfections.ModeDelay(L)`. For a law that does not read the mode it changes nothing.
+        `imperfections.ModeDelay(L)`. It has no effect on a law that does not read the mode.
     lost_samples : int
-        L, at most that many samples in a row may be lost, whichever: at a lost one the law learns
-        neither x or y nor the mode, as in a run with `imperfections.Dropout`. A law of the state
-        holds its input, an observer predicts.
+        Largest number of consecutive lost samples: neither x or y nor the mode is received, as in a
+        run with `imperfections.Dropout`. A law of the state holds its input, an observer predicts.
     chatter : int
         :math:`N_0`: above 1, `dwell_time` is an average dwell time :math:`\tau_a`, and any window
         of T s may hold :math:`N_0 + T/\tau_a` switches, at most one per period.
@@ -79,8 +77,8 @@ class SignalClass:
     Raises
     ------
     ArgumentError
-        If an argument is malformed. That times and transitions fit the modes of a plant is checked
-        where they meet it.
+        If an argument is malformed. `limits` checks times and transitions against a number of
+        modes.
 
     Examples
     --------
@@ -125,14 +123,12 @@ class SignalClass:
             )
         if not 0.0 <= number("clock_tolerance", clock_tolerance) <= MOST_TOLERANCE:
             raise ArgumentError(_clock_off(clock_tolerance, 0.0))
-        mode_lag, lost_samples = (
-            count("mode_lag", mode_lag, 0),
-            count("lost_samples", lost_samples, 0),
-        )
+        mode_lag = count("mode_lag", mode_lag, 0)
+        lost_samples = count("lost_samples", lost_samples, 0)
         if mode_lag and lost_samples:
             raise ArgumentError(
-                "lost_samples and mode_lag exclude each other: a lost sample tells the mode late "
-                "by itself; give one of them."
+                "lost_samples and mode_lag exclude each other: a lost sample delays the mode, too; "
+                "give one of them."
             )
         chatter = count("chatter", chatter)
         if chatter > 1 and isinstance(least, tuple) and len(set(least)) > 1:
@@ -149,7 +145,7 @@ class SignalClass:
 
     @classmethod
     def of(cls, dwell_time: PerMode | SignalClass, **signals: Unpack[SignalOptions]) -> SignalClass:
-        """The class that a function was given, itself or as a dwell time with keywords."""
+        """The class that is given directly, or as a dwell time with keywords."""
         if isinstance(dwell_time, SignalClass) and signals:
             name = next(iter(signals))
             raise ArgumentError(
@@ -165,7 +161,7 @@ class SignalClass:
         return given
 
     def limits(self, modes: int) -> SwitchingConstraint:
-        """The sojourns and the switches of a plant with so many modes; 0 s where none is known.
+        """The limits for so many modes, with a dwell time of 0 s if the class has none.
 
         Raises
         ------
@@ -192,9 +188,9 @@ class SignalClass:
         return SwitchingConstraint(least, most, following)
 
     def at_period(self, modes: int, step: float, with_longest: bool = True) -> SwitchingConstraint:
-        """`limits`, none longer than proofs and searches lay out in periods of `step` seconds.
+        """`limits`, after a check that proofs and searches can represent them in periods.
 
-        `with_longest`: whether the longest sojourns count, too.
+        `with_longest`: whether the maximum dwell times are represented, too.
         """
         limits = self.limits(modes)
         longest = [time for time in limits.maximum_dwell if with_longest and math.isfinite(time)]
@@ -228,6 +224,7 @@ class SignalClass:
                 f"lost_samples must be at most {MOST_LOST} in a row, got {self.lost_samples:,}: "
                 "the Lyapunov function is another one after every number of them."
             )
+        # With switches at samples a sojourn is a whole number of periods, if there is one between.
         for low, high in zip(limits.dwell_time, limits.maximum_dwell, strict=True):
             least = max(1.0, math.ceil(snap(low / step) * (1.0 - self.clock_tolerance)))
             most = high if math.isinf(high) else snap(high / step) * (1.0 + self.clock_tolerance)
@@ -240,17 +237,17 @@ class SignalClass:
         return limits
 
     def require_clock(self) -> None:
-        """Refuse a clock that is taken to be better than a proof can cover."""
+        """Refuse a clock tolerance below the least that a proof can cover."""
         if self.clock_tolerance < LEAST_TOLERANCE:
             raise ArgumentError(_clock_off(self.clock_tolerance, LEAST_TOLERANCE))
 
     def is_plain(self, modes: int) -> bool:
-        """Whether a dwell time that all modes share is all that limits sojourns and switches."""
+        """Whether there is no limit but a dwell time that all modes share."""
         plain = self.at == "anywhere" and self.chatter == 1
         return plain and self.limits(modes).is_plain
 
     def sentence(self, modes: int) -> str:
-        """The signals of a plant with so many modes, with every digit, after "stable"."""
+        """The signals of a plant with so many modes in full precision, to follow "stable"."""
         limits = self.limits(modes)
         only = [] if self.at == "anywhere" else ["at samples only"]
         only += [] if limits.is_free else [f"only so: {limits.ways_in_words}"]
@@ -259,7 +256,6 @@ class SignalClass:
         return self._sojourns(limits) + switches + lost * (self.lost_samples > 0)
 
     def _sojourns(self, limits: SwitchingConstraint) -> str:
-        """The signals by their sojourns."""
         if limits.modes == 1:
             return "with the plant's one mode"
         least, most = one_or_each(limits.dwell_time), one_or_each(limits.maximum_dwell)
@@ -283,7 +279,7 @@ class SignalClass:
         return f"{every} with a dwell time of {least!r} s"
 
     def in_words(self, modes: int) -> tuple[str, str]:
-        """A clause to follow "signals that": how long they stay or how often they switch, and how.
+        """Clauses to follow "signals that": their sojourns or rate of switches, and the switches.
 
         Examples
         --------
@@ -300,7 +296,6 @@ class SignalClass:
 
 
 def _each(name: str, times: float | tuple[float, ...], modes: int) -> tuple[float, ...]:
-    """A time for every mode."""
     each = times if isinstance(times, tuple) else (times,) * modes
     if len(each) != modes:
         raise ArgumentError(
@@ -311,9 +306,8 @@ def _each(name: str, times: float | tuple[float, ...], modes: int) -> tuple[floa
 
 
 def _clock_off(tolerance: float, least: float) -> str:
-    """Why a tolerance of a clock is none."""
     return (
         f"clock_tolerance must be a part from {least:g} to {MOST_TOLERANCE:g}, got {tolerance:g}: "
-        "by how much the clock that the dwell time is measured with may differ from the "
+        "the relative difference of the clock that measures the dwell time from the "
         "controller's."
     )

@@ -185,11 +185,11 @@ def _form(
 
     The part of u is that of the input sent in the period: what follows is all of them.
     """
-    from deadtime.numerics.exponential import energy_gramian
+    from deadtime.numerics.exponential import gramian
 
     n, m = plant.B.shape[1:]
     A, B = read_only(plant.A[mode]), read_only(plant.B[mode])
-    Q, R = (None, np.eye(m)) if weight is None else (weight.Q, weight.R)
+    Q, R = (plant.identity, np.eye(m)) if weight is None else (weight.Q, weight.R)
     lags = np.unique(np.append(np.concatenate([one.stretch.lag for one in pieces]), 0))
     X, form = np.eye(n, n + lags.size * m), np.zeros((n + lags.size * m,) * 2)
     form[n : n + m, n : n + m] = step * R  # lag 0 comes first
@@ -197,7 +197,7 @@ def _form(
         U = np.zeros((m, len(form)))
         U[np.arange(m), n + np.searchsorted(lags, lag) * m + np.arange(m)] = 1.0
         z = np.vstack((X, U))
-        form += z.T @ energy_gramian(A, B, stop - start, Q) @ z
+        form += z.T @ gramian(A, B, stop - start, Q) @ z
         X = Phi @ X + Gamma @ U
     return lags, form
 

@@ -227,7 +227,7 @@ def stated_forms(plant: SwitchedSystem) -> tuple[str, ...]:
     """The forms that the theorem has for a plant with these delays."""
     if plant.has_one_delay:
         return FORMS
-    return ("sharp",) if (plant.delays == plant.delays[0]).all() else ()
+    return ("sharp",) if plant.modes_share_delays else ()
 
 
 def _message(epsilon: float, log10_star: float, holds: bool, mu: float | None) -> str:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.base.errors import ArgumentError, InfeasibleError
-from deadtime.numerics.exponential import energy_gramian
+from deadtime.numerics.exponential import gramian
 from deadtime.numerics.kernels import kernel
 
 # A sweep that changes no gain and no trace by more than this, relatively, is the last one.
@@ -170,7 +170,7 @@ def period(sampled, Q):
             acting = np.zeros((m, width))
             acting[inputs, n + (oldest - lag) * m + inputs] = 1.0
             z = np.concatenate((L[i], acting))
-            stage[i] += z.T @ energy_gramian(A, B, stop - start, Q) @ z
+            stage[i] += z.T @ gramian(A, B, stop - start, Q) @ z
             L[i] = Phi @ L[i] + Gamma @ acting
     return L, stage
 

@@ -165,7 +165,7 @@ def passage_functional(
     """The law in continuous time; None where its closed form loses more digits than it may."""
     modes, m, n = K.shape
     F, windows = np.empty((modes, m, n)), []
-    taken = 0 if (plant.delays == plant.delays[0]).all() else 1  # whether there is an a
+    taken = 0 if plant.modes_share_delays else 1  # whether there is an a
     for j in range(m):
         # Of (X, a), from the end of a stage to u_j.
         row = np.append(np.zeros(modes * n), np.ones(taken))

@@ -1,12 +1,14 @@
 """Vectors of eight for compiled code: tuples of them are small vectors and matrices.
 
-A tuple of k vectors holds k numbers of each of eight scenarios, or samples, side by side in one
-register each. Sizes are types, so that every sum below is unrolled when it is compiled: `like`
-arguments are tuples whose length alone is read. Arrays are flat; eight consecutive entries are one
-vector.
+A tuple of k vectors holds k numbers of each of eight scenarios, or samples, each vector in one
+register. Sizes are types, so that the compiler unrolls every sum: of `like` arguments only the
+length of the tuple is used. Arrays are flat; eight consecutive entries are one vector:
 
-The compiler vectorises such loops by itself only where it can prove that no two arrays overlap,
-and then keeps no vector in a register from one period to the next.
+    number            0              1
+    scenario   0 1 2 3 4 5 6 7 | 0 1 2 3 4 5 6 7 | …
+
+The compiler vectorises plain loops only if it can prove that arrays do not overlap, and even then
+keeps no vector in a register from one period to the next.
 """
 
 from deadtime.numerics.lanes.code import LANES as LANES, KnownNumbers as KnownNumbers

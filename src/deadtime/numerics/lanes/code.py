@@ -1,4 +1,4 @@
-"""Instructions on vectors of eight, how an intrinsic is made of them, and sizes as a type."""
+"""Instructions on vectors of eight, intrinsics made of them, and sizes as types."""
 
 # Types of Numba are called to make signatures.
 # pyright: reportCallIssue=false
@@ -29,7 +29,7 @@ VECTOR, WORDS = ir.VectorType(REAL, LANES), ir.VectorType(WORD, LANES)
 
 
 class Lanes(types.Type):
-    """The type of one float of each of eight scenarios; a number is the same for all of them."""
+    """The type of a vector with one float per scenario; a plain number is converted to one."""
 
     def __init__(self) -> None:
         super().__init__(name="EightScenarios")
@@ -48,10 +48,11 @@ EIGHT = Lanes()
 
 
 class LaneSizes(types.Type):
-    """The type of an object whose fields compiled code reads as tuples of so many numbers.
+    """The type of an object whose fields are, in compiled code, tuples of so many zeros.
 
-    Only the lengths are there, so it takes no room: tuples of numbers would be unpacked from
-    Python's one by one, and handed on at every call, which costs seconds of compiling.
+    Only their lengths matter (`like`), and they are in the type, so that the object is empty:
+    real tuples would be converted entry by entry and passed at every call, which takes seconds to
+    compile.
     """
 
     def __init__(self, fields: dict[str, int]) -> None:
@@ -75,7 +76,7 @@ def _zeros(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
 
 
 class KnownNumbers:
-    """Numbers that compiled code knows as constants, so that it unrolls loops over them."""
+    """Numbers that are constants in compiled code, so that loops over them are unrolled."""
 
     def __init__(self, numbers: dict[str, int]) -> None:
         self._numba_type_ = KnownNumbersType(numbers)
@@ -85,14 +86,14 @@ class KnownNumbers:
 
 
 class KnownNumbersType(types.Type):
-    """The type of `KnownNumbers`; an attribute is one of the numbers."""
+    """The type of `KnownNumbers`, with the numbers as attributes."""
 
     def __init__(self, numbers: dict[str, int]) -> None:
         self.numbers = numbers
         super().__init__(name=f"KnownNumbers({', '.join(f'{n}={k}' for n, k in numbers.items())})")
 
 
-for _type in (LaneSizes, KnownNumbersType):  # all is in the type, so that they take no room
+for _type in (LaneSizes, KnownNumbersType):  # objects without data
     register_model(_type)(models.OpaqueModel)
     unbox(_type)(lambda kind, given, c: NativeValue(c.context.get_dummy_value()))
 
@@ -115,7 +116,7 @@ def vectors(count: int) -> types.UniTuple:
 
 
 def same_for_all(builder: Any, kind: Any, value: Any) -> Any:
-    """A vector of this kind with one value for every scenario."""
+    """A vector of this type with one value for all scenarios."""
     undefined = ir.Constant(kind, ir.Undefined)
     first = builder.insert_element(undefined, value, ir.Constant(INDEX, 0))
     zeros = ir.Constant(ir.VectorType(INDEX, LANES), [0] * LANES)
@@ -123,7 +124,7 @@ def same_for_all(builder: Any, kind: Any, value: Any) -> Any:
 
 
 class Code:
-    """Instructions on vectors, for the intrinsics below."""
+    """Instructions on vectors, for intrinsics."""
 
     def __init__(self, context: Any, builder: Any) -> None:
         self.context, self.builder = context, builder
@@ -139,7 +140,6 @@ class Code:
         return loaded
 
     def same(self, number: Any) -> Any:
-        """One number for every scenario."""
         return same_for_all(self.builder, VECTOR, number)
 
     def load_same(self, kind: Any, array: Any, index: Any, shift: int) -> Any:
@@ -171,9 +171,9 @@ Work = Callable[..., Any]
 
 
 def make_code(signature: Any, work: Work) -> tuple[Any, Callable[..., Any]]:
-    """The code of an intrinsic: `work` gets every tuple of vectors unpacked, and its result packed.
+    """The code of an intrinsic: `work` gets tuples of vectors as lists, and returns such a list.
 
-    Arrays come as (kind, array), so that they can be read.
+    Arrays are passed as (type, array).
     """
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -16,27 +16,26 @@ from deadtime.numerics.lanes.code import INDEX, LANES, REAL, VECTOR, WORD, Code,
 
 
 _MANTISSA, _ONE = (1 << 52) - 1, 0x3FF0000000000000
-_TWO_52 = 0x4330000000000000  # the bits of 2^52: an integer below 2^52 put there is 2^52 + it
+_TWO_52 = 0x4330000000000000  # the bits of 2^52; with an integer i < 2^52 in its mantissa 2^52 + i
+
+
+def _by_entry(instruction: Callable[..., Any]) -> Callable[..., list[Any]]:
+    def work(code: Code, *parts: Any) -> list[Any]:
+        return [instruction(code, *entries) for entries in zip(*parts, strict=True)]
+
+    return work
 
 
 @intrinsic
 def larger(_, a, b):
     """The larger one, entry by entry; b where a is not a number."""
-
-    def work(code: Code, *parts: Any) -> list[Any]:
-        return [code.larger(*entries) for entries in zip(*parts, strict=True)]
-
-    return make_code(a(a, b), work)
+    return make_code(a(a, b), _by_entry(Code.larger))
 
 
 @intrinsic
 def smaller(_, a, b):
     """The smaller one, entry by entry; b where a is not a number."""
-
-    def work(code: Code, *parts: Any) -> list[Any]:
-        return [code.smaller(*entries) for entries in zip(*parts, strict=True)]
-
-    return make_code(a(a, b), work)
+    return make_code(a(a, b), _by_entry(Code.smaller))
 
 
 @intrinsic
@@ -55,7 +54,7 @@ def where_larger(_, a, b, value, other):
 
 @intrinsic
 def choose(_, values, row, like):
-    """Of rows of len(like) vectors, one after another, the row that each scenario has."""
+    """The row of each scenario, from consecutive rows of len(like) vectors."""
     width = len(like)
 
     def work(code: Code, given: Any, rows: Any, _: Any) -> list[Any]:
@@ -73,21 +72,13 @@ def choose(_, values, row, like):
 @intrinsic
 def mantissa(_, a):
     """a / 2^e in [1, 2) for positive a."""
-
-    def work(code: Code, given: Any) -> list[Any]:
-        return [mantissa_of(code, vector) for vector in given]
-
-    return make_code(a(a), work)
+    return make_code(a(a), _by_entry(mantissa_of))
 
 
 @intrinsic
 def exponent(_, a):
-    """The e of `mantissa`, as a floating number."""
-
-    def work(code: Code, given: Any) -> list[Any]:
-        return [exponent_of(code, vector) for vector in given]
-
-    return make_code(a(a), work)
+    """The e of `mantissa`, as a float."""
+    return make_code(a(a), _by_entry(exponent_of))
 
 
 def mantissa_of(code: Code, a: Any) -> Any:
@@ -103,10 +94,6 @@ def exponent_of(code: Code, a: Any) -> Any:
     bits = build.lshr(build.bitcast(a, words), code.bits(words, 52))
     shifted = build.bitcast(build.or_(bits, code.bits(words, _TWO_52)), a.type)
     return build.fsub(shifted, code.number(a.type, 2.0**52 + 1023.0))
-
-
-# Types of Numba are called to make signatures.
-# pyright: reportCallIssue=false
 
 
 @intrinsic
@@ -135,7 +122,7 @@ def load_each(_, array, places, like, all_like):
 
 @intrinsic
 def store(_, array, index, values):
-    """Put vectors into an array, the first at array[index]."""
+    """Store vectors into an array, the first at array[index]."""
 
     def work(code: Code, target: Any, start: Any, given: Any) -> None:
         for k, value in enumerate(given):
@@ -147,7 +134,7 @@ def store(_, array, index, values):
 
 @intrinsic
 def spread(_, array, index, stride, values):
-    """array[index + l·stride + i] = entry l of vector i: each scenario's numbers side by side."""
+    """array[index + l·stride + i] = entry l of vector i: the numbers of a scenario in a row."""
 
     def work(code: Code, target: Any, start: Any, width: Any, given: Any) -> None:
         for lane in range(LANES):
@@ -196,10 +183,6 @@ def first_of(_, a, b, c, like):
         return [vector for part in parts[:3] for vector in part][: len(like)]
 
     return make_code(vectors(len(like))(a, b, c, like), work)
-
-
-# Types of Numba are called to make signatures.
-# pyright: reportCallIssue=false
 
 
 def _combine(code: Code, entry: Callable[[int, int], Any], factors: Any, sums: Any) -> list[Any]:
@@ -301,11 +284,7 @@ def squares(_, z, to):
 @intrinsic
 def times(_, a, b, to):
     """to + a b, entry by entry."""
-
-    def work(code: Code, *parts: Any) -> list[Any]:
-        return [code.fma(*entries) for entries in zip(*parts, strict=True)]
-
-    return make_code(to(a, b, to), work)
+    return make_code(to(a, b, to), _by_entry(Code.fma))
 
 
 @intrinsic

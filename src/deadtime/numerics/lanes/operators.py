@@ -1,10 +1,10 @@
 """Vectors of eight as numbers: operators, functions, and arrays of them.
 
-One vector is a number of compiled code, one float of each of eight scenarios; a comparison is eight
-truths. `lanes_of` reads arrays of floats whose last axis is the scenario as arrays of such numbers.
-The functions of `deadtime.numerics.numbers` are compiled here, of floats, too.
+A vector with one float per scenario has the operators of a number; a comparison is a vector of
+booleans. `lanes_of` views arrays of floats whose last axis is the scenario as arrays of vectors.
+The functions of `deadtime.numerics.numbers` are compiled here, also for floats.
 
-Exponentials and logarithms are polynomials, to round-off.
+Exponentials and logarithms are polynomials, accurate to round-off.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _LOG2_E, _LN2_HIGH, _LN2_LOW = (
     6.93147180369123816490e-01,
     1.9082149292705877e-10,
 )
-_SHIFT = 1.5 * 2.0**52  # added to a number it leaves an integer in the lowest bits
+_SHIFT = 1.5 * 2.0**52  # adding it rounds a number to an integer, in the lowest bits of the sum
 _LEAST = -700.0
 _FACTORIALS = [1.0]
 for _k in range(1, 14):
@@ -53,9 +53,9 @@ def _all(value: float) -> Any:
 
 
 def exponential_of(code: Code, a: Any) -> Any:
-    """e^a of an a up to 700, 0 below −700: e^r of what is left of multiples of ln 2, |r| < 0.35."""
+    """e^a = 2^k e^r for a up to 700, 0 below −700: r the rest of a multiple of ln 2, |r| < 0.35."""
     build = code.builder
-    y = code.larger(_all(_LEAST), a)  # what is no number stays none
+    y = code.larger(_all(_LEAST), a)  # NaN propagates
     shifted = code.fma(y, _all(_LOG2_E), _all(_SHIFT))
     k = build.fsub(shifted, _all(_SHIFT))
     r = code.fma(k, _all(-_LN2_LOW), code.fma(k, _all(-_LN2_HIGH), y))
@@ -68,9 +68,9 @@ def exponential_of(code: Code, a: Any) -> Any:
 
 
 def logarithm_of(code: Code, a: Any) -> Any:
-    """log a of a vector of positive normal numbers, or ∞: e ln 2 + 2 artanh s, s = (m − 1)/(m + 1).
+    """log a of positive normal numbers or ∞: e ln 2 + 2 artanh s, s = (m − 1)/(m + 1).
 
-    m is the mantissa, halved where it is above √2, so that |s| < 0.172: artanh to s²³.
+    m is the mantissa, halved if it is above √2, so that |s| < 0.172, and artanh has terms to s²³.
     """
     build, m, e = code.builder, mantissa_of(code, a), exponent_of(code, a)
     halve = build.fcmp_ordered(">", m, _all(math.sqrt(2.0)))
@@ -122,7 +122,7 @@ def _widen_truth(context: Any, builder: Any, source: Any, target: Any, value: An
 
 
 def _register(functions: Any, work: Callable[..., Any], result: Any, *kinds: Any) -> None:
-    """Let compiled code call functions with arguments of these kinds: work(Code, values)."""
+    """Register work(Code, *values) as functions of compiled code, for arguments of these types."""
 
     def lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return work(Code(context, builder), *arguments)
@@ -134,7 +134,7 @@ def _register(functions: Any, work: Callable[..., Any], result: Any, *kinds: Any
 
 
 def make_operators() -> None:
-    fused = ("contract",)  # products and sums may be fused, as those of `lanes.intrinsics` are
+    fused = ("contract",)  # to fused multiply-adds, as in `lanes.intrinsics`
     for functions, make in (
         ((operator.add, operator.iadd), lambda c, a, b: c.builder.fadd(a, b, flags=fused)),
         ((operator.sub, operator.isub), lambda c, a, b: c.builder.fsub(a, b, flags=fused)),
@@ -202,7 +202,7 @@ class _Flat(AbstractTemplate):
 
 @lower_builtin(numbers.flat, types.Array)
 def _flattened(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    # NumPy's reshape is a call that looks at strides.
+    # NumPy's reshape is a call, as it depends on strides.
     (given,), kind = signature.args, signature.return_type
     source = context.make_array(given)(context, builder, arguments[0])
     size = [source.nitems]
@@ -223,8 +223,8 @@ def _room(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     (kind, sizes), given = signature.args, arguments[0]
     if not isinstance(sizes, KnownNumbersType):
         return impl_ret_borrowed(context, builder, kind, given)
-    # On the stack, and no other array overlaps it: what is read through constant indices is
-    # never stored. `cgutils.alloca_once` would fill it with zeros.
+    # On the stack, where no other array overlaps it: the compiler keeps entries with constant
+    # indices in registers. `cgutils.alloca_once` would fill it with zeros.
     count = sizes.numbers["room"]
     with builder.goto_entry_block():
         room = builder.alloca(ir.ArrayType(VECTOR, count))
@@ -238,7 +238,7 @@ def _room(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 @intrinsic
 def lanes_of(_, arrays):
-    """Arrays (…, 8) of floats as arrays of vectors, without a copy; of a tuple's arrays each."""
+    """Arrays (…, 8) of floats, also in a named tuple, as arrays of vectors, without a copy."""
     kind = _kind_of(arrays)
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -253,7 +253,7 @@ def _kind_of(given: Any) -> Any:
         kinds = [_kind_of(part) for part in given]
         return types.BaseTuple.from_types(kinds, given.instance_class)
     if isinstance(given, types.Array) and given.dtype == types.float64:
-        # Numbers that are said to lie anywhere: eight of them would be taken to be on a cache line.
+        # Not aligned, because vectors of eight would be assumed to be aligned to a cache line.
         return types.Array(EIGHT, given.ndim - 1, "C", aligned=False)
     return given
 
@@ -276,7 +276,7 @@ def _view(context: Any, builder: Any, given: Any, kind: Any, value: Any) -> Any:
 def _new_view(
     context: Any, builder: Any, kind: Any, source: Any, shape: Any, strides: Any, itemsize: Any
 ) -> Any:
-    """The data of an array as another one."""
+    """Another array with the data of `source`."""
     result = context.make_array(kind)(context, builder)
     populate_array(
         result,

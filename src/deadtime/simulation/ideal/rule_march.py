@@ -79,7 +79,7 @@ def run_ideal_rule(
     """Solve the loop on [0, horizon]."""
     gains = _exact_gains(plant, law, rule)
     rate = _rate(np.abs(plant.A) + np.abs(plant.B) @ np.abs(gains))
-    alike = (plant.delays == plant.delays[0]).all()
+    alike = plant.modes_share_delays
     longest = (_PIECE if alike else _PIECE / 2.0) / rate
     _require_room(plant, horizon, longest)
     line = _line(plant, u0, rate)

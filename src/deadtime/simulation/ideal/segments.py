@@ -238,7 +238,7 @@ def segments_of(
             f"segments of {longest:.1e} s; shorten it, or give a step."
         )
     size = longest / (2 * NODES)
-    alike = (plant.delays == plant.delays[0]).all()
+    alike = plant.modes_share_delays
     through = [
         Shift(float(delay), i, speeds.arriving * size)
         for i in ([None] if alike else range(plant.modes))

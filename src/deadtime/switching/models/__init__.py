@@ -1,1 +1,1 @@
-"""Random switching: Markov and semi-Markov models, their sojourns, and how signals are drawn."""
+"""Random switching: Markov and semi-Markov models, their sojourns, and sampling of signals."""

@@ -1,9 +1,8 @@
-"""Fitting a semi-Markov model to logged signals, some of whose sojourns were cut off.
+"""Fitting a semi-Markov model to logged signals with censored sojourns.
 
-A sojourn that a log sees from its beginning to its end is complete. The last one of a log that
-ends is right-censored: it lasted at least so long. The last one of a log without an end says
-nothing. Complete sojourns alone would be too short on average, because long ones are cut off
-more often.
+A sojourn with both ends in the log is complete. The last one of a log that ends is right-censored:
+it lasted at least so long. The last one of a log without an end has no information. Complete
+sojourns alone would be too short on average, because long ones are censored more often.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ if TYPE_CHECKING:
 else:
     Signals = object  # `check_signals` checks them, with better messages
 
-LEAST = 5
-MARGIN = 4.0
+LEAST = 5  # complete sojourns of each mode
+MARGIN = 4.0  # of AIC, for a uniform family
 NAMES = (*FAMILIES, "fixed")
 
 
@@ -55,14 +54,14 @@ def fit_model(
     """Sojourn distributions, jump probabilities and goodness of a semi-Markov model.
 
     Distributions maximise the likelihood of complete and censored sojourns (see
-    `switching.models.sojourn_families`); T_ij is the share of the switches out of mode i that led
-    to j. Beyond the longest logged sojourn the tail is the family's word alone: if the law's
-    trust in it matters, name the family, for "auto" judges only what was observed.
+    `switching.models.sojourn_families`); T_ij is the share of the switches out of mode i that lead
+    to j. Beyond the longest logged sojourn the tail follows from the family alone; if the tail
+    matters, give the family, for "auto" considers only the observed range.
 
-    Few sojourns cannot tell families apart: of 80 logs with 5, 10, 20 and 50 complete sojourns,
-    "auto" named gamma (a = 3) for what it was in 5, 6, 21 and 44, shifted exponential (loc 0.3,
-    scale 0.5) in 44, 67, 72 and 78, uniform (0.2 to 1) in 0, 7, 43 and 76. Below about 50 in each
-    mode, name the family.
+    Few sojourns do not distinguish families: of 80 logs each with 5, 10, 20 and 50 complete
+    sojourns, "auto" found a gamma (a = 3) in 5, 6, 21 and 44, a shifted exponential (loc 0.3, scale
+    0.5) in 44, 67, 72 and 78, a uniform (0.2 to 1) in 0, 7, 43 and 76. Below about 50 in each mode,
+    give the family.
 
     Parameters
     ----------
@@ -71,25 +70,25 @@ def fit_model(
     family : str, or list of str with one per mode
         "exponential", "shifted exponential", "gamma", "weibull", "uniform", "lognormal",
         "fixed" (all sojourns equal within 1e-6), or "auto": fixed where that holds, else the
-        family with the least AIC, a uniform only if it is the least by 4: the end of its support
-        promises a switch, and a wrong one misleads a law more than a wrong tail does.
+        family with the least AIC, a uniform only if it is the least by 4: a law trusts the end of
+        its support, and a wrong end harms more than a wrong tail.
     modes : int, optional
         Number of modes; by default the largest in the logs, plus one.
     first : {"whole", "drop"}
-        Whether logs begin with a switch or amid a sojourn, whose length is then not known. The
-        first sojourn of a signal with an `initial_age` is dropped in any case.
+        Whether logs begin with a switch or within a sojourn, which is then dropped. The first
+        sojourn of a signal with an `initial_age` is dropped in any case.
     transitions : (modes, modes) of bool, optional
-        The switches that can be: a log with another one is refused.
+        The possible switches: a log with another one is refused.
     dwell_time, maximum_dwell : float, or one per mode, optional
-        The shortest and the longest sojourn, seconds, where they are known: families are fitted as
-        what is left of them in between (`deadtime.switching.models.sojourn_families`). Shifted
-        exponential and uniform ones are then not among them, for these limits are their own.
+        The shortest and the longest sojourn, seconds, if they are known: families are fitted as
+        truncated there (`deadtime.switching.models.sojourn_families`). Shifted exponential and
+        uniform ones are then excluded, because these limits are their parameters.
 
     Raises
     ------
     ArgumentError
-        If a mode has fewer than 5 complete sojourns, one that is not between its limits, or its
-        family cannot be fitted.
+        If a mode has fewer than 5 complete sojourns or one outside its limits, or its family
+        cannot be fitted.
 
     References
     ----------
@@ -102,7 +101,7 @@ def fit_model(
     if transitions is not None:
         allowed = SignalClass(transitions=transitions).limits(len(observed))
         for log in logs:
-            allowed.require(log)
+            log.require_within(allowed)
     names = _families(family, len(observed))
     for mode, seen in enumerate(observed):
         if seen.complete.size < LEAST:
@@ -161,7 +160,7 @@ def sojourns_of(
 def kaplan_meier(
     observed: Observed,
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, " time"]]:
-    """The observed times, and the Kaplan–Meier estimate of P(S > t) from each to the next."""
+    """The observed times, and the Kaplan–Meier estimate of P(S > t) from each one on."""
     from scipy.stats import CensoredData, ecdf
 
     survival = ecdf(CensoredData(observed.complete, right=observed.censored)).sf
@@ -169,10 +168,10 @@ def kaplan_meier(
 
 
 def distance(dist: Distribution, observed: Observed) -> float:
-    """sup |F(t) − F_KM(t)| up to the longest observation; both sides of every jump count.
+    """sup |F(t) − F_KM(t)| up to the longest observation, on both sides of every jump.
 
-    For a fixed sojourn, those that ended within 1e-6 of it are taken as equal to it, and those
-    cut off there are left out.
+    For a fixed sojourn, complete ones within 1e-6 of it count as equal to it, and censored ones
+    there are left out.
     """
     if isinstance(dist, Fixed):
         ended, cut = (
@@ -191,7 +190,7 @@ def distance(dist: Distribution, observed: Observed) -> float:
 def _fit_mode(
     mode: int, name: str, observed: Observed, ends: tuple[float, float] | None = None
 ) -> tuple[Distribution, Goodness]:
-    """The mode's distribution; `name` may be "auto"; `ends`: what is known of its sojourns."""
+    """The distribution of a mode; `name` may be "auto", `ends` are its known limits."""
     from scipy.stats import kstwobign
 
     families = tuple(FAMILIES) if ends is None else FAMILIES_BETWEEN
@@ -211,6 +210,7 @@ def _fit_mode(
             f"family {name!r} cannot be fitted to the sojourns of mode {mode}, which last from "
             f"{observed.complete[0]:g} to {observed.complete[-1]:g} s: {other}."
         )
+    # A wrong end of the support harms a law more than a wrong tail, so a uniform has a handicap.
     family = min(fitted, key=lambda key: fitted[key][2] + MARGIN * (key == "uniform"))
     dist, parameters, aic = fitted[family]
     n, gap = observed.complete.size, distance(dist, observed)

@@ -1,22 +1,19 @@
-"""The one way to draw signals: modes that last for a random time, one after the other.
+"""Sampling of switching signals as jump processes: random sojourns and jumps.
 
-Signal i reads the numbers of its own streams only (`deadtime.numerics.streams`): one for its
+Signal i uses random numbers of its own streams only (`deadtime.numerics.streams`): one for its
 first mode, and for jump j one for the sojourn before it and one for the mode after it. So it does
-not depend on which signals are drawn beside it, and a longer horizon continues it.
+not depend on which signals are drawn with it, and a longer horizon continues it.
 
-All signals advance together, a round of jumps at a time: the modes they pass first, since these
-do not depend on the sojourns, then the sojourns, then the instants; those that have reached the
-horizon leave.
+All signals advance together, a round of jumps at a time: first the modes, which do not depend on
+the sojourns, then the sojourns, then the instants. Signals at the horizon drop out.
 
-A sojourn of mode i that is drawn with the number u in (0, 1) is the time that a sojourn exceeds
-with probability u:
+The number u in (0, 1) gives the sojourn of mode i by the inverse survival function,
 
-    P(S_i > t) = u,    t = a_i − b_i log u for a shifted exponential or a fixed sojourn (b_i = 0)
+    P(S_i > t) = u,    t = a_i − b_i log u for a shifted exponential or a fixed sojourn (b_i = 0),
 
-and what the distribution's own `isf` says otherwise, or `ppf` at 1 − u, or a search where it has
-no formula for either.
+else `isf` of the distribution, or `ppf` at 1 − u, or a search if both have no formula.
 
-The loops over jumps, compiled, release Python's lock.
+The compiled loops over jumps release Python's lock.
 """
 
 from __future__ import annotations
@@ -44,10 +41,10 @@ class Quantiles(Frozen):
     Attributes
     ----------
     shift, scale : (mode,) arrays
-        a_i and b_i, seconds, for modes with a formula; 0 for the others. An infinite scale is a
-        mode that is never left.
+        a_i and b_i, seconds, for modes with a formula; 0 for the others. A mode with an infinite
+        scale is never left.
     others : tuple of (name, function, modes)
-        The other modes by distribution: its name in messages, its `isf`, and which modes have it.
+        The other distributions: name in messages, `isf`, and (mode,) bool for the modes with it.
     """
 
     shift: Float[np.ndarray, " mode"]
@@ -56,7 +53,7 @@ class Quantiles(Frozen):
 
     @classmethod
     def of(cls, sojourn: Sequence[Distribution]) -> Quantiles:
-        """Those of one distribution per mode; each distinct one is asked once for all its modes."""
+        """The functions of one distribution per mode; modes with the same one share an entry."""
         shift, scale = np.zeros(len(sojourn)), np.zeros(len(sojourn))
         others: dict[int, tuple[str, Callable, np.ndarray]] = {}
         for i, dist in enumerate(sojourn):
@@ -107,13 +104,13 @@ def _inverse(name: str, dist: Distribution) -> tuple[str, Callable]:
     if callable(isf):
         return f"{name}.isf", isf
     assert ppf is not None
-    return f"{name}.ppf", lambda u: ppf(1.0 - u)  # exact for multiples of 2⁻⁵³
+    return f"{name}.ppf", lambda u: ppf(1.0 - u)  # exact: u is a multiple of 2⁻⁵³
 
 
 def _is_searched(dist: Distribution) -> bool:
-    """Whether it is one of scipy's without a formula of its own, whose `isf` is slow.
+    """Whether it is a SciPy distribution without a formula for `isf`.
 
-    Scipy inverts their cdf by a root search for each number, some milliseconds long.
+    SciPy then solves for each number with a root search of milliseconds; `_search` is vectorised.
 
     Examples
     --------
@@ -132,7 +129,7 @@ def _is_searched(dist: Distribution) -> bool:
 
 
 def _search(dist: Distribution, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """The least doubles that sojourns exceed with a probability of at most u, by bisection.
+    """The least doubles t with P(S > t) ≤ u, by bisection.
 
     Examples
     --------
@@ -142,7 +139,7 @@ def _search(dist: Distribution, u: Float[np.ndarray, " n"]) -> Float[np.ndarray,
     level, most = np.log(u), np.ones(u.size)
     while (short := (log_survival(dist, most) > level) & (most < np.inf)).any():
         most[short] *= 2.0
-    # Doubles ≥ 0 have the order of their bits read as integers.
+    # Doubles ≥ 0 are ordered as their bits are as integers: 62 steps at most find them exactly.
     low, high = np.zeros(u.size, np.int64), most.view(np.int64)
     while (high - low > 1).any():
         middle = low + (high - low) // 2
@@ -163,10 +160,10 @@ def _invert(name: str, inverse: Callable, u: Float[np.ndarray, " n"]) -> Float[n
 
 @kernel(nogil=True)
 def walk(bounds, mode, u):
-    """The modes of the next sojourns of every signal, and the mode after them.
+    """The modes (signal, jump) of the next sojourns of every signal, and the mode after them.
 
-    `bounds` are cumulated probabilities of the next mode, of which each row ends in 1; `mode` is
-    where each signal starts, and u (signal, jump) are numbers in (0, 1).
+    `bounds` (mode, mode) are cumulative probabilities of the next mode, each row ending in 1;
+    `mode` (signal,) is the first mode, and u (signal, jump) are numbers in (0, 1).
     """
     path = np.empty(u.shape, np.int64)
     after = np.empty(mode.size, np.int64)
@@ -184,12 +181,12 @@ def walk(bounds, mode, u):
 
 @kernel(nogil=True)
 def sample_signals(path, sojourns, time, last, horizon):
-    """When the sojourns start: times and modes (signal, jump), of which the first `used` hold.
+    """Start times and modes (signal, jump) of sojourns; the first `used` of each row are valid.
 
-    `time` is where the first sojourn of each row starts and `last` the mode before it, −1 for
-    none. A sojourn whose ends are one number is left out, and one in the mode before it goes on
-    with that. Returns also the time and the last mode after the row; a time that is not below
-    the horizon ends the signal.
+    `time` is the start of the first sojourn of each row and `last` the mode before it, −1 for
+    none. A sojourn without a length in doubles is left out, and one in the same mode as the one
+    before it is merged with that. Returns also the time and the mode at the end of each row; a time
+    at or beyond the horizon ends the signal.
     """
     count, jumps = path.shape
     times, modes = np.empty((count, jumps)), np.empty((count, jumps), np.int64)
@@ -198,6 +195,7 @@ def sample_signals(path, sojourns, time, last, horizon):
         t, mode, kept = time[i], last[i], 0
         for j in range(jumps):
             then = t + sojourns[i, j]
+            # A sojourn that ends at its start is none; one in the same mode extends the last.
             if then > t and path[i, j] != mode:
                 mode = path[i, j]
                 times[i, kept], modes[i, kept] = t, mode
@@ -211,7 +209,7 @@ def sample_signals(path, sojourns, time, last, horizon):
 
 @kernel(nogil=True)
 def place(to, rows, used, times, modes, flat_times, flat_modes):
-    """Move the sojourns of a round to where their signals' next ones belong, `to`; move `to`."""
+    """Copy the sojourns of a round to the flat arrays at `to`, the next index of each signal."""
     for i in range(rows.size):
         at, kept = to[rows[i]], used[i]
         for j in range(kept):
@@ -222,14 +220,14 @@ def place(to, rows, used, times, modes, flat_times, flat_modes):
 MOST_SWITCHES = 1e7
 MOST_JUMPS = 1e8
 FEW_SIGNALS = 8
-FEW_BLOCKS = 2**12  # of a signal: beyond them NumPy's generators take longer than a compiler
+FEW_BLOCKS = 2**12  # per signal: up to these NumPy's generators are faster than compiling
 _FIRST_MODE, _SOJOURNS, _JUMPS = 1, 2, 3
 _FIRST_BLOCKS = 2
 _TINY = float(np.finfo(float).tiny)
 
 
 class Switches(NamedTuple):
-    """Sojourns of signals one after the other: those of signal i are first[i], …, first[i + 1]."""
+    """Sojourns of many signals; signal i has first[i], …, first[i + 1] − 1."""
 
     first: Int[np.ndarray, " signal_and_end"]
     times: Float[np.ndarray, " sojourn"]
@@ -238,16 +236,16 @@ class Switches(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JumpProcess(Frozen):
-    """A process of modes that stays in each for a random time and then jumps to another one.
+    """A jump process of modes with random sojourns; the first mode is uniform.
 
-    The first mode is uniform. A sojourn too short for a double to tell its ends apart is left out.
+    A sojourn so short that both ends are the same double is left out.
 
     Parameters
     ----------
     sojourn : Quantiles
         The modes' inverse survival functions.
     transition : (mode, mode) array
-        What the probabilities of the next mode are proportional to; a row of zeros stays.
+        Weights of the next mode; a mode with a row of zeros is never left.
     mean : float
         The longest of the modes' mean sojourns, seconds.
 
@@ -270,7 +268,7 @@ class JumpProcess(Frozen):
         ------
         ArgumentError
             If the horizon is not positive, the seed or `first` is negative, there are no signals,
-            they hold too many switches, or the quantiles give anything but times.
+            they hold too many switches, or the quantiles are not times.
         """
         horizon, seed = positive("horizon", horizon), count("seed", seed, least=0)
         first, size = count("first", first, least=0), count("count", size)
@@ -285,7 +283,7 @@ class JumpProcess(Frozen):
         rounds, block, jumps_read = [], 0, 0
         choices = bool(((bounds > 0.0) & (bounds < 1.0)).any())
         while rows.size:
-            # Longer and longer rounds: at most a quarter of what a signal needs is read in vain.
+            # Rounds grow by a quarter, so that at most a quarter of the numbers is drawn in vain.
             blocks = max(_FIRST_BLOCKS, block // 4)
             jumps_read += rows.size * blocks * WORDS
             if WORDS * block > MOST_SWITCHES:
@@ -294,7 +292,7 @@ class JumpProcess(Frozen):
                 _refuse(size, horizon)
             draw, own = _numbers(size, block), read_only(numbers[rows])
             shape = rows.size, WORDS * blocks
-            # Where a mode leads to one other, whatever is drawn decides the same.
+            # If every mode has one successor, the jumps need no random numbers.
             jumps = draw(key, own, block, blocks, _JUMPS) if choices else np.full(shape, 0.5)
             path, mode = walk(bounds, mode, jumps)
             sojourns = self.sojourn(path, draw(key, own, block, blocks, _SOJOURNS))
@@ -306,16 +304,17 @@ class JumpProcess(Frozen):
         return _pack(rounds, size)
 
     def _bounds(self) -> Float[np.ndarray, "mode mode"]:
-        """Cumulated probabilities of the next mode; a mode that nothing leaves leads to itself."""
+        """Cumulative probabilities of the next mode; a mode that is never left leads to itself."""
         bounds = np.cumsum(self.transition, axis=1)
         left = bounds[:, -1] > 0.0
         bounds[left] /= bounds[left, -1:]
+        # Rows 0 … 0 1 … 1 from the diagonal on: any number leads to the mode itself.
         bounds[~left] = np.triu(np.ones(bounds.shape))[~left]
         return read_only(bounds)
 
 
 def require_few(horizon: float, mean: float) -> None:
-    """Refuse a horizon that would hold more switches than memory."""
+    """Refuse a horizon with more switches than fit into memory."""
     if horizon / mean > MOST_SWITCHES:
         raise ArgumentError(
             f"horizon = {horizon:g} s would hold about {horizon / mean:.0e} switches, more than "
@@ -324,7 +323,7 @@ def require_few(horizon: float, mean: float) -> None:
 
 
 def _numbers(signals: int, block: int) -> Callable[..., np.ndarray]:
-    """The source of random numbers: NumPy where few are asked for, else compiled; bitwise equal."""
+    """The generator of random numbers: NumPy for few, else compiled; bitwise equal."""
     if signals <= FEW_SIGNALS and block <= FEW_BLOCKS:
         return uniforms
     from deadtime.numerics import generators
@@ -333,7 +332,7 @@ def _numbers(signals: int, block: int) -> Callable[..., np.ndarray]:
 
 
 def _pack(rounds: Sequence[tuple[np.ndarray, ...]], size: int) -> Switches:
-    """The rounds' sojourns, signal by signal."""
+    """The sojourns of all rounds, by signal."""
     sizes = np.zeros(size, np.int64)
     for rows, used, _, _ in rounds:
         sizes[rows] += used

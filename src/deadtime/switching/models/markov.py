@@ -90,32 +90,28 @@ class Markov(SwitchingModel):
 
     @property
     def modes(self) -> int:
-        """Number of modes."""
         return self.rates.shape[0]
 
     @property
     def transitions(self) -> Bool[np.ndarray, "mode mode"]:
-        """Whether a signal may switch from mode i (row) to mode j (column): where rates are > 0."""
         return self.rates > 0.0
 
     @property
     def mean(self) -> Float[np.ndarray, " mode"]:
-        """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
         with np.errstate(divide="ignore"):
             return 1.0 / self.rates.sum(axis=1)
 
     def ages(self, step: float, most: int | None = None) -> None:
-        return None  # how long a mode has been active says nothing
+        return None  # memoryless
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
-        r""":math:`P = e^{h \Lambda}`, returns within a period among what stays."""
+        r""":math:`P = e^{h \Lambda}`; a mode that is left and entered again in a period stays."""
         from deadtime.numerics.covariance import transition
 
         P = transition(self.generator, positive("step", step))
         return SampledChain.of_matrix(P, within=True)
 
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
-        """Exponential sojourns, and jumps by the rates."""
         sojourn = Quantiles(np.zeros(self.modes), self.mean)
         process = JumpProcess(sojourn, self.rates, float(self.mean.max()))
         return process.draw(horizon, seed, first, count)

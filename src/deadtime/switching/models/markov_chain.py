@@ -1,4 +1,4 @@
-"""A Markov chain of the mode at samples: switches happen at multiples of a period, nowhere else."""
+"""A Markov chain of the mode at samples, with switches at multiples of a period only."""
 
 from __future__ import annotations
 
@@ -23,16 +23,15 @@ from deadtime.switching.models.model import (
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class MarkovChain(SwitchingModel):
-    r"""A Markov chain of modes, which may change at multiples of a period only.
+    r"""A Markov chain of modes that switches at multiples of a period only.
 
     .. math::
 
         P(\sigma((k + 1) h_c) = j \mid \sigma(k h_c) = i, \text{the past}) = P_{ij}
 
-    Between these instants the mode is held: it lasts whole periods, geometrically many. Signals
-    start in a uniformly drawn mode. A law or filter of period :math:`h_c` sees every switch and is
-    exact; one of period :math:`r h_c` sees the chain :math:`P^r`, and takes a switch within a
-    period to be at its end.
+    Sojourns are geometrically many whole periods. Signals start in a uniformly drawn mode. A law or
+    filter of period :math:`h_c` observes every switch and is exact; one of period :math:`r h_c`
+    uses the chain :math:`P^r`, as if switches within its period were at the end of it.
 
     Parameters
     ----------
@@ -74,38 +73,35 @@ class MarkovChain(SwitchingModel):
 
     @property
     def modes(self) -> int:
-        """Number of modes."""
         return len(self.P)
 
     @property
     def transitions(self) -> Bool[np.ndarray, "mode mode"]:
-        """Whether a signal may switch from mode i (row) to mode j (column): where P_ij > 0."""
         return (self.P > 0.0) & ~np.eye(self.modes, dtype=bool)
 
     @property
     def mean(self) -> Float[np.ndarray, " mode"]:
-        """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
         with np.errstate(divide="ignore"):
             return self.step / self._leave
 
     @property
     def _leave(self) -> Float[np.ndarray, " mode"]:
-        """1 − P_ii, of the entries that are added up."""
+        """1 − P_ii as a sum of the other entries, without cancellation."""
         return np.minimum(np.where(np.eye(self.modes), 0.0, self.P).sum(axis=1), 1.0)
 
     def ages(self, step: float, most: int | None = None) -> None:
-        return None  # how long a mode has been active says nothing
+        return None  # memoryless
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
-        """:math:`P^r` at a period of r steps; within a period of one nothing switches."""
+        """:math:`P^r` at a period of r steps."""
         from deadtime.plant.discretisation import snap
 
         periods = snap(positive("step", step) / self.step)
         if periods < 1.0 or not periods.is_integer():
             raise ArgumentError(
                 f"step = {step:g} s must be that of the MarkovChain, {self.step:g} s, or a "
-                "multiple of it: of other instants the chain says nothing. Change one of them, or "
-                "describe the sojourns by a SemiMarkov model."
+                "multiple of it: the chain is not defined at other instants. Change one of them, "
+                "or describe the sojourns by a SemiMarkov model."
             )
         P = np.linalg.matrix_power(self.P, int(periods))
         return SampledChain.of_matrix(P, within=periods > 1.0)
@@ -116,7 +112,7 @@ class MarkovChain(SwitchingModel):
         return snap(self.step / step).is_integer()
 
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
-        """Sojourns of whole periods; every instant is a multiple of the period, to the bit."""
+        """Sojourns of whole periods; every instant is a float multiple of the period."""
         from deadtime.plant.discretisation import snap
 
         periods = np.ceil(snap(positive("horizon", horizon) / self.step))
@@ -131,7 +127,7 @@ class MarkovChain(SwitchingModel):
             np.where(each, 0.0, self.P),
             float(self.mean.max()),
         )
-        # Half a period before the horizon no round-off decides what lies before it.
+        # Half a period less, so that round-off cannot add a switch at the horizon.
         drawn = process.draw((periods - 0.5) * self.step, seed, first, count)
         return drawn._replace(times=np.rint(drawn.times / self.step) * self.step)
 
@@ -143,10 +139,10 @@ class MarkovChain(SwitchingModel):
 
             P_{ij} = N_{ij} / \sum_j N_{ij}
 
-        with :math:`N_{ij}` the number of samples of mode i that are followed by one of mode j.
-        Of two switches within a period the first is not seen; what follows the last switch of a
-        log without an end says nothing. There are as many modes as the largest in the logs tells,
-        unless `modes` says more. A mode that no sample follows is refused.
+        with :math:`N_{ij}` the number of samples of mode i that are followed by one of mode j. Of
+        two switches within a period the first is not observed. The last sojourn of a log without an
+        end does not count. The number of modes is `modes`, or the largest mode in the logs plus
+        one. A mode without a sample after it is refused.
 
         References
         ----------
@@ -173,6 +169,7 @@ class MarkovChain(SwitchingModel):
             number = modes
         N = np.zeros((number, number))
         for log in logs:
+            # The first sample of each sojourn; one without a sample is not observed.
             begin = np.ceil(snap_all(log.times / step))
             end = np.ceil(snap(log.end / step)) if np.isfinite(log.end) else begin[-1] + 1.0
             samples = np.diff(begin, append=max(end, begin[-1]))
@@ -183,8 +180,8 @@ class MarkovChain(SwitchingModel):
         total = N.sum(axis=1, keepdims=True)
         if not total.all():
             raise ArgumentError(
-                f"signals show no sample after one of mode {int(np.argmin(total))}, so nothing of "
-                "what follows it: log longer, or give MarkovChain its P."
+                f"signals show no sample after one of mode {int(np.argmin(total))}, so its "
+                "successors are unknown: log longer, or give MarkovChain its P."
             )
         return cls(N / total, step)
 

@@ -1,8 +1,7 @@
-"""The interface of random models of switching: what laws, filters and batches ask of one.
+"""The interface of random models of switching.
 
-A model is seen in two ways: as a chain over (mode, age) at the samples of a controller, by laws and
-filters; and as a process that draws signals, by simulations. Who needs a closed form in continuous
-time asks for the `generator`, which memoryless models have.
+Laws and filters use a model as a chain over (mode, age) at the samples of a controller, simulations
+as a process that draws signals. Memoryless models in continuous time have a `generator`, too.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ if TYPE_CHECKING:
 
 
 class SampledChain(NamedTuple):
-    """A model at samples: from (i, a) the next one finds (i, a + 1) or (j, 0).
+    """A model at samples, as a chain from (i, a) to (i, a + 1) or (j, 0).
 
     The age a counts samples since the sampled mode last changed; the last column of `hazard` holds
-    for all older ones.
+    for all greater ages.
 
-    hazard : (modes, ages), the probability that a mode of that age gives way by the next sample
-    jump : (modes, modes), then that of the next mode; a row of zeros where a mode is never left
-    within : whether modes change within periods, or at samples only
+    hazard : (modes, ages), probability that the mode changes by the next sample
+    jump : (modes, modes), probability of the next mode then; zeros for a mode that is never left
+    within : whether modes may change within periods, and not at samples only
     """
 
     hazard: Float[np.ndarray, "mode age"]
@@ -41,7 +40,7 @@ class SampledChain(NamedTuple):
 
     @classmethod
     def of_matrix(cls, P: Float[np.ndarray, "mode mode"], within: bool) -> SampledChain:
-        """Of a Markov chain at samples, whose ages say nothing."""
+        """The chain of transition probabilities P between samples, with a single age."""
         jump = np.maximum(P, 0.0)
         np.fill_diagonal(jump, 0.0)
         leave = jump.sum(axis=1, keepdims=True)
@@ -49,7 +48,7 @@ class SampledChain(NamedTuple):
 
 
 class SwitchingModel(Frozen, ABC):
-    """A random model of switching, each signal of which is a function of a seed and a number.
+    """A random model of switching, whose signals are functions of a seed and a number.
 
     Signals start in a uniformly drawn mode, at the beginning of its sojourn.
 
@@ -87,14 +86,14 @@ class SwitchingModel(Frozen, ABC):
 
     @abstractmethod
     def ages(self, step: float, most: int | None = None) -> int | None:
-        """Number of ages, in samples, that `chain` has to tell apart; None where age says nothing.
+        """Number of ages, in samples, with different hazards; None for a memoryless model.
 
         Parameters
         ----------
         step : float
             Sampling period h, seconds.
         most : int, optional
-            Where the count stops, at least 1. If it stops there, later ages may still differ.
+            Upper limit of the number, at least 1; at the limit, later ages may still differ.
 
         Raises
         ------
@@ -104,7 +103,7 @@ class SwitchingModel(Frozen, ABC):
 
     @abstractmethod
     def chain(self, step: float, ages: int = 1) -> SampledChain:
-        """The model at samples, with so many ages, or with one where age says nothing.
+        """The model at samples, with so many ages; a memoryless model has one.
 
         Raises
         ------
@@ -113,7 +112,7 @@ class SwitchingModel(Frozen, ABC):
         """
 
     def at_samples(self, step: float) -> bool:
-        """Whether its modes change at multiples of a period of `step` seconds only.
+        """Whether its modes change at multiples of `step` seconds only.
 
         Examples
         --------
@@ -126,21 +125,17 @@ class SwitchingModel(Frozen, ABC):
 
     @abstractmethod
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
-        """The sampler: sojourns of the signals first, …, first + count − 1 of a seed.
-
-        What it gives for a signal depends on nothing but the model, the seed and the number, and a
-        longer horizon continues it.
-        """
+        """The sojourns of the signals first, …, first + count − 1 of a seed, see `draw`."""
 
     @abstractmethod
     def section(self) -> str:
-        """The [switching] section of a problem file that describes the model."""
+        """The model as the [switching] section of a problem file."""
 
     @final
     def sample(self, horizon: float, seed: int = 0) -> SwitchingSignal:
-        """A signal on [0, horizon), which starts with a whole sojourn: number 0 of `draw`.
+        """A signal on [0, horizon): number 0 of `draw`.
 
-        The same seed gives the same signal; a longer horizon continues it.
+        With the same seed a longer horizon continues the same signal.
 
         Raises
         ------
@@ -154,17 +149,17 @@ class SwitchingModel(Frozen, ABC):
     def draw(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> SignalBatch:
         """The signals of scenarios first, …, first + count − 1 on [0, horizon), in one batch.
 
-        A scenario's signal is a function of the model, `seed` and its number only, whatever else
-        is drawn with it; a longer horizon continues it.
+        The signal of a scenario depends on the model, `seed` and its number only; a longer horizon
+        continues it.
 
         Parameters
         ----------
         horizon : float
-            The signals end here, seconds.
+            End of the signals, seconds.
         seed : int
             At least 0.
         first, count : int
-            Number of the first scenario, at least 0, and how many, at least 1.
+            Number of the first scenario, at least 0, and number of scenarios, at least 1.
 
         Raises
         ------
@@ -182,12 +177,12 @@ class SwitchingModel(Frozen, ABC):
         """
         drawn = self.switches(horizon, seed, first, count)
         ends, ages = np.full(count, float(horizon)), np.zeros(count)
-        # Nobody else has these arrays, so that the batch need not copy them.
+        # Read-only, so that the batch does not copy them.
         return SignalBatch(*map(read_only, (*drawn, ends, ages)))
 
 
 def require_model(model: object, modes: int) -> None:
-    """Refuse what is no switching model, or one for another number of modes."""
+    """Refuse a value that is no switching model of so many modes."""
     if not isinstance(model, SwitchingModel):
         raise ArgumentError(
             "model must be a switching model, such as Markov or SemiMarkov, got "

@@ -1,11 +1,11 @@
-"""Semi-Markov switching: any distribution of sojourns, then a jump that forgets the past.
+"""Semi-Markov switching: sojourns of any distribution, and jumps that depend on the mode only.
 
-A controller that counts samples works with hazards on their grid: of age a, a mode has been active
-for a samples, a h seconds.
+Controllers use hazards on the grid of samples: a mode of age a has been active for a h seconds.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -48,8 +48,8 @@ else:
     Sojourn = Families = object  # checked inside, with better messages
 
 MOST_AGES = 100_000
-SURVIVAL = 1e-6
-_STEEP = 1e-6
+SURVIVAL = 1e-6  # ages that a sojourn reaches with less probability need no hazard
+_STEEP = 1e-6  # decrease of log P(S > t) within 1e-9 h: an atom, or the end of the support
 
 
 def hazards(
@@ -57,8 +57,8 @@ def hazards(
 ) -> Float[np.ndarray, " age"]:
     """haz(a) = P(S ≤ (a+1) h | S > a h) = 1 − exp(logsf((a+1) h) − logsf(a h)); 1 if S ≤ a h.
 
-    An atom or support end within 1e-9 h after sample k counts as at it: where survival falls
-    steeply between k h and (k + 1e-9) h, it is read at the second.
+    An atom or an end of the support within 1e-9 h after a sample counts as at the sample: where
+    survival decreases steeply between k h and (k + 1e-9) h, its value at the second is taken.
     """
     from deadtime.plant.discretisation import TOLERANCE
 
@@ -73,56 +73,54 @@ def hazards(
 
 
 def count_ages(name: str, dist: Distribution, step: float, most: int | None = None) -> int:
-    """How many ages have a hazard of their own: later ones repeat the last, or hardly occur.
+    """Number of ages with different hazards: later ones have the last hazard, or hardly occur.
 
-    The count stops at `most`; without one, more than 100,000 are refused.
+    It is at most `most`; without that, more than 100,000 are refused.
     """
-    last = _survival_limit(dist, step)
+    from deadtime.plant.discretisation import TOLERANCE
+
+    def rare(n: int) -> bool:
+        return survival(dist, (n + TOLERANCE) * step) < SURVIVAL
+
+    last = 1 + bisect_left(range(1, 2**40), True, key=rare)  # 2⁴⁰ if no age below is rare
     final = hazards(dist, step, np.array([last - 1]))
 
     def latest(ages: Int[np.ndarray, " age"]) -> int:
-        """The latest of these ages whose hazard is not the final one; −1 if none is."""
+        """The latest of these ages whose hazard differs from the final one; −1 if none does."""
         differing = np.flatnonzero(np.abs(hazards(dist, step, ages) - final) > 1e-12)
         return int(ages[differing[-1]]) if differing.size else -1
 
     limit = max(MOST_AGES, most or 0)
     number = 0
-    if last > limit:  # is the hazard constant long before, as an exponential's is?
+    if last > limit:  # a hazard such as an exponential's is constant long before
         number = latest(np.geomspace(limit, last - 1, 1000).astype(np.int64)) + 2
+    # Backwards in blocks, because the latest difference is usually among the last ages.
     for end in range(min(last, limit), 0, -MOST_AGES):
         number = number if number > 1 else latest(np.arange(max(0, end - MOST_AGES), end)) + 2
     if number > limit and most is None:
         raise ArgumentError(
             f"step = {step:g} s is too short for {name} = {describe(dist)}: its hazard still "
             f"changes after {MOST_AGES:,} steps, which it outlives with probability "
-            f"{survival(dist, MOST_AGES * step):.2g}; lengthen the step, or say with `most` how "
-            "many ages to tell apart."
+            f"{survival(dist, MOST_AGES * step):.2g}; lengthen the step, or limit the number of "
+            "ages by `most`."
         )
     return number if most is None else min(number, most)
 
 
-def _survival_limit(dist: Distribution, step: float) -> int:
-    """The least n with P(S > n h) < 1e-6; 2⁴⁰ if there is none below."""
-    from deadtime.plant.discretisation import TOLERANCE
-
-    low, high = 0, 1
-    while high < 2**40 and survival(dist, (high + TOLERANCE) * step) >= SURVIVAL:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        if survival(dist, (middle + TOLERANCE) * step) >= SURVIVAL:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
 def require_short(step: float, sojourn: tuple[Distribution, ...]) -> float:
-    """The step, when every mode's median sojourn spans at least two of them."""
+    """The step, if every mode's median sojourn is at least two steps."""
     step = positive("step", step)
     for mode, dist in enumerate(sojourn):
         if survival(dist, 2.0 * step * (1.0 - 1e-9)) < 0.5:
-            median = _median_below(dist, 2.0 * step)
+            low, median = step, 2.0 * step
+            while survival(dist, low) < 0.5:
+                low, median = low / 2.0, low
+            for _ in range(60):
+                middle = (low + median) / 2.0
+                if survival(dist, middle) >= 0.5:
+                    low = middle
+                else:
+                    median = middle
             longest = median / 2.0
             unit = 10.0 ** (np.floor(np.log10(longest)) - 3.0)
             raise ArgumentError(
@@ -133,58 +131,47 @@ def require_short(step: float, sojourn: tuple[Distribution, ...]) -> float:
     return step
 
 
-def _median_below(dist: Distribution, high: float) -> float:
-    """The median, known to be below `high`, by bisection."""
-    low = high / 2.0
-    while survival(dist, low) < 0.5:
-        low, high = low / 2.0, low
-    for _ in range(60):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if survival(dist, middle) >= 0.5 else (low, middle)
-    return high
-
-
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class SemiMarkov(SwitchingModel):
     r"""A semi-Markov process of modes, with sojourns of any distribution.
 
-    It stays in mode i for a random time :math:`S_i`, then jumps to mode j.
+    It stays in mode i for a random time :math:`S_i`, then jumps to mode j, independently of the
+    past.
 
     .. math::
 
-        P(S_i > t) = \mathrm{sf}_i(t),
-        \quad P(\text{next mode is } j) = T_{ij}, \text{ whatever happened before}
+        P(S_i > t) = \mathrm{sf}_i(t), \quad P(\text{next mode is } j) = T_{ij}
 
     Signals start in a uniformly drawn mode, at the beginning of its sojourn.
 
     Parameters
     ----------
     sojourn : distribution, number, or a list of them with one per mode
-        :math:`S_i` in seconds: a frozen distribution of scipy.stats, anything else with vectorised
+        :math:`S_i` in seconds: a frozen distribution of scipy.stats, another object with vectorised
         ``cdf``, and ``sf`` or ``logsf``, or a number for a fixed sojourn. A single one holds for
-        every mode. Signals are drawn fast where it has a formula for ``isf`` or ``ppf``.
+        every mode. Sampling is fast if ``isf`` or ``ppf`` has a formula.
     transition : array_like, shape (modes, modes), optional
         :math:`T_{ij} \ge 0` with rows that sum to 1 and a zero diagonal; by default all other modes
         are equally likely.
     modes : int, optional
-        Number of modes, where neither of the above tells; 2 by default.
+        Number of modes, if neither of the above has one entry per mode; 2 by default.
     dwell_time, maximum_dwell : float, or one per mode, optional
-        The shortest and the longest sojourn, seconds: sojourns are as given, but only those in
-        between are drawn. Which mode may follow which is said by the zeros of `transition`.
+        The shortest and the longest sojourn, seconds, at which the distributions are truncated.
+        Transitions are excluded by zeros of `transition`.
 
     Attributes
     ----------
     sojourn : tuple of distributions
         One per mode.
     goodness : tuple of Goodness, or None
-        How well each mode's distribution fits the logs that `fit` read.
+        Goodness of fit of each mode's distribution, if the model is from `fit`.
 
     Raises
     ------
     ArgumentError
-        If there are fewer than two modes, the arguments disagree on how many, a sojourn is no
-        distribution of positive times, none of a mode lies between its shortest and longest one,
-        or the rows of `transition` are no probabilities.
+        If there are fewer than two modes, the arguments have different numbers of modes, a sojourn
+        is no distribution of positive times, a mode has no sojourn between its limits, or the rows
+        of `transition` are no probabilities.
 
     References
     ----------
@@ -240,45 +227,45 @@ class SemiMarkov(SwitchingModel):
 
     @property
     def modes(self) -> int:
-        """Number of modes."""
         return len(self.sojourn)
 
     @property
     def transitions(self) -> Bool[np.ndarray, "mode mode"]:
-        """Whether a signal may switch from mode i (row) to mode j (column): where T_ij > 0."""
         return self.transition > 0.0
 
     @cached_property  # integrals, where a distribution has no formula
     def mean(  # pyright: ignore[reportIncompatibleMethodOverride]
         self,
     ) -> Float[np.ndarray, " mode"]:
-        """Mean sojourn in each mode, seconds."""
         means = np.array([mean_sojourn(dist) for dist in self.sojourn])
         means.flags.writeable = False
         return means
 
     def switches(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> Switches:
-        """Sojourns by the inverse survival functions, and jumps by the transition."""
         sojourn = Quantiles.of(self.sojourn)
         process = JumpProcess(sojourn, self.transition, float(self.mean.max()))
         return process.draw(horizon, seed, first, count)
 
     def hazard(self, step: float, ages: int) -> Float[np.ndarray, "mode age"]:
-        r"""Probability that a sojourn which outlasted a samples ends by the next one.
+        r"""Probability that a sojourn longer than a samples ends by the next one.
 
         .. math::
 
             q_{i,a} = P(S_i \le (a + 1) h \mid S_i > a h), \quad a = 0, \dots, \text{ages} - 1
 
-        It is 1 where no sojourn outlasts a h. An atom or an end of the support whose ratio to
-        h is within 1e-9 of an integer counts as that multiple of h.
+        It is 1 if no sojourn is longer than a h. An atom or an end of the support within 1e-9 h of
+        a multiple of h counts as that multiple.
 
         Parameters
         ----------
         step : float
             Sampling period h, seconds; at most half the median sojourn of every mode.
         ages : int
-            How many ages, at least 1.
+            Number of ages, at least 1.
+
+        Returns
+        -------
+        (modes, ages) array
 
         Raises
         ------
@@ -296,28 +283,27 @@ class SemiMarkov(SwitchingModel):
         return np.stack([hazards(dist, step, range_of_ages) for dist in self.sojourn])
 
     def chain(self, step: float, ages: int = 1) -> SampledChain:
-        """Mode and age at samples, of a process that switches anywhere within periods."""
         return SampledChain(self.hazard(step, ages), self.transition.copy(), within=True)
 
     def ages(self, step: float, most: int | None = None) -> int:
-        """Number of ages, in samples, after which the hazards of all modes have settled.
+        """Number of ages, in samples, after which the hazards of all modes are constant.
 
-        A mode's later ages have the hazard of the last one to 1e-12, or are reached by less
-        than one sojourn in a million.
+        Later ages have the hazard of the last one to 1e-12, or are reached by less than one sojourn
+        in a million.
 
         Parameters
         ----------
         step : float
             Sampling period h, seconds; at most half the median sojourn of every mode.
         most : int, optional
-            Where the count stops, at least 1. If it stops there, later ages may still differ:
-            ``outlives(most * step)`` tells how many sojourns reach them.
+            Upper limit of the number, at least 1. At the limit later ages may still differ:
+            ``outlives(most * step)`` is the share of sojourns that reach them.
 
         Raises
         ------
         ArgumentError
             If the step is too long for the sojourns of some mode, or, without `most`, so short
-            that more than 100,000 ages would be needed.
+            that more than 100,000 ages are needed.
 
         Examples
         --------
@@ -360,11 +346,10 @@ class SemiMarkov(SwitchingModel):
     ) -> SemiMarkov:
         """The model of maximum likelihood for logged signals.
 
-        Logs with a switch that `transitions` does not allow are refused, by their first one, and
-        with a sojourn that is not between `dwell_time` and `maximum_dwell`, where these are known;
-        families are then fitted as truncated there. See
-        `deadtime.switching.models.fit.fit_model` for what the other arguments mean, and what few
-        sojourns are worth: with fewer than about 50 per mode, name the family.
+        Logs are refused if `transitions` excludes a switch, or if a sojourn is not between
+        `dwell_time` and `maximum_dwell`; with these limits families are fitted as truncated. See
+        `deadtime.switching.models.fit.fit_model` for the other arguments, and for the reliability
+        of few sojourns: with fewer than about 50 per mode, give the family.
 
         Examples
         --------
@@ -381,7 +366,7 @@ class SemiMarkov(SwitchingModel):
         return model
 
     def section(self) -> str:
-        """The [switching] section of a problem file that describes the model.
+        """The model as the [switching] section of a problem file.
 
         Examples
         --------
@@ -413,7 +398,7 @@ class SemiMarkov(SwitchingModel):
 
 
 def _transition(transition: ArrayLike) -> Float[np.ndarray, "mode mode"]:
-    """Probabilities of the next mode, rows summing to 1."""
+    """Probabilities of the next mode, rows summing to 1 and a zero diagonal."""
     table = real_array("transition", transition, "(modes, modes)", 2)
     require_shape("transition", table, (len(table), len(table)), "(modes, modes)")
     if len(table) < 2:

@@ -1,22 +1,20 @@
-"""Families of sojourn distributions, fitted by maximum likelihood to whole and cut-off sojourns.
+"""Families of sojourn distributions, fitted to complete and censored sojourns.
 
-With whole sojourns t and right-censored ones c, the likelihood is Π f(t) Π P(S > c). The
-estimates of a start or an end of the support (shifted exponential, uniform) are corrected for
-their bias, which moves them off the extreme observation, so that no observation has density 0.
-Akaike's criterion is that of the distribution returned: at the extreme observation the likelihood
-gains about twice what the criterion charges for such a parameter.
+With complete sojourns t and right-censored ones c, the likelihood is Π f(t) Π P(S > c). Estimates
+of an end of the support (shifted exponential, uniform) are corrected for their bias, which moves
+them off the extreme observation, so that no observation has density 0. Akaike's criterion is that
+of the corrected distribution: with the end at the extreme observation the likelihood gains about
+twice the criterion's penalty of a parameter.
 
-Sojourns may be known to last between a shortest and a longest time. Of a distribution with density
-f and survival P(S > t) only sojourns in (low, high] occur. With whole sojourns t, and c those whose
-end was not seen, the likelihood is
+Sojourns may be known to lie in (low, high]. With f the density and P(S > t) the survival function
+of the distribution before truncation, the likelihood is then
 
     Π f(t)/m  Π (P(S > max(c, low)) − P(S > high))/m,    m = P(S > low) − P(S > high).
 
-A fit that does not know of the limits takes the gap below `low`, and the missing tail beyond
-`high`, for the shape of the distribution: the parameters are then those of another one. The maximum
-is sought over the logarithms of the parameters, in units of the mean sojourn. There may be none:
-sojourns that are spread evenly, or crowd towards `high`, are best described by an exponential of
-endless scale.
+A fit without the limits would attribute the gap below `low` and the missing tail beyond `high` to
+the shape of the distribution. The maximum is searched over the logarithms of the parameters, in
+units of the mean sojourn. It may not exist: for evenly spread sojourns, or more of them towards
+`high`, the likelihood of an exponential increases with its scale without end.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.switching.models.sojourns import Distribution, Fixed, Truncated, log_between
 
 Parameters = dict[str, float]
-EQUAL = 1e-6
+EQUAL = 1e-6  # relative difference up to which sojourns count as equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +42,9 @@ class Observed(Frozen):
     Attributes
     ----------
     complete : (complete,) array
-        Sojourns seen from their beginning to their end, in ascending order.
+        Sojourns with both ends in the log, in ascending order.
     censored : (censored,) array
-        How long the sojourns lasted whose end was not seen, in ascending order.
+        Observed parts of sojourns without an end in the log, in ascending order.
     """
 
     complete: Float[np.ndarray, " complete"]
@@ -54,7 +52,7 @@ class Observed(Frozen):
 
     @property
     def fixed(self) -> bool:
-        """Whether one length explains all of them, within 1e-6."""
+        """Whether all are consistent with one length, within 1e-6."""
         longest = self.complete.max()
         least = max(longest - self.complete.min(), self.censored.max(initial=0.0) - longest)
         return bool(least <= EQUAL * longest)
@@ -62,25 +60,24 @@ class Observed(Frozen):
 
 @dataclass(frozen=True, repr=False)
 class Goodness:
-    """How well a family fits the logged sojourns of one mode.
+    """The goodness of fit of a family to the logged sojourns of one mode.
 
     Attributes
     ----------
     family : str
         Name of the family.
     parameters : dict
-        What scipy.stats calls them; lengths are in seconds.
+        Names of scipy.stats; lengths are in seconds.
     complete, censored : int
-        Number of sojourns seen to their end, and of those cut off by the end of a log.
+        Number of complete and of censored sojourns.
     distance : float
-        Kolmogorov and Smirnov's: the largest difference between the Kaplan–Meier estimate and
+        Kolmogorov–Smirnov distance: the largest difference between the Kaplan–Meier estimate and
         the fitted distribution function, up to the longest observation.
     p_value : float
-        Asymptotic probability of a larger distance if the family were right, as if there were
-        `complete` sojourns and none cut off. Optimistic where few are cut off, because the
-        parameters were fitted to the same sojourns: a small value refutes the family, a large
-        one does not prove it. Pessimistic where most are: it fell below 0.05 for 9 to 13 in 100
-        of the very distributions that the sojourns were drawn from.
+        Asymptotic probability of a larger distance if the family is correct, with `complete`
+        sojourns and none censored. Too large if few are censored, because the parameters are
+        fitted to the same sojourns: a small value refutes the family, a large one does not prove
+        it. Too small if most are censored: below 0.05 for 9 to 13 % of correct families.
     aic : float
         Akaike's criterion of the fitted distribution, 2 · parameters − 2 log likelihood; the
         least is the best.
@@ -88,7 +85,7 @@ class Goodness:
     References
     ----------
     Lilliefors, "On the Kolmogorov–Smirnov test for the exponential distribution with mean
-    unknown", JASA 64, 1969, on what fitting does to the p-value.
+    unknown", JASA 64, 1969, on the p-value of fitted distributions.
     """
 
     family: str
@@ -109,11 +106,12 @@ class Goodness:
 
 
 def estimate(family: str, observed: Observed) -> tuple[Distribution, Parameters, float] | None:
-    """The fitted distribution, its parameters and its AIC; None where no fit exists."""
+    """The fitted distribution, its parameters and its AIC; None if no fit exists."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         if family == "fixed":
-            return _fixed_length(observed)
+            length = float(np.median(observed.complete))
+            return (Fixed(length), {"length": length}, -np.inf) if observed.fixed else None
         from scipy import stats
 
         name, fit = FAMILIES[family]
@@ -127,13 +125,6 @@ def estimate(family: str, observed: Observed) -> tuple[Distribution, Parameters,
     return dist, parameters, 2.0 * len(parameters) - 2.0 * float(likelihood)
 
 
-def _fixed_length(observed: Observed) -> tuple[Distribution, Parameters, float] | None:
-    if not observed.fixed:
-        return None
-    length = float(np.median(observed.complete))
-    return Fixed(length), {"length": length}, -np.inf
-
-
 def _exponential(_: Any, observed: Observed) -> Parameters:
     """Scale = Σ(t + c)/n."""
     total = observed.complete.sum() + observed.censored.sum()
@@ -143,10 +134,10 @@ def _exponential(_: Any, observed: Observed) -> Parameters:
 def _shifted_exponential(_: Any, observed: Observed) -> Parameters:
     """The likelihood is largest at loc = min t, scale = Σ(t − loc)⁺/n.
 
-    Unbiased, when nothing is cut off, are n/(n − 1) times this scale and loc − scale/n (Epstein
-    and Sobel 1954, theorem 4). The least of r sojourns under way at loc lies scale/r beyond it,
-    so loc moves by that, with r = n + #{c > loc}, but stays ≥ 0. Of its bias under censoring 4 to
-    14 % remain, with the other sign: expon(0.3, 0.5), 60 sojourns, 18 or 6 of them complete.
+    Without censoring n/(n − 1) times this scale and loc − scale/n are unbiased (Epstein and Sobel
+    1954, theorem 4). The least of r sojourns that last beyond loc is on average scale/r longer, so
+    loc decreases by that, with r = n + #{c > loc}, to 0 at least. Under censoring 4 to 14 % of its
+    bias remain, with the other sign: expon(0.3, 0.5), 60 sojourns, 18 or 6 of them complete.
     """
     n, least = observed.complete.size, observed.complete[0]
     cut = observed.censored[observed.censored > least]
@@ -160,13 +151,13 @@ def _uniform(_: Any, observed: Observed) -> Parameters:
 
         Σ_{c > low} (c − low)/(high − c) ≤ n.
 
-    Its left side falls with `high`: one root, at most. Unless it is the root, `high` is moved
-    outwards by (max t − low)/(n − 1); then `low` by (high − low)/r, r = n + #{c > low} under way
-    there, but not below 0. That is unbiased when nothing is cut off. Under censoring `low`
-    remains nearly so; `high` does not: for 60 uniform sojourns on 0.2..1 s it is 0.02 s too low,
-    with a deviation of 0.05 s, if 24 are complete (cut at exponential times of mean 0.6 s), and
-    0.03 s with 0.2 s if 10 are (cut at 0.2..0.45 s). n − 1 for n above, a correction of second
-    order and a posterior mean each help in some such cases and err more in others.
+    Its left side decreases with `high`, so there is at most one root. If `high` is not the root, it
+    is moved outwards by (max t − low)/(n − 1); then `low` by (high − low)/r, r = n + #{c > low}, to
+    0 at least. Without censoring that is unbiased. Under censoring `low` remains nearly so, and
+    `high` does not: for 60 uniform sojourns on 0.2..1 s it is 0.02 s too low, with a deviation of
+    0.05 s, if 24 are complete (censored at exponential times of mean 0.6 s), and 0.03 s with 0.2 s
+    if 10 are (censored at 0.2..0.45 s). n − 1 for n above, a correction of second order and a
+    posterior mean are better in some of these cases and worse in others.
     """
     n, least, top = observed.complete.size, observed.complete[0], observed.complete[-1]
     cut = observed.censored[observed.censored > least]
@@ -187,7 +178,7 @@ def _uniform(_: Any, observed: Observed) -> Parameters:
 
 
 def _by_scipy(family: Any, observed: Observed) -> Parameters:
-    """SciPy's maximum, with the origin held at 0 and times in units of their mean."""
+    """SciPy's maximum, with the location fixed at 0 and times in units of their mean."""
     from scipy.stats import CensoredData, FitError
 
     unit = observed.complete.mean()
@@ -213,13 +204,13 @@ FAMILIES: dict[str, tuple[str, Fit]] = {
 
 
 FAMILIES_BETWEEN = ("exponential", "gamma", "weibull", "lognormal")
-FARTHEST = 8.0  # of the logarithm of a parameter: beyond, the likelihood has no maximum
-_LEAST_LOG = -600.0  # P(S > low) of a gamma: SciPy's own ends at e^−708
-_MISSED = 1e-9  # of a limit, by which a logged sojourn may miss it
+FARTHEST = 8.0  # largest |logarithm| of a parameter: beyond, the likelihood has no maximum
+_LEAST_LOG = -600.0  # least log P(low < S ≤ high) of a gamma: SciPy's underflows at −708
+_MISSED = 1e-9  # relative error of a limit that a logged sojourn may have
 
 
 class _Member(NamedTuple):
-    """A family of SciPy's at some parameters: what freezing it gives, which costs far more."""
+    """A SciPy family with parameters, as a frozen distribution, which takes far longer to make."""
 
     family: Any
     parameters: tuple[float, ...]
@@ -237,7 +228,7 @@ class _Member(NamedTuple):
 def estimate_between(
     family: str, observed: Observed, low: float, high: float
 ) -> tuple[Distribution, Parameters, float] | None:
-    """The fitted distribution, its parameters and its AIC; None where no fit exists.
+    """The truncated distribution, its parameters and its AIC; None if no fit exists.
 
     Parameters
     ----------
@@ -264,13 +255,14 @@ def estimate_between(
     name, _ = FAMILIES[family]
     dist = getattr(stats, name)
     unit = float(observed.complete.mean())
-    # One that was cut off at the longest time ended there: it cannot have lasted longer.
+    # A sojourn that is censored at the longest time is complete: it cannot have lasted longer.
     ended = observed.censored >= high * (1.0 - _MISSED)
     t = np.append(observed.complete, observed.censored[ended]) / unit
     c = np.maximum(observed.censored[~ended], low) / unit
     ends = np.array([low, high]) / unit
 
     def less_likely(logs: Float[np.ndarray, " parameter"]) -> float:
+        # Nelder–Mead may walk to infinity where the likelihood has no maximum.
         if np.abs(logs).max() > FARTHEST:
             return np.inf
         *shape, scale = np.exp(logs)
@@ -293,7 +285,7 @@ def estimate_between(
     *shape, scale = np.exp(best.x).tolist()
     names = [*filter(None, (dist.shapes or "").split(", ")), "scale"]
     parameters = dict(zip(names, [*shape, scale * unit], strict=True))
-    likelihood = -best.fun - t.size * np.log(unit)
+    likelihood = -best.fun - t.size * np.log(unit)  # densities are per unit
     aic = 2.0 * len(parameters) - 2.0 * float(likelihood)
     fitted = dist(**parameters)
     if family == "gamma" and float(log_between(fitted, np.array(low), high)) < _LEAST_LOG:
@@ -302,7 +294,7 @@ def estimate_between(
 
 
 def require_between(mode: int, observed: Observed, low: float, high: float) -> None:
-    """Refuse logs with a sojourn that cannot be."""
+    """Refuse logs with a sojourn outside the limits."""
     shortest, longest = observed.complete[0], observed.complete[-1]
     longest = max(longest, observed.censored.max(initial=0.0))
     if shortest < low * (1.0 - _MISSED):
@@ -318,17 +310,17 @@ def require_between(mode: int, observed: Observed, low: float, high: float) -> N
 
 
 def require_family_between(name: str, family: str) -> None:
-    """Refuse families whose ends are their parameters."""
+    """Refuse families that have the limits as parameters."""
     if family in ("shifted exponential", "uniform"):
         other = "'exponential'" if family == "shifted exponential" else "a distribution of your own"
         raise ArgumentError(
-            f"{name} must not be {family!r} with dwell_time or maximum_dwell, which say where it "
-            f"begins and ends: take {other}."
+            f"{name} must not be {family!r} with dwell_time or maximum_dwell, which are its "
+            f"parameters: take {other}."
         )
 
 
 def _starts(family: str, observed: Observed, unit: float) -> list[np.ndarray]:
-    """Logarithms of parameters: those of the whole family, and others twice as wide."""
+    """Initial logarithms of parameters: of the fit without truncation, and for twice its width."""
     plain = estimate(family, observed)
     count = 1 if family == "exponential" else 2
     values = np.ones(count) if plain is None else np.array(list(plain[1].values()))

@@ -1,7 +1,7 @@
-"""Sojourn times in one mode: which distributions are accepted, and how they are read.
+"""Distributions of sojourn times, seconds.
 
-A distribution is anything with vectorised `cdf(t)`, and `sf(t)` or `logsf(t)`, such as those that
-scipy.stats freezes. It may be conditioned on an interval. Times are in seconds.
+A distribution is an object with vectorised `cdf(t)`, and `sf(t)` or `logsf(t)`, such as a frozen
+distribution of scipy.stats. It may be truncated to an interval.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from deadtime.base.errors import ArgumentError
 
 @runtime_checkable
 class Distribution(Protocol):
-    """The interface of a sojourn's distribution, beside `sf` or `logsf`."""
+    """The interface of a sojourn distribution, which has `sf` or `logsf`, too."""
 
     def cdf(self, x: Any, /) -> Any:
         """P(S ≤ x)."""
@@ -29,7 +29,7 @@ class Distribution(Protocol):
 
 @dataclass(frozen=True)
 class Fixed:
-    """A sojourn that always has the same length, in seconds."""
+    """A sojourn of constant length, seconds."""
 
     length: float
 
@@ -55,7 +55,7 @@ class Fixed:
 
 @dataclass(frozen=True)
 class ShiftedExponential:
-    """`scipy.stats.expon(loc, scale)`, of times above 0, without SciPy.
+    """`scipy.stats.expon(loc, scale)` for times above 0, without importing SciPy.
 
     Examples
     --------
@@ -165,7 +165,7 @@ def describe(dist: object) -> str:
 
 
 def toml_text(dist: Any) -> str:
-    """A sojourn as a problem file states it: seconds, or a distribution with its parameters.
+    """A sojourn in a problem file: seconds, or a distribution with its parameters.
 
     Examples
     --------
@@ -215,17 +215,17 @@ def mean_sojourn(dist: Distribution) -> float:
     return float(quad(lambda t: survival(dist, t), 0.0, np.inf, limit=200)[0])
 
 
-SHORTEST = 1e-9  # seconds: a dwell time of none, for a file, where they are positive
-ROUND_OFF = 1e-12  # of a limit, by which a multiple of a period may miss it
+SHORTEST = 1e-9  # seconds: stands for no dwell time in files, where dwell times are positive
+ROUND_OFF = 1e-12  # relative difference of a multiple of a period from a limit
 
 
 @dataclass(frozen=True)
 class Truncated:
-    """A distribution of sojourns, given that they last between `low` and `high` seconds.
+    """A distribution of sojourns, truncated to (low, high] seconds.
 
         P(S > t | low < S ≤ high) = P(t < S ≤ high)/P(low < S ≤ high)
 
-    Both in logarithms: of sojourns that end soon after `low` little is left of either.
+    Both are computed as logarithms, as they underflow if `low` is far in the tail.
 
     Examples
     --------
@@ -274,7 +274,9 @@ class Truncated:
 def log_between(
     dist: Distribution, low: Float[np.ndarray, ...], high: float
 ) -> Float[np.ndarray, ...]:
-    """log P(low < S ≤ high), of the smaller of survival and distribution: neither cancels.
+    """log P(low < S ≤ high) as a difference of the smaller of P(S > t) and P(S ≤ t).
+
+    The larger one would cancel.
 
     Examples
     --------
@@ -293,18 +295,17 @@ def log_between(
 
 
 def _log_distribution(dist: Distribution, t: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
-    """log P(S ≤ t)."""
     logcdf: Any = getattr(dist, "logcdf", None)
     return np.asarray(np.log(dist.cdf(t)) if logcdf is None else logcdf(t), dtype=np.float64)
 
 
 def truncate(name: str, dist: Distribution, low: float, high: float) -> Distribution:
-    """The distribution itself where all of it lies in the interval, else what is left of it.
+    """The distribution truncated to an interval, unchanged if it lies in there.
 
     Raises
     ------
     ArgumentError
-        If no sojourn of it lies there.
+        If no sojourn lies in the interval.
     """
     if isinstance(dist, Fixed):
         if not low * (1.0 - 1e-9) <= dist.length <= high * (1.0 + 1e-9):

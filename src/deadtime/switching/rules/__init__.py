@@ -1,1 +1,1 @@
-"""Rules by which the state decides the mode, and where trajectories cross their boundaries."""
+"""Switching rules, by which the state determines the mode, and crossings of their boundaries."""

@@ -1,24 +1,24 @@
 """Boundaries between regions, zeros of g(x) = xᵀQx + row·x − offset, and slides, compiled.
 
-Region r is where all of its g are ≤ 0; those numbered first[r], …, first[r + 1] − 1 are its own.
-Polyhedra have no Q: `forms` is then empty. A tuple `boundaries` is (forms, rows, offsets), a tuple
-`regions` has first and the mode of every region besides.
+Region r has the boundaries first[r], …, first[r + 1] − 1, and all of these g are ≤ 0 in it.
+Polyhedra have no Q: `forms` is then empty. A tuple `boundaries` is (forms, rows, offsets); a tuple
+`regions` is (forms, rows, offsets, first, modes), modes the mode of every region.
 
-A state is known up to its spread M|x| + N|u| only (`switching.rules.motion.round_off`), and so
-g up to its band β, and the direction in which a vector field crosses a boundary.
+A state has the round-off M|x| + N|u| (`switching.rules.motion.round_off`), its `spread`. It causes
+the round-off β of g, its `band`, and an uncertain sign of ∇g·f where a field f is nearly tangent.
 
-Along a boundary at which both modes point a motion slides (Filippov). Where f_i points out of the
-region of mode i through its boundary g = 0 and f_j back into it, a = ∇g·f_i > 0 > b = ∇g·f_j, no
-mode can go on; the limit of ever faster switching between them is
+Where both modes' fields point at a boundary, the motion slides along it (Filippov): f_i points out
+of the region of mode i through its boundary g = 0 and f_j back into it,
+a = ∇g·f_i > 0 > b = ∇g·f_j. The limit of infinitely fast switching between the modes is
 
     x' = (a f_j − b f_i) / (a − b),    the mean of the fields that is tangent to the boundary.
 
-It is not linear, not even on a plane: its weights are ratios of functions of x. So it is
-integrated, by the extrapolated midpoint rule (Gragg, Bulirsch and Stoer), until two columns agree
-to the round-off of x; a step over which they do not is halved. After every step x is put back onto
-g = 0. The motion lasts until a < 0 or b > 0 beyond round-off, or another boundary of either
-region is met; all are asked at the end of every step of at most 1/(2|A|), so that what is met and
-left again within one such step is missed, and the end is then bisected.
+It is nonlinear even on a plane, because a and b depend on x. So it is integrated by the
+extrapolated midpoint rule (Gragg, Bulirsch and Stoer) until two columns agree to the round-off of
+x; otherwise the step is halved. After every step x is projected onto g = 0. The motion lasts until
+a < 0 or b > 0 beyond round-off, or until another boundary of either region is reached. These
+conditions are tested at the end of every step of at most 1/(2|A|), so that an event that begins and
+ends within one step is missed; the end is then found by bisection.
 
 References
 ----------
@@ -89,7 +89,7 @@ def product(Q, a, b):
 
 @kernel(eager=True)
 def own(regions, r):
-    """The boundaries of one region."""
+    """The boundaries of region r."""
     forms, rows, offsets, first, _ = regions
     part = slice(first[r], first[r + 1])
     return forms[part], rows[part], offsets[part]
@@ -148,7 +148,7 @@ def slope(plant, mode, boundaries, j, x, u):
 
 @kernel(eager=True)
 def nearest(regions, spread, x, left):
-    """The region other than `left` that holds x, or is nearest to it in units of round-off."""
+    """The region other than `left` that contains x, or is nearest to it in units of round-off."""
     forms, rows, offsets, first, _ = regions
     boundaries = forms, rows, offsets
     best, result = np.inf, left
@@ -163,10 +163,10 @@ def nearest(regions, spread, x, left):
     return result
 
 
-STAYS, BACK, ON, ELSEWHERE, LOST = 0, 1, 2, 3, 4  # how a sliding motion ends
-_COLUMNS = 9
-_HALVINGS = 40
-_SHARP = 2.0**-52
+STAYS, BACK, ON, ELSEWHERE, LOST = 0, 1, 2, 3, 4  # end of a sliding motion, see `slide`
+_COLUMNS = 9  # of the extrapolation
+_HALVINGS = 40  # of a step
+_SHARP = 2.0**-52  # of a step, to which its end is bisected
 
 
 @kernel(eager=True)
@@ -185,7 +185,7 @@ def _field(A, B, boundaries, pair, x, u):
 
 @kernel(eager=True)
 def _step(A, B, boundaries, pair, x, u, tau):
-    """x after τ, and how far the last two columns of the extrapolation are apart."""
+    """x after τ, and the difference of the last two columns of the extrapolation."""
     n = x.size
     table = np.zeros((_COLUMNS, n))
     start = _field(A, B, boundaries, pair, x, u)
@@ -224,7 +224,7 @@ def _onto(boundaries, row, x):
 
 @kernel(eager=True)
 def _opposite(regions, row, entered, x):
-    """The boundary of the region entered that is the one left, seen from there; −1 if none."""
+    """The boundary of the entered region that coincides with `row`, with −∇g; −1 if none."""
     forms, rows, offsets, first, _ = regions
     boundaries = forms, rows, offsets
     normal = gradient(boundaries, row, x)
@@ -237,7 +237,7 @@ def _opposite(regions, row, entered, x):
 
 @kernel(eager=True)
 def _ending(plant, regions, surface, x, u):
-    """Whether and how the sliding motion has ended at x; and the region that is not there."""
+    """How the sliding motion ends at x, STAYS if not, and the region that it leaves."""
     forms, rows, offsets, first, modes = regions
     boundaries = forms, rows, offsets
     region, entered, row, opposite = surface
@@ -259,11 +259,11 @@ def _ending(plant, regions, surface, x, u):
 
 @kernel(eager=True)
 def slide(plant, regions, between, x, u, tau):
-    """Slide for at most τ along boundary `row` from one region to another, `between` the three.
+    """Slide for at most τ; `between` are the region, the one beyond, and the boundary's number.
 
-    Returns x, how long it took, how it ended (STAYS: τ is over; BACK or ON into the region left
-    or entered; ELSEWHERE across another boundary; LOST where no step is short enough) and the
-    region that the motion is in or next to from there.
+    Returns x, the duration, the end (STAYS: after τ; BACK or ON: into the region or the one beyond;
+    ELSEWHERE: across another boundary; LOST: no step is short enough) and the region of the motion
+    from there on.
     """
     forms, rows, offsets, _, modes = regions
     boundaries = forms, rows, offsets
@@ -285,10 +285,12 @@ def slide(plant, regions, between, x, u, tau):
                 return x, done, LOST, region
             step *= 0.5
             continue
+        # The projection removes the drift from the boundary that integration adds.
         y = _onto(boundaries, row, y)
         end, without = _ending(plant, regions, surface, y, u)
         if end == STAYS:
             x = y
+            # Exactly τ at the end, which a sum of steps may miss by round-off.
             done = tau if step == tau - done else done + step
             step *= 2.0
             continue

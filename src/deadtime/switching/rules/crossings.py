@@ -1,19 +1,18 @@
-"""Where a trajectory under a held input crosses from region to region, compiled.
+"""Crossings of a trajectory under a held input from region to region, compiled.
 
-The trajectory leaves a region at the first time at which some of its g (see
-`switching.rules.boundaries`) is positive. While |A|τ ≤ 1/2 the state is to round-off its Taylor
-polynomial
+The trajectory leaves a region when one of its g (see `switching.rules.boundaries`) becomes
+positive. For |A|τ ≤ 1/2 the state equals its Taylor polynomial to round-off,
 
     x(s) = x + v s + A v s²/2! + A² v s³/3! + …,    v = A x + B u,
 
-and so g(x(s)) is a polynomial, of which `bernstein` finds by proof where it is first positive: what
-enters and leaves a region between two samples is found, however short its stay. With quadratic g
-the parts are half as long, so that their products end where x does.
+so that g(x(s)) is a polynomial, and `first_positive` of its Bernstein coefficients proves where it
+is first positive: a stay in a region between two samples is found, however short. For quadratic g
+the parts are half as long, because products of two series need as many terms.
 
-g is known to its round-off β only, so that a trajectory along a boundary would cross it at
-random: what is looked for is g > β, and the zero of g before it is the crossing. Which region is
-entered is asked where g = β. If at the crossing both modes point at the boundary, beyond the
-round-off of either, the plant slides along it (`deadtime.switching.rules.boundaries`).
+A trajectory along a boundary would cross it at random, because g has the round-off β. So the first
+g > β is found, and the crossing is the zero of g before it. The entered region is that of the state
+with g = β. If both modes' fields point at the boundary there, beyond their round-off, the plant
+slides along it (`deadtime.switching.rules.boundaries`).
 """
 
 from __future__ import annotations
@@ -43,16 +42,17 @@ from deadtime.switching.rules.boundaries import (
 _LAST_TERM = 1e-18
 _MOST_TERMS = 16
 MOST_PARTS = 2**17
-NONE, PILED_UP, STRAYED = 0, 1, 2  # why a plant cannot go on
-# Beside no boundary. Of Python's −1 Numba makes a type of its own, to compile everything for again.
+NONE, PILED_UP, STRAYED = 0, 1, 2  # reasons for the end of a trajectory, see `Chatter`
+# Beside no boundary. A literal −1 has a type of its own in Numba, for which all would be compiled
+# again.
 _INSIDE = (np.int64(-1), np.int64(-1))
 
 
 @kernel(eager=True)
 def _parts(A, tau):
-    """The least power of two that cuts τ into parts with |A|τ ≤ 1/2, and |A|τ of a part.
+    """The least power of two of parts of τ with |A|τ ≤ 1/2 each, and |A|τ of a part.
 
-    At most `MOST_PARTS`: `RegionMotion` refuses pieces that would take more.
+    It is at most `MOST_PARTS`: `RegionMotion` refuses longer pieces.
     """
     size = 0.0
     for i in range(A.shape[0]):
@@ -95,11 +95,10 @@ def _heights(boundaries, taylor):
 
 @kernel(eager=True)
 def exit_time(A, B, noise, boundaries, x, u, tau):
-    """When within (0, τ] the trajectory first leaves a region, beyond round-off.
+    """The first exit of the trajectory from a region in (0, τ], beyond round-off.
 
-    Returns the time of the crossing, the time at which it is beyond round-off, and which of the
-    boundaries it is; −1 for the times if it stays. It starts inside: a g that is positive at the
-    start is round-off.
+    Returns the time of the crossing, the time at which it is beyond round-off, and the number of
+    the boundary; −1 if it stays. It starts inside: a g that is positive at the start is round-off.
     """
     parts, size = _parts(A, 2.0 * tau if boundaries[0].size else tau)
     terms, bound = 1, 1.0
@@ -118,12 +117,13 @@ def exit_time(A, B, noise, boundaries, x, u, tau):
             taylor[k] = term
             ahead += term
             term = times(A, term)
+        # c[j, k] = coefficient k of g_j over this part, as a polynomial in s of [0, 1].
         c = _heights(boundaries, taylor)
         beyond, row, doubt = 2.0, -1, 0.0
         for j in range(c.shape[0]):
             risen = c[j].copy()
             uncertain = band(boundaries, j, x, spread)
-            risen[0] = min(c[j, 0] - uncertain, 0.0)
+            risen[0] = min(c[j, 0] - uncertain, 0.0)  # inside at the start, to round-off
             s = first_positive(risen)
             if 0.0 < s < beyond:
                 beyond, row, doubt = s, j, uncertain
@@ -136,9 +136,10 @@ def exit_time(A, B, noise, boundaries, x, u, tau):
 
 @kernel(eager=True)
 def _facing(plant, regions, x, u, region, entered, j):
-    """Whether both regions' modes point at the boundary, number j, between them.
+    """Whether the fields of both regions' modes point at boundary j between them.
 
-    The one has just left through it, if ever so slowly; beyond round-off the other returns.
+    The trajectory has just left through it, so the first field need only not point inwards; the
+    second one must point back beyond round-off.
     """
     A, B, M, N = plant
     forms, rows, offsets, _, modes = regions
@@ -158,7 +159,7 @@ def _facing(plant, regions, x, u, region, entered, j):
 
 @kernel(eager=True)
 def _leads_on(plant, regions, x, u, entered, j):
-    """Whether the mode beyond boundary j leads on from it, surely."""
+    """Whether the field beyond boundary j points away from it, beyond round-off."""
     forms, rows, offsets, _, modes = regions
     ahead, doubt = slope(plant, modes[entered], (forms, rows, offsets), j, x, u)
     return ahead > doubt
@@ -166,9 +167,9 @@ def _leads_on(plant, regions, x, u, entered, j):
 
 @kernel(eager=True)
 def region_of_mode(plant, regions, x, region, mode):
-    """The region of a mode that x is in to round-off; `region`, which holds x, where there is none.
+    """The region of a mode that contains x to round-off; else `region`, which contains x.
 
-    On a boundary the mode that is seen says on which side x is; x alone does not.
+    On a boundary the reported mode determines the side of x, and x alone does not.
     """
     forms, rows, offsets, first, modes = regions
     boundaries = forms, rows, offsets
@@ -184,9 +185,9 @@ def region_of_mode(plant, regions, x, region, mode):
 
 @kernel(eager=True)
 def _stays(A, B, bend, regions, region, x, end, u):
-    """Whether a region is not left over a whole piece.
+    """Whether a trajectory provably stays in a region over a whole piece.
 
-    Its g rise above their chords by at most, with b = bend[j], |v|(b₀ + b₁|v| + b₂|x|).
+    With b = bend[j], g_j exceeds its chord by at most |v|(b₀ + b₁|v| + b₂|x|).
     """
     forms, rows, offsets, first, _ = regions
     boundaries = forms, rows, offsets
@@ -200,15 +201,14 @@ def _stays(A, B, bend, regions, region, x, end, u):
 
 @kernel(eager=True)
 def advance(plant, regions, piece, x, u, region, beside, legs):
-    """Run over one piece, from region to region and along boundaries.
+    """Move over one piece, from region to region and along boundaries.
 
-    `plant` is A, B and the round-off M, N; `piece` its length, Φ, Γ and `bend` over it for every
-    mode, and how many crossings it may have; more are chattering. `beside` is the region beyond and
-    the number of the boundary that x has slid along until now, −1 for none: it goes on beyond if
-    the mode there leads on. `legs` are filled with what follows the first leg, which is in
-    `region`: times, states, regions, and if it slides what is `beside`. Returns x, the region and
-    `beside` at the end, how many legs there are, and why, when and at which other region it could
-    not go on; from there the mode was held.
+    `plant` is A, B and the round-off M, N; `piece` is its length, Φ, Γ and `bend` over it for every
+    mode, and the most crossings; more are chattering. `beside` is the region beyond the boundary
+    along which x slides at the start, and its number, −1 for none: x crosses it if the field beyond
+    points away. The legs after the first one, which is in `region`, are written to `legs`: times,
+    states, regions and, if they slide, `beside`. Returns x, the region and `beside` at the end, the
+    number of these legs, and reason, time and other region of a halt, after which the mode is held.
     """
     (A, B, M, N), first, modes = plant, regions[3], regions[4]
     at, states, places, others, along = legs
@@ -234,12 +234,12 @@ def advance(plant, regions, piece, x, u, region, beside, legs):
             x = move(discretise(A[mode], B[mode], s), x, u)
             start = min(start + s, tau)
             entered = nearest(regions, spread_of(noise, ahead, u), ahead, region)
-            row += first[region]
+            row += first[region]  # from the number within the region to that of all boundaries
         crossings += 1
         if crossings > most:
             halt = (PILED_UP, start, entered)
             break
-        if modes[entered] == modes[region]:
+        if modes[entered] == modes[region]:  # no switch, and no new leg
             region = entered
             continue
         at[count], states[count] = start, x
@@ -270,7 +270,7 @@ def advance(plant, regions, piece, x, u, region, beside, legs):
 
 @kernel(eager=True)
 def room(most, n):
-    """Empty legs for a piece with at most so many crossings."""
+    """Arrays for the legs of a piece with at most so many crossings."""
     size = 2 * most
     return (
         np.empty(size),
@@ -283,12 +283,11 @@ def room(most, n):
 
 @kernel(eager=True)
 def follow(plant, regions, pieces, kinds, inputs, x, region):
-    """Run over many pieces, number p of kind kinds[p] under inputs[p].
+    """Move over many pieces, number p of kind kinds[p] under inputs[p].
 
     `pieces` are the lengths, Φ, Γ, `bend` and the most crossings of every kind. Returns x, the
-    region, and the one beyond and the number of the boundary that it slides along at the end, and
-    (piece, why, time in it, region, other region) of what kept it from going on; the piece is −1
-    for none.
+    region and `beside` at the end, and (piece, reason, time in it, region, other region) of a halt;
+    the piece is −1 for none.
     """
     lengths, Phi, Gamma, bend, most = pieces
     beside, legs = _INSIDE, room(most.max(), x.size)
@@ -305,10 +304,10 @@ def follow(plant, regions, pieces, kinds, inputs, x, region):
 
 @kernel(eager=True)
 def path_in_modes(Phi, Gamma, kinds, inputs, x):
-    """x (pieces, samples, n) at the samples of every piece, in one mode throughout.
+    """x (pieces, samples, n) at the samples of every piece, with one mode held.
 
-    `Phi` (lengths, samples, n, n) and `Gamma` lead from the start of a piece to its samples, the
-    last of them its end.
+    `Phi` (lengths, samples, n, n) and `Gamma` are the transitions from the start of a piece to its
+    samples, the last of which is its end.
     """
     samples = Phi.shape[1]
     path = np.empty((kinds.size, samples, x.size))

@@ -1,10 +1,10 @@
-"""Whether polyhedra share the state space out: none empty, none in conflict, no gap.
+"""Check that polyhedra partition the state space: none empty, no conflicts, no gap.
 
-Each question is whether a polyhedron {x: H x ≤ h} has an interior, which the linear programme of
-its largest inscribed ball answers (Boyd and Vandenberghe, Convex Optimization, Section 4.3.1).
-Every coordinate is first measured in a unit of its own, in which the boundaries lie at comparable
-distances; lengths are then measured against the largest distance of a boundary from the origin.
-What is thinner than 1e-8 of that counts as a shared boundary.
+Each condition is whether a polyhedron {x: H x ≤ h} has an interior, which follows from the linear
+programme of its largest inscribed ball (Boyd and Vandenberghe, Convex Optimization, Section 4.3.1).
+Every coordinate is first scaled so that the boundaries have comparable distances; lengths are then
+relative to the largest distance of a boundary from the origin. A set thinner than 1e-8 of that
+counts as a shared boundary.
 """
 
 from __future__ import annotations
@@ -54,20 +54,19 @@ def require_partition(regions: list[Polyhedron], modes: Int[np.ndarray, " region
 
 
 def _units(H: np.ndarray, h: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Powers of two, one per coordinate, in which the boundaries lie at comparable distances.
+    """Units, powers of two, of the coordinates in which the boundaries have comparable distances.
 
-    First those for which the entries of [H diag(unit), h] vary least within the rows, in least
-    squares of their logarithms; then, from the rows that mostly concern one coordinate, the
-    farthest boundary becomes 1.
+    The logarithms of the entries of [H diag(unit), h] vary least within the rows, in least squares.
+    Then the farthest boundary of the rows that mostly depend on one coordinate becomes 1.
     """
     n = H.shape[1]
     entries = np.column_stack((H, h))
-    there = entries != 0.0
-    logs = np.log2(np.abs(entries), out=np.zeros_like(entries), where=there)
-    # Row by row: the entries less their mean, as a function of the coordinates' logarithms.
-    share = there / there.sum(axis=1, keepdims=True)
-    normal = (np.diag(there.sum(axis=0)) - there.T @ share)[:n, :n]
-    right = np.sum(there * (logs - (share * logs).sum(axis=1, keepdims=True)), axis=0)[:n]
+    nonzero = entries != 0.0
+    logs = np.log2(np.abs(entries), out=np.zeros_like(entries), where=nonzero)
+    # Normal equations for the logarithms of the units, of deviations from the mean of each row.
+    share = nonzero / nonzero.sum(axis=1, keepdims=True)
+    normal = (np.diag(nonzero.sum(axis=0)) - nonzero.T @ share)[:n, :n]
+    right = np.sum(nonzero * (logs - (share * logs).sum(axis=1, keepdims=True)), axis=0)[:n]
     unit = 2.0 ** np.rint(np.linalg.lstsq(normal, -right, rcond=None)[0])
     size = np.abs(H) * unit
     along = (size >= 0.5 * size.max(axis=1, keepdims=True)) & (h != 0.0)[:, None]
@@ -77,9 +76,9 @@ def _units(H: np.ndarray, h: np.ndarray) -> Float[np.ndarray, " n"]:
 
 
 def _without_redundant_rows(H: np.ndarray, h: np.ndarray) -> Polyhedron:
-    """A polyhedron, to a tenth of the tolerance, without the rows that others imply.
+    """A polyhedron without the rows that others imply, to a tenth of the tolerance.
 
-    Where rows are as few as those of a box, to look for them takes longer than to keep them.
+    With at most as many rows as a box, searching takes longer than keeping them.
     """
     from scipy.optimize import linprog
 
@@ -98,7 +97,7 @@ def _both(first: Polyhedron, second: Polyhedron) -> Polyhedron:
 def _inner_point(
     H: Float[np.ndarray, "row n"], h: Float[np.ndarray, " row"]
 ) -> Float[np.ndarray, " n"] | None:
-    """The centre of the largest ball in {H x ≤ h} (radius 1 at most), if it has an interior.
+    """The centre of the largest ball in {H x ≤ h}, of radius 1 at most; None without an interior.
 
     The rows of H have length 1.
     """
@@ -121,7 +120,7 @@ def _inner_point(
 
 
 def _uncovered_point(part: Polyhedron, regions: list[Polyhedron]) -> Float[np.ndarray, " n"] | None:
-    """A point in the interior of `part` that no region holds, if there is one."""
+    """A point in the interior of `part` outside all regions; None if there is none."""
     point = _inner_point(*part)
     if point is None or not regions:
         return point

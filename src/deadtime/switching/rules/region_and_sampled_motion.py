@@ -1,7 +1,7 @@
 """Motion under a switching rule: among regions with known boundaries, and by samples of a function.
 
-Where boundaries are known every crossing is found, by proof; under a rule that can only be asked,
-crossings are looked for at samples.
+With known boundaries every crossing is found, with proof. Under a rule that is a function,
+crossings are searched at samples.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.rules.motion import (
     ROUND_OFF,
-    Arrival,
     Beside,
     Chatter,
     Leg,
@@ -29,11 +28,11 @@ from deadtime.switching.rules.motion import (
 
 
 class Regions(NamedTuple):
-    """Regions in which all of their own xᵀQx + row·x − offset are ≤ 0.
+    """Regions, each where all of its xᵀQx + row·x − offset are ≤ 0.
 
-    forms : the Q, or (0, n, n) where the boundaries are planes
-    first : where the boundaries of each region start, and how many there are
-    modes : of each region
+    forms : the Q; (0, n, n) if all boundaries are planes
+    first : the first boundary of each region, then the number of boundaries
+    modes : the mode of each region
     """
 
     forms: Float[np.ndarray, "form n n"]
@@ -45,10 +44,10 @@ class Regions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RegionMotion(Motion):
-    """Motion among regions: crossings are found by proof, see `deadtime.switching.rules.crossings`.
+    """Motion among regions with proved crossings, see `deadtime.switching.rules.crossings`.
 
-    The arrays are those of `crossings.advance`, in the units of the states in which the modes
-    are balanced (powers of two, so that the change costs no accuracy).
+    The arrays are those of `crossings.advance`, in units of the states in which the modes are
+    balanced. The units are powers of two, so that scaling is exact.
     """
 
     regions_of: Callable[[np.ndarray], np.ndarray]
@@ -71,10 +70,10 @@ class RegionMotion(Motion):
         lengths: tuple[float, ...],
         unseen: int = 0,
     ) -> RegionMotion:
-        """The motion among regions, `regions_of` saying which of them hold given states.
+        """The motion among regions; `regions_of` returns the regions of given states.
 
-        No boundary knows of the last `unseen` states: these keep their units, and are known as well
-        as the largest of all.
+        The boundaries do not depend on the last `unseen` states. These keep their units, and their
+        round-off is that of the largest state.
         """
         from deadtime.numerics.exponential import balance, discretise_modes
         from deadtime.switching.rules.crossings import MOST_PARTS
@@ -90,7 +89,7 @@ class RegionMotion(Motion):
                 "or measure states in other units."
             )
         forms, rows = regions.forms * unit * unit[:, None], regions.rows * unit
-        # All read-only: one type for the compiled functions, whatever the rule.
+        # All read-only, and so of one type: the kernels are compiled once for all rules.
         scaled = Regions(*(read_only(part) for part in (forms, rows, *regions[2:])))
         tables = [discretise_modes(A, B, length) for length in lengths]
         M, N = round_off(A, B, max(lengths))
@@ -109,7 +108,7 @@ class RegionMotion(Motion):
 
     @property
     def _regions(self) -> tuple[np.ndarray, ...]:
-        return tuple(self.regions)
+        return tuple(self.regions)  # a named tuple has another type in Numba
 
     def place_of(self, x: np.ndarray) -> int:
         return int(self.regions_of(x[None])[0])
@@ -149,7 +148,7 @@ class RegionMotion(Motion):
         mode = self.mode_of(place)
         return self.unit * (self.Phi[kind, mode] @ (x / self.unit) + self.Gamma[kind, mode] @ u)
 
-    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
+    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Move:
         from deadtime.switching.rules.crossings import follow, region_of_mode
 
         pieces = self.lengths, self.Phi, self.Gamma, self.bend, self.most
@@ -163,7 +162,7 @@ class RegionMotion(Motion):
             chatter = self._chatter(int(kinds[piece]), why, time, place, other)
             earlier = float(self.lengths[kinds[:piece]].sum())
             chatter = chatter._replace(time=chatter.time + earlier)
-        return Arrival(z * self.unit, region, _beside(*beside), chatter)
+        return Move(z * self.unit, region, _beside(*beside), [], chatter)
 
     def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
         from deadtime.numerics.exponential import discretise
@@ -174,7 +173,7 @@ class RegionMotion(Motion):
             Phi, Gamma = discretise(self.plant[0][mode], self.plant[1][mode], tau)
             return self.unit * (Phi @ z + Gamma @ u)
         between = leg.place, *leg.beside
-        # A copy can be written to, as what moves has it: for one that cannot all is compiled anew.
+        # A copy is writable, as in `advance`: for a read-only u all would be compiled again.
         return self.unit * slide(self.plant, self._regions, between, z, u.copy(), tau)[0]
 
     def leads_on(self, x: np.ndarray, beside: Beside, u: np.ndarray) -> bool:
@@ -190,10 +189,10 @@ def _beside(place: int, boundary: int) -> Beside | None:
 
 
 def _bend(A: np.ndarray, regions: Regions, tau: float) -> Float[np.ndarray, "mode row 3"]:
-    """By how much a g may rise above its chord over τ: |v|(b₀ + b₁|v| + b₂|x|), v = A x + B u.
+    """b with |v|(b₀ + b₁|v| + b₂|x|) above the excess of g over its chord over τ, v = A x + B u.
 
-    It is τ² |g''|/8. With G ≥ |e^{As}|, x'' = A x', |x'| ≤ G|v| and |x(s)| ≤ |x| + τ G|v|, a row
-    has |g''| ≤ |row A| G |v|, and a form, q the sum of its |Q_ab|, has
+    The excess is at most τ² |g''|/8. With G ≥ |e^{As}|, x'' = A x', |x'| ≤ G|v| and
+    |x(s)| ≤ |x| + τ G|v|, a row has |g''| ≤ |row A| G |v|, and a form, q the sum of its |Q_ab|, has
     |g''| = 2|x'ᵀQx' + xᵀQx''| ≤ 2q (G²|v|² + (|x| + τ G|v|) G|A||v|).
     """
     from deadtime.switching.rules.crossings import growth
@@ -209,18 +208,17 @@ def _bend(A: np.ndarray, regions: Regions, tau: float) -> Float[np.ndarray, "mod
     return tau**2 / 8.0 * bend
 
 
-_SHARP = 1e-15  # of the time from the last crossing, or the piece's start, to the sample after it
-_ASIDE = (1e-8, 1e-6, 1e-4, 1e-2)  # of a piece: how far along a field to ask for the mode
+_SHARP = 1e-15  # of the bracket's right end, to which a crossing is bisected
+_ASIDE = (1e-8, 1e-6, 1e-4, 1e-2)  # distances along a field, in lengths of a piece
 
 
 @dataclass(frozen=True, eq=False)
 class SampledMotion(Motion):
-    """Motion under a rule that can only be asked for the mode of a state; places are modes.
+    """Motion under a rule that is a function; places are modes.
 
-    The rule is asked at `samples` instants of every piece, and again after every crossing; a
-    change between two of them is bisected. What enters and leaves a mode between two samples is
-    missed. Only a sample that is in another mode together with its surroundings, as wide as its
-    round-off, tells of a change.
+    The rule is evaluated at `samples` instants of every piece, and again after every crossing; a
+    change between two of them is bisected. A stay in a mode between two samples is missed. A sample
+    counts as a change if it and its neighbourhood, as wide as its round-off, are in another mode.
     """
 
     mode_at: Callable[[np.ndarray], int]
@@ -252,15 +250,15 @@ class SampledMotion(Motion):
         return place
 
     def _around(self, mode: int, x: np.ndarray, u: np.ndarray) -> set[int]:
-        """The modes of the states that are as far from x as its round-off in `mode`."""
+        """The modes of states at the distance of the round-off of x in `mode`."""
         M, N = self.noise
         spread = np.diag(M[mode] @ np.abs(x) + N[mode] @ np.abs(u))
         return {self.mode_at(y) for y in np.concatenate((x + spread, x - spread))}
 
     def _change(self, points: np.ndarray, inputs: np.ndarray, mode: int) -> int:
-        """Index of the first point that is surely in another mode; −1 if none.
+        """Index of the first point in another mode beyond round-off; −1 if none.
 
-        Each row of inputs leads to as many points.
+        Each row of inputs has the same number of points.
         """
         mode_at, each = self.mode_at, len(points) // len(inputs)
         for i, point in enumerate(points):
@@ -269,10 +267,10 @@ class SampledMotion(Motion):
         return -1
 
     def _facing(self, mode: int, other: int, x: np.ndarray, u: np.ndarray) -> bool:
-        """Whether both modes point at their boundary at x, surely.
+        """Whether both modes' fields point at their boundary at x.
 
-        The mode before the crossing leads into the other and comes from itself, and so does the
-        other; asked so close that round-off leaves no doubt.
+        Then the state is in the other mode ahead along the first field and in the first mode behind
+        it, and conversely. The nearest such states are taken that are clear of round-off.
         """
         fields = [self.A[i] @ x + self.B[i] @ u for i in (mode, other)]
         for share in _ASIDE:
@@ -291,10 +289,10 @@ class SampledMotion(Motion):
     def _crossing(
         self, mode: int, x: np.ndarray, u: np.ndarray, low: float, high: float
     ) -> tuple[float, np.ndarray, int]:
-        """The right end of the bracket in (low, high] of a change, and state and mode there."""
+        """The right end of the bracket of a change in (low, high], with state and mode there."""
         state = self._flow(mode, x, u, high)
         new = self.mode_at(state)
-        sharp = _SHARP * high
+        sharp = _SHARP * high  # relative: a crossing soon after the start has its digits, too
         while high - low > sharp:
             middle = 0.5 * (low + high)
             there = self._flow(mode, x, u, middle)
@@ -319,7 +317,7 @@ class SampledMotion(Motion):
             points = Phi @ x + Gamma @ u
             change = self._change(points, u[None], mode)
             if change < 0:
-                return Move(points[-1], mode, None, legs, None)
+                return Move(points[-1], mode, None, legs)
             low, high = rest * change / samples, rest * (change + 1) / samples
             s, x, entered = self._crossing(mode, x, u, low, high)
             start = min(start + s, length)
@@ -340,16 +338,16 @@ class SampledMotion(Motion):
     def hold(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> np.ndarray:
         return self.Phi[place, kind, -1] @ x + self.Gamma[place, kind, -1] @ u
 
-    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
+    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Move:
         from deadtime.switching.rules.crossings import path_in_modes
 
-        mode, p = self.place_of(x), 0  # a function decides on boundaries, too
+        mode, p = self.place_of(x), 0  # a function determines the mode also on a boundary
         while p < kinds.size:
             path = path_in_modes(self.Phi[mode], self.Gamma[mode], kinds[p:], inputs[p:], x)
             pieces, samples, n = path.shape
             change = self._change(path.reshape(pieces * samples, n), inputs[p:], mode)
             if change < 0:
-                return Arrival(path[-1, -1], mode, None, None)
+                return Move(path[-1, -1], mode, None, [])
             before = change // samples
             p += before
             start = path[before - 1, -1] if before else x
@@ -357,15 +355,15 @@ class SampledMotion(Motion):
             if move.chatter is not None:
                 earlier = float(self.lengths[kinds[:p]].sum())
                 chatter = move.chatter._replace(time=move.chatter.time + earlier)
-                return Arrival(move.x, move.place, None, chatter)
+                return Move(move.x, move.place, None, [], chatter)
             x, mode, p = move.x, move.place, p + 1
-        return Arrival(x, mode, None, None)
+        return Move(x, mode, None, [])
 
     def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
         return self._flow(leg.place, leg.x, u, tau)
 
     def leads_on(self, x: np.ndarray, beside: Beside, u: np.ndarray) -> bool:
-        return False  # never asked: here nothing slides
+        return False  # nothing slides under a function
 
 
 def _to_samples(
@@ -381,7 +379,7 @@ def _to_samples(
 def _balanced_noise(
     A: np.ndarray, B: np.ndarray, lengths: tuple[float, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`round_off`, found in the units of the states in which the modes are balanced."""
+    """`round_off`, computed in units of the states in which the modes are balanced."""
     from deadtime.numerics.exponential import balance
 
     unit = balance(np.abs(A).sum(axis=0))

@@ -1,9 +1,9 @@
 """Switching rules: the mode as a function of the state, σ(t) = r(x(t)).
 
-A half-space, polyhedra or quadratic forms say where each mode is
-active; a function of the state may say anything. A state on a boundary belongs to mode 1 of a
-half-space, to the first of the polyhedra that hold it. A rule must name one mode for every state:
-regions that overlap or leave a gap are refused.
+The regions of the modes are half-spaces, polyhedra or sets of a largest quadratic form; or the rule
+is any function. A state on a boundary belongs to mode 1 of a half-space, and to the first of the
+polyhedra that contain it. A rule has one mode for every state: regions that overlap or leave a gap
+are refused.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ class Rule(Frozen, ABC):
 
     @abstractmethod
     def require(self, plant: SwitchedSystem) -> Rule:
-        """The rule itself, when it fits the sizes of a plant; an error otherwise."""
+        """The rule itself, if it fits the sizes of a plant; an error otherwise."""
 
     @abstractmethod
     def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...], unseen: int = 0) -> Motion:
-        """A plant under the rule, made for pieces of these lengths under a held input.
+        """A plant under the rule, over pieces of these lengths with held inputs.
 
-        The rule knows nothing of the last `unseen` states of the plant.
+        The rule does not depend on the last `unseen` states of the plant.
         """
 
     @abstractmethod
     def same(self, other: Rule) -> bool:
-        """Whether the other rule is this one: the same numbers, or the same function."""
+        """Whether the other rule has equal numbers, or is the same function."""
 
     def __call__(self, x: ArrayLike) -> int:
         """r(x), the mode of one state of shape (n,)."""
@@ -66,7 +66,7 @@ class PolyhedralRule(Rule):
     region_modes : (regions,) int
         The mode of each region; several may share one.
     first : (regions + 1,) int
-        Where the rows of each region start, and the number of rows.
+        The first row of each region, then the number of rows.
     """
 
     rows: Float[np.ndarray, "row n"]
@@ -75,7 +75,7 @@ class PolyhedralRule(Rule):
     first: Int[np.ndarray, " region+1"]
 
     def regions_of(self, states: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " k"]:
-        """The first region that holds each state; where round-off leaves none, the nearest."""
+        """The first region that contains each state; the nearest if round-off leaves none."""
         norms = np.linalg.norm(self.rows, axis=1)
         outside = (states @ self.rows.T - self.offsets) / norms
         outside = np.maximum.reduceat(outside, self.first[:-1], axis=1)
@@ -142,7 +142,7 @@ class HalfSpace(PolyhedralRule):
         offset = number("offset", offset)
         if not normal.any():
             raise ArgumentError("normal must not be zero: it points from mode 0 into mode 1.")
-        # Mode 1 comes first, so that the boundary is its.
+        # The first region owns the boundary: mode 1.
         _fill(self, np.stack((-normal, normal)), np.array([-offset, offset]), [0, 1, 2], [1, 0])
         vars(self).update(normal=normal, offset=offset)
 
@@ -152,22 +152,22 @@ class HalfSpace(PolyhedralRule):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Polyhedra(PolyhedralRule):
-    r"""The mode of the polyhedral region that holds the state.
+    r"""The mode of the polyhedral region that contains the state.
 
     Region :math:`i` is where :math:`H_i x \le h_i`.
 
     Parameters
     ----------
     regions : sequence of pairs (H, h)
-        Shapes (rows, n) and (rows,). Together they must fill the space.
+        Shapes (rows, n) and (rows,). Their union must be the whole space.
     modes : sequence of int, optional
         The mode of each region, 0, 1, 2, … by default. Regions of one mode may overlap.
 
     Raises
     ------
     ArgumentError
-        If a region is empty, regions of different modes overlap, or there is a gap; the message
-        names a state that shows it.
+        If a region is empty, regions of different modes overlap, or there is a gap; the message has
+        a state as an example.
 
     Examples
     --------
@@ -219,19 +219,19 @@ class Polyhedra(PolyhedralRule):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FunctionRule(Rule):
-    """Any function from a state of shape (n,) to a mode; `simulate` and laws take it bare, too.
+    """A function from a state of shape (n,) to a mode; `simulate` and laws take a function, too.
 
-    A function can only be asked, so its crossings are looked for at samples of every piece of
-    time under one input, and then bisected: a stay in a mode that falls between two samples is
-    missed, and where both modes point at their boundary the run ends. `HalfSpace`, `Polyhedra` and
-    `QuadraticRegions` miss none that is deeper than round-off, and slide along their boundaries.
+    Crossings are searched at samples of every piece of time under one input, and then bisected: a
+    stay in a mode between two samples is missed, and the run ends where both modes' fields point
+    at their boundary. `HalfSpace`, `Polyhedra` and `QuadraticRegions` miss no stay beyond
+    round-off, and slide along their boundaries.
 
     Parameters
     ----------
     function : callable
         From x, shape (n,), to an integer.
     samples : int
-        How many instants of each piece to ask at; 8 by default.
+        Number of samples of each piece; 8 by default.
 
     Examples
     --------
@@ -274,7 +274,7 @@ class FunctionRule(Rule):
 
 
 def as_rule(name: str, value: Any) -> Rule:
-    """A rule as it is, a function of the state as a rule."""
+    """The rule itself, or a function of the state as a rule."""
     if isinstance(value, Rule):
         return value
     if isinstance(value, SwitchingSignal) or not callable(value):
@@ -286,7 +286,6 @@ def as_rule(name: str, value: Any) -> Rule:
 
 
 def _polyhedron(i: int, region: Sequence[ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
-    """One region with its shapes checked."""
     if not isinstance(region, (tuple, list)) or len(region) != 2:
         raise ArgumentError(f"regions[{i}] must be a pair (H, h), got {region!r}.")
     H = real_array(f"regions[{i}][0]", region[0], "(rows, n)", 2)
@@ -301,22 +300,21 @@ def _polyhedron(i: int, region: Sequence[ArrayLike]) -> tuple[np.ndarray, np.nda
 def _fill(
     rule: PolyhedralRule, rows: np.ndarray, offsets: np.ndarray, first: ArrayLike, modes: ArrayLike
 ) -> None:
-    """Set the read-only arrays of a polyhedral rule."""
     first, modes = np.asarray(first, np.int64), np.asarray(modes, np.int64)
     for array in (rows, offsets, first, modes):
         array.flags.writeable = False
     vars(rule).update(rows=rows, offsets=offsets, first=first, region_modes=modes)
 
 
-_SYMMETRIC = 1e-12  # of the largest entry of a matrix
+_SYMMETRIC = 1e-12  # asymmetry of a matrix, relative to its largest entry
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class QuadraticRegions(Rule):
     r"""The mode whose quadratic form is the largest (max-switching).
 
-    :math:`r(x) = \arg\max_i x^T S_i x`. On a boundary it is the
-    first of the largest. For the smallest form, as min-switching has it, give :math:`-S`.
+    :math:`r(x) = \arg\max_i x^T S_i x`, the first one on a boundary. For min-switching, by the
+    smallest form, give :math:`-S`.
 
     Parameters
     ----------
