@@ -74,11 +74,11 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
     rng = np.random.default_rng(1)
     times = np.concatenate(([0.0], np.sort(rng.uniform(0.0, 3.03, 70))))
     signal = dt.SwitchingSignal(times, rng.integers(0, 3, 71))
-    laid = loop.lay(SignalBatch.of([signal]))
-    cut = np.flatnonzero(laid.records.map >= 3)
+    periods = loop.sample_signals(SignalBatch.of([signal]))
+    cut = np.flatnonzero(periods.records.map >= 3)
     assert cut.size > 20
     for record in cut:
-        k = int(laid.records.step[record])
+        k = int(periods.records.step[record])
         end = 0.03 if k == 30 else 0.1
         edges = [0.0, 0.034, *(signal.times[1:] - k * 0.1), end]
         edges = sorted(t for t in set(edges) if 0.0 <= t <= end)
@@ -90,7 +90,7 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
             own[:3, 3:5] = plant.B[mode] if b <= 0.034 else 0.0
             own[:3, 5:] = plant.B[mode] if b > 0.034 else 0.0
             z = scipy.linalg.expm(own * (b - a)) @ z
-        move = laid.maps[laid.records.map[record], :21].reshape(3, 7)
+        move = periods.maps[periods.records.map[record], :21].reshape(3, 7)
         np.testing.assert_allclose(move, z[:3], rtol=0, atol=2e-14 * np.abs(z).max())
 
 
@@ -124,7 +124,7 @@ def test_every_input_and_mode_may_have_lags_of_its_own(tabulated, monkeypatch):
     signal = dt.SwitchingSignal(times, rng.integers(0, 3, 41))
     table = plants.LAWS["averaged"](plant).digital(step)
     engine = Engine(loop)
-    _, path = engine.path(engine.table(table), loop.lay(SignalBatch.of([signal])), 0, 1)
+    _, path = engine.path(engine.table(table), loop.sample_signals(SignalBatch.of([signal])), 0, 1)
     F, G = table.state_gain[0], table.latest_first[0].reshape(2, -1, 2)
     x, inputs = np.ones(3), [np.zeros(2)] * table.taps
     for k in range(samples):
@@ -183,7 +183,9 @@ def test_window_sums_are_exact_after_millions_of_periods(periods):
     taps = table.taps
     assert window_form(table) is not None
     keep = periods - 2 * taps
-    _, path = engine.path(engine.table(table), loop.lay(SignalBatch.of(signals)), 0, 8, keep=keep)
+    _, path = engine.path(
+        engine.table(table), loop.sample_signals(SignalBatch.of(signals)), 0, 8, keep=keep
+    )
     F, G = table.state_gain[0, 0], table.input_gain[0, :, 0, 0]
     for x, u in zip(path.x, path.u[:, 0], strict=True):
         assert 0.01 < np.abs(u).max() < 1e3

@@ -54,7 +54,7 @@ def check_as_simulated(loop, law, scenarios=(3, 6)):
     """Metrics, states and inputs of some scenarios are those of `simulate`, to 1e-11 of each."""
     engine = Engine(loop)
     figures, path = engine.path(
-        table_of(engine, loop, law), loop.lay(SignalBatch.of(SIGNALS)), 0, COUNT
+        table_of(engine, loop, law), loop.sample_signals(SignalBatch.of(SIGNALS)), 0, COUNT
     )
     assert path.x.shape == (COUNT, 3, loop.whole + 1)
     assert not needs_own_run(figures).any()
@@ -120,8 +120,8 @@ def predicted(plant, signal, x, inputs, start):
 def test_an_oracle_predicts_along_its_signal(delay):
     loop, law = loop_of(), plants.LAWS["exact"](plants.generic(delay, seed=5))
     engine = Engine(loop)
-    laid = loop.lay(SignalBatch.of(SIGNALS))
-    _, path = engine.path(table_of(engine, loop, law), laid, 0, COUNT)
+    periods = loop.sample_signals(SignalBatch.of(SIGNALS))
+    _, path = engine.path(table_of(engine, loop, law), periods, 0, COUNT)
     for i in (0, 3, 6):
         for k in (0, 1, 2, 17, 40, 60):
             x, u = path.x[i, :, k], path.u[i, :, :k].T
@@ -190,7 +190,7 @@ def plain_figures(plant, law, signal):
 def test_figures_of_all_scenarios_are_those_of_a_plain_loop(name):
     loop, law = loop_of(), plants.LAWS[name](BELIEVED)
     engine = Engine(loop)
-    figures = engine.run(table_of(engine, loop, law), loop.lay(SignalBatch.of(SIGNALS)))
+    figures = engine.run(table_of(engine, loop, law), loop.sample_signals(SignalBatch.of(SIGNALS)))
     plain = np.array([plain_figures(TRUTH, law, signal) for signal in SIGNALS])
     for field, found, wanted in zip(ScenarioSums._fields, figures, plain.T, strict=True):
         assert found == pytest.approx(wanted, rel=1e-10), field
@@ -201,12 +201,15 @@ def test_figures_of_all_scenarios_are_those_of_a_plain_loop(name):
 
 def test_the_part_that_is_asked_for_changes_nothing():
     loop = loop_of()
-    engine, laid = Engine(loop), loop.lay(SignalBatch.of(SIGNALS))
+    engine, periods = Engine(loop), loop.sample_signals(SignalBatch.of(SIGNALS))
     table = table_of(engine, loop, plants.LAWS["averaged"](BELIEVED))
-    whole, some = engine.run(table, laid), engine.run(table, laid, 1, 6)
+    whole, some = engine.run(table, periods), engine.run(table, periods, 1, 6)
     for mine, theirs in zip(some, whole, strict=True):
         np.testing.assert_array_equal(mine, theirs[1:])
-    late, path = engine.path(table, laid, 1, 6, keep=40)[1], engine.path(table, laid, 0, COUNT)[1]
+    late, path = (
+        engine.path(table, periods, 1, 6, keep=40)[1],
+        engine.path(table, periods, 0, COUNT)[1],
+    )
     np.testing.assert_array_equal(late.u, path.u[1:, :, 40:])
     np.testing.assert_array_equal(late.x, path.x[1:, :, 40:])
 
@@ -214,10 +217,10 @@ def test_the_part_that_is_asked_for_changes_nothing():
 def test_laws_and_signals_of_one_shape_are_compiled_once():
     loop = loop_of()
     engine, other = Engine(loop), [*SIGNALS[::-1], SIGNALS[3]]
-    laid = [loop.lay(SignalBatch.of(some)) for some in (SIGNALS, other)]
-    engine.run(table_of(engine, loop, plants.LAWS["averaged"](BELIEVED)), laid[0])
+    periods = [loop.sample_signals(SignalBatch.of(some)) for some in (SIGNALS, other)]
+    engine.run(table_of(engine, loop, plants.LAWS["averaged"](BELIEVED)), periods[0])
     compiled = len(run_scenarios.dispatcher.signatures)
     for law in (plants.LAWS["weighted"](BELIEVED), plants.LAWS["averaged"](BELIEVED.apart(0.5))):
-        for one in laid:
+        for one in periods:
             engine.run(table_of(engine, loop, law), one)
     assert len(run_scenarios.dispatcher.signatures) == compiled
