@@ -46,7 +46,7 @@ def table_of(engine, loop, law, own=SIGNALS):
     samples = loop.whole + 1
     if law.preview(H, own[0], samples) is not None:
         ahead = ModelAhead(law, law.sampled_plant(H), samples)
-        return engine.answer_with_preview(ahead, SignalBatch.of(own))
+        return engine.along(ahead, SignalBatch.of(own))
     return engine.table(law.digital(H, own[0], samples))
 
 

@@ -114,7 +114,7 @@ class Loop:
 
     @cached_property
     def tables(self) -> CellSeries | None:
-        """The series of periods with a switch; None if the plant is so fast that they are too long."""
+        """The series of periods with a switch; None if the plant is too fast for them."""
         if self.cells > _CELLS:
             return None
         return tables_of(self.sampled, self.cells, self.weight, self.forced)

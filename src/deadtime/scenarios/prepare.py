@@ -95,7 +95,7 @@ def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | str:
     if C is not None:
         return _on_outputs(engine, loop, tables, feedback, C, timed)
     if tables.belief is not None:
-        return engine.believe(feedback, tables.belief)
+        return engine.on_belief(feedback, tables.belief)
     return engine.table(feedback)
 
 
@@ -112,7 +112,7 @@ def _on_outputs(
     if timed and (C[0] != C).any():
         return "outputs that depend on the mode are measured within periods"
     if tables.bank is not None:
-        return engine.estimate(feedback, tables.bank, C)
+        return engine.on_bank(feedback, tables.bank, C)
     if memory is None:
         return "it has no observer"
     if memory.tracked.size and loop.whole == 0:  # sums of errors go to the end
@@ -120,4 +120,4 @@ def _on_outputs(
     wide = max(part.shape[-1] for part in (memory.Phi, memory.Gamma))
     if wide**2 * 4 > _MOST_TERMS:
         return "its observer has too many states"
-    return engine.remember(feedback, memory, C)
+    return engine.on_observer(feedback, memory, C)
