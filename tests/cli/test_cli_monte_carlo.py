@@ -137,9 +137,7 @@ def test_signals_of_an_average_dwell_time_switch_no_more_often_than_it_says(
     assert all(400 < signal.switches < 600 for signal in signals)  # of 1.2 s in the mean
 
 
-def test_the_nominal_plant_is_run_and_a_law_that_runs_one_by_one_is_told_why(
-    capsys, folder, tmp_path
-):
+def test_the_nominal_plant_is_named_and_laws_run_one_by_one_have_a_reason(capsys, folder, tmp_path):
     uncertain = f"[uncertainty]\ncovariance = {np.diag([1e-4] * 5).tolist()}\n[gains]"
     late = "delay = [[0.234], [0.2]]"
     pushed = '[[imperfection]]\nkind = "white-disturbance"\nintensity = 0.01\n'
