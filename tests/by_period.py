@@ -52,11 +52,11 @@ def require_same(
     for name in ("path", "inputs"):
         same(getattr(run.record, name), getattr(reference.record, name))
     assert run.record.samples == reference.record.samples
-    same(run.measured, reference.known_inputs.measured.T)
-    same(run.commanded, reference.known_inputs.commanded.T)
-    assert (run.estimates is None) == (reference.known_inputs.estimates is None)
+    same(run.measured, reference.law_signals.measured.T)
+    same(run.commanded, reference.law_signals.commanded.T)
+    assert (run.estimates is None) == (reference.law_signals.estimates is None)
     if run.estimates is not None:
-        same(run.estimates, reference.known_inputs.estimates.T)
+        same(run.estimates, reference.law_signals.estimates.T)
     assert (run.belief is None) == (reference.belief is None)
     if run.belief is not None:
         same(run.belief[:, : len(reference.belief)], reference.belief.T)

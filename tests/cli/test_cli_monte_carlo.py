@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 import deadtime as dt
+from certified_loops import MILD_FILE
 from deadtime.cli.application import main
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
 from deadtime.reports.figures.sweeps.reduction import quantiles
@@ -113,6 +114,49 @@ def test_sojourns_are_those_asked_for(capsys, monkeypatch):
         assert sojourn.mean() == pytest.approx(mean)
     assert [model.modes for model in asked] == [3, 2]
     np.testing.assert_allclose(asked[0].transition, (1.0 - np.eye(3)) / 2.0)
+
+
+@pytest.mark.parametrize("at", ["anywhere", "samples"])
+def test_signals_of_an_average_dwell_time_switch_no_more_often_than_it_says(
+    capsys, monkeypatch, tmp_path, at
+):
+    asked = []
+
+    def stopped(plant, laws, model, *arguments, **options):
+        asked.append(model)
+        raise dt.ArgumentError("enough.")
+
+    monkeypatch.setattr(import_module("deadtime.scenarios.batch_run"), "compare", stopped)
+    file, (before, after) = tmp_path / "p.toml", MILD_FILE.split("[signal]")
+    run_section = after[after.index("[run]") :]
+    averaged = f'kind = "random"\naverage_dwell_time = 0.6\nchatter = 3\nat = "{at}"\n'
+    file.write_text(f"{before}[signal]\n{averaged}{run_section}", encoding="utf-8")
+    run(capsys, str(file))
+    signals = [asked[0].sample(600.0, seed=seed) for seed in range(3)]
+    assert all(signal.average_dwell_time(chatter=3) >= 0.6 - 1e-9 for signal in signals)
+    assert all(400 < signal.switches < 600 for signal in signals)  # of 1.2 s in the mean
+
+
+def test_the_nominal_plant_is_named_and_laws_run_one_by_one_have_a_reason(capsys, folder, tmp_path):
+    uncertain = f"[uncertainty]\ncovariance = {np.diag([1e-4] * 5).tolist()}\n[gains]"
+    late = "delay = [[0.234], [0.2]]"
+    pushed = '[[imperfection]]\nkind = "white-disturbance"\nintensity = 0.01\n'
+    text = MILD_FILE.replace("[gains]", uncertain)
+    (folder / "own.toml").write_text(text, encoding="utf-8")
+    nominal = "The nominal plant was run, not those of [uncertainty]"
+    for command in ("simulate", "monte-carlo"):
+        more = ("--scenarios", "2") if command == "monte-carlo" else ()
+        with pytest.raises(SystemExit):
+            main((command, "own.toml", "--out", "run.png", *more))
+        out = " ".join(capsys.readouterr().out.split())
+        assert nominal in out
+        assert "one by one" not in out
+    text = MILD_FILE.replace("delay = 0.234", late) + pushed
+    (folder / "pushed.toml").write_text(text, encoding="utf-8")
+    _, out, _ = run(capsys, "pushed.toml", "--scenarios", "2", "--out", "run.png")
+    out = " ".join(out.split())
+    assert nominal not in out
+    assert "one by one, which takes longer: averaged, because the plant is disturbed and its" in out
 
 
 def test_a_plant_with_a_delay_per_input_and_mode_and_a_chain_at_samples(capsys, folder):
@@ -224,8 +268,8 @@ def test_problems_that_have_no_random_signals_are_refused(capsys, monkeypatch, c
         (["--step", "-1"], "step must be positive"),
         (["--dwell-time", "-1"], "dwell_time must be positive, in s, or 0 with a --mean-sojourn"),
         (["--mean-sojourn", "0.2"], "mean_sojourn must be above the dwell time, 0.2 s, got 0.2"),
-        (["--scenarios", "0"], "scenarios must be an integer ≥ 1, got 0"),
-        (["--seed", "-1"], "seed must be an integer ≥ 0, got -1"),
+        (["--scenarios", "0"], "scenarios must be an integer of at least 1, got 0"),
+        (["--seed", "-1"], "seed must be an integer of at least 0, got -1"),
         (
             ["--backend", "fortran"],
             "backend must be 'numba', the only engine there is, got",

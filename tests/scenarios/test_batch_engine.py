@@ -74,11 +74,11 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
     rng = np.random.default_rng(1)
     times = np.concatenate(([0.0], np.sort(rng.uniform(0.0, 3.03, 70))))
     signal = dt.SwitchingSignal(times, rng.integers(0, 3, 71))
-    by_period = loop.sample_signals(SignalBatch.of([signal]))
-    cut = np.flatnonzero(by_period.records.map >= 3)
+    periods = loop.sample_signals(SignalBatch.of([signal]))
+    cut = np.flatnonzero(periods.records.map >= 3)
     assert cut.size > 20
     for record in cut:
-        k = int(by_period.records.step[record])
+        k = int(periods.records.step[record])
         end = 0.03 if k == 30 else 0.1
         edges = [0.0, 0.034, *(signal.times[1:] - k * 0.1), end]
         edges = sorted(t for t in set(edges) if 0.0 <= t <= end)
@@ -90,7 +90,7 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
             own[:3, 3:5] = plant.B[mode] if b <= 0.034 else 0.0
             own[:3, 5:] = plant.B[mode] if b > 0.034 else 0.0
             z = scipy.linalg.expm(own * (b - a)) @ z
-        move = by_period.maps[by_period.records.map[record], :21].reshape(3, 7)
+        move = periods.maps[periods.records.map[record], :21].reshape(3, 7)
         np.testing.assert_allclose(move, z[:3], rtol=0, atol=2e-14 * np.abs(z).max())
 
 

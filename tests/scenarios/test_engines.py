@@ -46,7 +46,7 @@ def table_of(engine, loop, law, own=SIGNALS):
     samples = loop.whole + 1
     if law.preview(H, own[0], samples) is not None:
         ahead = ModelAhead(law, law.sampled_plant(H), samples)
-        return engine.answer_with_preview(ahead, SignalBatch.of(own))
+        return engine.along(ahead, SignalBatch.of(own))
     return engine.table(law.digital(H, own[0], samples))
 
 
@@ -120,8 +120,8 @@ def predicted(plant, signal, x, inputs, start):
 def test_an_oracle_predicts_along_its_signal(delay):
     loop, law = loop_of(), plants.LAWS["exact"](plants.generic(delay, seed=5))
     engine = Engine(loop)
-    by_period = loop.sample_signals(SignalBatch.of(SIGNALS))
-    _, path = engine.path(table_of(engine, loop, law), by_period, 0, COUNT)
+    periods = loop.sample_signals(SignalBatch.of(SIGNALS))
+    _, path = engine.path(table_of(engine, loop, law), periods, 0, COUNT)
     for i in (0, 3, 6):
         for k in (0, 1, 2, 17, 40, 60):
             x, u = path.x[i, :, k], path.u[i, :, :k].T
@@ -201,14 +201,14 @@ def test_figures_of_all_scenarios_are_those_of_a_plain_loop(name):
 
 def test_the_part_that_is_asked_for_changes_nothing():
     loop = loop_of()
-    engine, by_period = Engine(loop), loop.sample_signals(SignalBatch.of(SIGNALS))
+    engine, periods = Engine(loop), loop.sample_signals(SignalBatch.of(SIGNALS))
     table = table_of(engine, loop, plants.LAWS["averaged"](BELIEVED))
-    whole, some = engine.run(table, by_period), engine.run(table, by_period, 1, 6)
+    whole, some = engine.run(table, periods), engine.run(table, periods, 1, 6)
     for mine, theirs in zip(some, whole, strict=True):
         np.testing.assert_array_equal(mine, theirs[1:])
     late, path = (
-        engine.path(table, by_period, 1, 6, keep=40)[1],
-        engine.path(table, by_period, 0, COUNT)[1],
+        engine.path(table, periods, 1, 6, keep=40)[1],
+        engine.path(table, periods, 0, COUNT)[1],
     )
     np.testing.assert_array_equal(late.u, path.u[1:, :, 40:])
     np.testing.assert_array_equal(late.x, path.x[1:, :, 40:])
@@ -217,10 +217,10 @@ def test_the_part_that_is_asked_for_changes_nothing():
 def test_laws_and_signals_of_one_shape_are_compiled_once():
     loop = loop_of()
     engine, other = Engine(loop), [*SIGNALS[::-1], SIGNALS[3]]
-    by_period = [loop.sample_signals(SignalBatch.of(some)) for some in (SIGNALS, other)]
-    engine.run(table_of(engine, loop, plants.LAWS["averaged"](BELIEVED)), by_period[0])
+    periods = [loop.sample_signals(SignalBatch.of(some)) for some in (SIGNALS, other)]
+    engine.run(table_of(engine, loop, plants.LAWS["averaged"](BELIEVED)), periods[0])
     compiled = len(run_scenarios.dispatcher.signatures)
     for law in (plants.LAWS["weighted"](BELIEVED), plants.LAWS["averaged"](BELIEVED.apart(0.5))):
-        for one in by_period:
+        for one in periods:
             engine.run(table_of(engine, loop, law), one)
     assert len(run_scenarios.dispatcher.signatures) == compiled

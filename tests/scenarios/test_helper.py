@@ -46,13 +46,13 @@ def asked(monkeypatch):
 def test_what_is_compiled_elsewhere_is_what_runs_here(asked, limits, step):
     """Another process has the same types, whatever has become of the arrays on their way to it."""
     laws = {name: make(PAPER.plant) for name, make in plants.LAWS.items()}
-    loop, engine, tables = prepare(request(laws, limits, step))
+    loop, engine, tables, _ = prepare(request(laws, limits, step))
     signals = SignalBatch.of([dt.SwitchingSignal.random(2, 9.0, dwell_time=0.3, seed=0)])
     for table in tables.values():
         engine.run(engine.along(table, signals), loop.sample_signals(signals))
     here = asked.copy()
     asked.clear()
-    _, there, others = prepare(pickle.loads(pickle.dumps(request(laws, limits, step))))
+    _, there, others, _ = prepare(pickle.loads(pickle.dumps(request(laws, limits, step))))
     for table in others.values():
         there.compile(table)
     assert list(others) == list(tables)
@@ -66,7 +66,7 @@ def test_what_is_compiled_elsewhere_is_what_runs_here(asked, limits, step):
 def test_a_weight_of_the_cost_asks_for_no_loop_of_its_own(asked):
     weight = dt.Weight([[2.0, 0.0], [0.0, 1.0]], [[0.5]])
     law = {"averaged": PAPER.laws["averaged"]}
-    loop, engine, tables = prepare(request(law))
+    loop, engine, tables, _ = prepare(request(law))
     weighed = engines.Engine(dataclasses.replace(loop, weight=weight))
     for one in (engine, weighed):
         one.compile(tables["averaged"])
@@ -74,7 +74,7 @@ def test_a_weight_of_the_cost_asks_for_no_loop_of_its_own(asked):
 
 
 def test_it_takes_at_least_half_of_the_work_and_the_most_costly_first():
-    _, _, tables = prepare(request())
+    _, _, tables, _ = prepare(request())
     assert share_of(tables) == {"oracle", "averaged"}
     assert share_of({"mean": tables["mean"]}) == {"mean"}
     assert share_of({name: tables[name] for name in ("mode 0 only", "mode 1 only")}) == {
@@ -93,7 +93,7 @@ def test_there_is_none_where_it_would_be_of_no_use(monkeypatch, reason):
     if reason == "frozen":
         monkeypatch.setattr(sys, "frozen", True, raising=False)
     one = request(imperfections=(Noise(0.1),) if reason == "noise" else ())
-    _, _, tables = prepare(one)
+    _, _, tables, _ = prepare(one)
     assert Helper(one, tables).laws == frozenset()
     monkeypatch.undo()
     monkeypatch.setattr(helper, "processors", lambda: 2)
@@ -103,7 +103,7 @@ def test_there_is_none_where_it_would_be_of_no_use(monkeypatch, reason):
 def test_nobody_waits_for_one_that_has_died_or_does_not_start(monkeypatch):
     monkeypatch.setattr(helper, "processors", lambda: 2)
     one = request()
-    _, _, tables = prepare(one)
+    _, _, tables, _ = prepare(one)
     dying, none, late = (Helper(one, tables) for _ in range(3))
     monkeypatch.setattr(helper, "is_cached", lambda dispatcher: False)
     dying._start(run_scenarios.dispatcher)
@@ -124,7 +124,7 @@ def test_who_has_stopped_does_not_wait_and_it_ends_with_the_run(monkeypatch):
     monkeypatch.setattr(helper, "processors", lambda: 2)
     monkeypatch.setattr(helper, "is_cached", lambda dispatcher: False)
     one = request()
-    _, _, tables = prepare(one)
+    _, _, tables, _ = prepare(one)
     mine = Helper(one, tables)
     with mine.at_hand():
         mine._start(run_scenarios.dispatcher)

@@ -130,11 +130,11 @@ def heard_block(kinds):
 def test_what_is_heard_is_stacked_once_and_in_32_bits():
     block, tables = heard_block(CASES["all"]), [LAWS[name].digital(H) for name in KINDS[:3]]
     for begin in (0, 8):
-        told = [block.hearing(table, begin, 3).relayed for table in tables]
+        told = [block.measurements(table, begin, 3).relayed for table in tables]
         assert all(np.shares_memory(each.lag, told[0].lag) for each in told)
         assert all(np.shares_memory(each.noise, told[0].noise) for each in told)
         assert told[0].lag.dtype == told[-1].row.dtype == np.int32
-    noisy = heard_block(CASES["noise"]).hearing(tables[-1], 0, 3).relayed
+    noisy = heard_block(CASES["noise"]).measurements(tables[-1], 0, 3).relayed
     assert noisy.lag.size == noisy.row.size == noisy.reach == 0
     assert noisy.noise.size == 16 * 61 * 3  # two groups of eight
 

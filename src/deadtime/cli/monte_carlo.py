@@ -219,15 +219,23 @@ def _require_signals(problem: Problem) -> None:
 
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
-    from deadtime.problems.switching_assumptions import dwell_time_of, mean_sojourn_of
+    from deadtime.problems.switching_assumptions import (
+        dwell_time_of,
+        mean_sojourn_of,
+        signals_of,
+    )
 
     signal = problem.given_signal
-    if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
+    if dwell is None and problem.signals.chatter > 1:
+        # Not the shortest sojourn of the file's signal: bursts of switches may be any closer.
+        shortest = signals_of(problem, signal).dwell
+    elif dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
         raise ArgumentError(
             f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
             "time: give one, --dwell-time 0.2."
         )
-    shortest = dwell_time_of(problem, signal, dwell)
+    else:
+        shortest = dwell_time_of(problem, signal, dwell)
     least = shortest.value
     whole = mean_sojourn_of(problem, least, mean)
     if least < 0.0 or least == whole.value == 0.0:
@@ -249,8 +257,7 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Sw
     from deadtime.switching.models.sojourns import ShiftedExponential
 
     if _is_limited(problem):
-        averaged = problem.signals.chatter > 1  # whose own is no shortest sojourn
-        asked = [sojourn.dwell.value] if averaged or sojourn.dwell.source == AS_ASKED else None
+        asked = [sojourn.dwell.value] if sojourn.dwell.source == AS_ASKED else None
         signals = signals_of(problem, problem.signal, asked).signals
         allowed = signals.limits(problem.plant.modes)
         mean = problem.mean_sojourn if mean_sojourn is None else mean_sojourn
@@ -258,6 +265,16 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Sw
         return random_model(allowed, None if short and mean_sojourn is None else mean)
     dwell, mean = sojourn.dwell.value, sojourn.mean.value
     return SemiMarkov(ShiftedExponential(dwell, mean - dwell), modes=problem.plant.modes)
+
+
+def nominal_plant_sentence(problem: Problem) -> list[str]:
+    """That the file's [uncertainty] is not part of a run; nothing for a file without one."""
+    if problem.uncertain is None:
+        return []
+    return [
+        "The nominal plant was run, not those of [uncertainty]: `deadtime robustness` takes plants "
+        "drawn from it, and `deadtime certify --uncertain` all of them."
+    ]
 
 
 def _is_limited(problem: Problem) -> bool:
@@ -297,12 +314,15 @@ def _print(
         f"{problem.horizon:g} s each, sampled every {data.attributes['step']:g} s, seed "
         f"{data.attributes['seed']}."
     )
-    for sentence in (*about, *unit_checks_of(problem, data.attributes["step"])):
+    checks = unit_checks_of(problem, data.attributes["step"])
+    for sentence in (*about, *nominal_plant_sentence(problem), *checks):
         print(f"• {sentence}")
     if problem.imperfections:
         print(f"• Imperfect: {', '.join(problem.imperfections_in_words)}.")
-    if data.attributes["one_by_one"]:
-        print(f"• Run one by one, which takes longer: {', '.join(data.attributes['one_by_one'])}.")
+    reasons = dict.fromkeys(data.one_by_one.values())
+    for reason in reasons:
+        laws = ", ".join(name for name, why in data.one_by_one.items() if why == reason)
+        print(f"• Run one by one, which takes longer: {laws}, because {reason}.")
     if data.attributes["message"]:
         print(f"• {data.attributes['message']}")
     print(f"\n{metrics.measure_title(outcome.measure, problem.weight)}")

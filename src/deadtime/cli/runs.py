@@ -101,6 +101,7 @@ def simulate(
         The run as a log, which deadtime identify reads: time, states, inputs, the mode and, with a
         reference, outputs; of several laws, each into a file named after the law.
     """
+    from deadtime.cli.monte_carlo import nominal_plant_sentence
     from deadtime.problems.comparison import compare
     from deadtime.reports.certificate_tables import delay_sentence
     from deadtime.reports.metrics import metrics_of
@@ -118,7 +119,8 @@ def simulate(
     if json_output:
         print_json(metrics_of(result), [*saved, *logs])
         return
-    print_result(chosen, [*verdict(result), *delay_sentence(chosen)], result)
+    sentences = [*verdict(result), *delay_sentence(chosen), *nominal_plant_sentence(chosen)]
+    print_result(chosen, sentences, result)
     print("\nFigure: " + ", ".join(map(str, saved)))
     if logs:
         print("Log: " + ", ".join(map(str, logs)))

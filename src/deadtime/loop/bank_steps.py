@@ -1,18 +1,17 @@
-"""A bank of Kalman filters, one per mode, and the belief over the modes: what `OutputModeFilter`
-runs.
+"""The steps of a bank of Kalman filters, one per mode, with the belief over the modes (IMM).
 
 A period begins in mode i and ends in j. With x̂_i, P_i the mean and covariance of x_{k−1} given i,
 
     x̄_ij = M x̂_i + the inputs,    P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_ij,
 
-Q_ij what noise adds, M = Φ_i and Δ = d = 0 where modes change at samples; where they change
+Q_ij that of the noise. Where modes change at samples M = Φ_i and Δ = d = 0; where they change
 anywhere M is the mean of Φ_i and Φ_j, Δ their difference and d that of their predictions, and P̄_ij
-has the variance about the line of these as well. Each pair is corrected by y_k with C_j, the
-density of y_k weighs it, and what ends in the same mode is merged into one normal density.
-(docs/theory/mode-filter.md; signs and lags are those of `deadtime.feedback.belief`.)
+has the variance about the line between these as well. Each pair is corrected by y_k with C_j and
+weighed by the density of y_k; the pairs that end in the same mode are merged into one normal
+density. (docs/theory/mode-filter.md; signs and lags are those of `deadtime.feedback.belief`.)
 
-`begin_bank` is the first sample and `advance_bank` every other one, whoever runs them: a single
-run, eight scenarios side by side, a controller. Numbers and inputs are as in `belief_steps.py`.
+`begin_bank` is the first sample and `advance_bank` every later one, in single runs, batches of
+eight scenarios and controllers. Numbers and inputs are as in `belief_steps.py`.
 """
 
 from __future__ import annotations
@@ -39,15 +38,15 @@ from deadtime.numerics.numbers import arrays_of, flat, where
 
 
 class BankState(NamedTuple):
-    """Arrays of a bank that change from sample to sample, and room to work in.
+    """The state of a bank, and scratch arrays.
 
     chain : BeliefState
-    x : (modes, n), P : (modes, n, n), E[x_k | the mode is i, all that was seen] and the covariance
-    ahead_x : (modes, modes, n), ahead_P : (modes, modes, n, n), of the pairs before y_k was seen
-    pair_x, pair_P : after it
-    toward : (modes, modes, n), P c of an output, spread : (modes, modes), cᵀ P c and its noise
+    x : (modes, n), P : (modes, n, n), mean and covariance of x_k given the mode and y_0, …, y_k
+    ahead_x : (modes, modes, n), ahead_P : (modes, modes, n, n), of the pairs before y_k
+    pair_x, pair_P : after y_k
+    toward : (modes, modes, n), P c of an output;  spread : (modes, modes), cᵀ P c + its noise
     whole_x : (n,), whole_P : (n, n), of all modes together
-    spare : (3, n, n), wide : (n,), size : (p,)
+    spare : (3, n, n);  wide : (n,), size : (p,), sizes of the terms of states and outputs
     """
 
     chain: BeliefState
@@ -67,7 +66,7 @@ class BankState(NamedTuple):
 
     @classmethod
     def of(cls, form: BankForm, rows: int, *lanes: int) -> BankState:
-        """The state at time 0, for a table of so many rows, of so many scenarios if any."""
+        """The state at time 0 for a table of `rows`; `lanes`: scenarios side by side, if any."""
         modes, p, n = form.C.shape
         pair, square = (modes, modes, n), (n, n)
         pairs = pair, (*pair, n), pair, (*pair, n), pair, (modes, modes)
@@ -86,7 +85,7 @@ class BankState(NamedTuple):
 
 @kernel(eager=True, forceinline=True)
 def begin_bank(form, bank, y):
-    """The first sample: what y_0 says of x_0, and of the mode where C depends on it."""
+    """The first sample: correct x_0, and the belief if C depends on the mode, by y_0."""
     now, density, modes = bank.chain.now, bank.chain.density, bank.x.shape[0]
     start_anew(form, bank, False)
     for j in range(modes):
@@ -104,7 +103,8 @@ def begin_bank(form, bank, y):
     for j in range(modes):
         copy(bank.pair_x[0, j], bank.x[j])
         copy(flat(bank.pair_P[0, j]), flat(bank.P[j]))
-        # A mode that cannot be sets no scale: its density could make all other factors vanish.
+        # The scale is that of possible modes: a larger density of another one would make all
+        # factors underflow.
         for a in range(now.shape[1]):
             top = where((now[j, a] > 0.0) & (density[0, j] > top), density[0, j], top)
     for j in range(modes):
@@ -153,7 +153,7 @@ def copy(source, target):
 
 @inner_kernel
 def start_anew(form, bank, known):
-    """Nothing is known of x, but where it is."""
+    """Reset x̂ and P to their initial values, except in scenarios where they are `known`."""
     for i in range(bank.x.shape[0]):
         for a in range(bank.wide.size):
             bank.x[i, a] = where(known, bank.x[i, a], form.estimate[a])
@@ -163,7 +163,7 @@ def start_anew(form, bank, known):
 
 @inner_kernel
 def _require_finite(form, bank):
-    """Where numbers have left the range of doubles, nothing is known of x any more."""
+    """Reset x̂ and P where numbers have left the range of doubles."""
     x, P, finite = flat(bank.x), flat(bank.P), True
     for i in range(x.size):
         finite = finite & math.isfinite(x[i])
@@ -174,14 +174,14 @@ def _require_finite(form, bank):
 
 @inner_kernel
 def _predict(form, bank):
-    """x̄ and P̄ of every pair, and the size of the terms of predictions per state."""
+    """x̄ and P̄ of every pair, and the size of the predictions' terms, state by state."""
     chain, x, own = form.chain, bank.x, bank.chain.predicted
     apart, bent, sent = bank.chain.apart, bank.chain.bent, bank.chain.sent
     modes, n = x.shape
     for a in range(n):
         bank.wide[a] = 0.0
     for i in range(modes):
-        # Where modes change at samples, the mode at the begin moves x through the whole period.
+        # Where modes change at samples, x moves through the whole period in the mode of its begin.
         for j in range(modes):
             if i == j or chain.within:
                 _move_state(chain, x[i], sent, j, own[j], bank.wide)
@@ -214,7 +214,7 @@ def _move_state(chain, x, sent, j, result, wide):
 
 @inner_kernel
 def _spread_out(chain, bank, i, j, apart, bent):
-    """P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_ij and what the bend leaves, of P_i as of x̂_i."""
+    """P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_ij, and the variance of the bend."""
     Phi, P, middle, slope, half = chain.Phi, bank.P, bank.spare[0], bank.spare[1], bank.spare[2]
     n, moved, end = apart.size, bank.ahead_P, min(j, chain.noise.shape[1] - 1)
     for a in range(n):
@@ -263,7 +263,7 @@ def _add_congruence(M, P, share, half, result):
 
 @inner_kernel
 def _even_out(P):
-    """P = (P + Pᵀ)/2: what round-off tells apart is the same number."""
+    """P = (P + Pᵀ)/2: both halves differ by round-off."""
     for a in range(P.shape[0]):
         for b in range(a):
             P[a, b] = P[b, a] = 0.5 * (P[a, b] + P[b, a])
@@ -273,9 +273,9 @@ def _even_out(P):
 def _correct(form, bank, many, y):
     """log p(y), x̂ and P after y of the first `many` rows of pairs; whether all logs are finite.
 
-    One output after the other, those that are missing left out. Beside its noise each has the
-    round-off of its prediction, so that nothing is divided by 0; and of a variance 1e-14 is left,
-    as no less is told from round-off.
+    One output after the other, without those that are missing. The round-off of its prediction
+    adds to the noise of each, so that nothing is divided by 0; and 1e-14 of a variance remains, as
+    a smaller rest is round-off.
     """
     C, density, modes, finite = form.C, bank.chain.density, bank.x.shape[0], True
     _size_outputs(C, bank, y)
@@ -285,7 +285,7 @@ def _correct(form, bank, many, y):
     for a in range(y.size):
         off = ROUND_OFF * bank.size[a]
         r = form.variance[a] + off * off
-        # Where nothing moves, 0 is what every mode expects.
+        # Where x, y and all covariances are 0 every mode predicts 0: nothing is learnt.
         there = _measure(C, bank, many, a, r) & math.isfinite(y[a])
         for i in range(many):
             for j in range(modes):
@@ -300,7 +300,7 @@ def _correct(form, bank, many, y):
 
 @inner_kernel
 def _size_outputs(C, bank, y):
-    """The sizes of what is added up for every output, in the mode in which they are largest."""
+    """Sizes of the terms of every output, in the mode in which they are largest."""
     for a in range(y.size):
         bank.size[a] = where(math.isfinite(y[a]), abs(y[a]), 0.0)
         for j in range(C.shape[0]):
@@ -312,7 +312,7 @@ def _size_outputs(C, bank, y):
 
 @inner_kernel
 def _measure(C, bank, many, a, r):
-    """P c and the variance of output a of every pair; whether all of these are normal."""
+    """P c and the variance of output a of every pair; whether all variances are normal numbers."""
     n, toward, spread, P = C.shape[2], bank.toward, bank.spread, bank.pair_P
     there = True
     for i in range(many):
@@ -331,7 +331,10 @@ def _measure(C, bank, many, a, r):
 
 @inner_kernel
 def _correct_by(c, bank, i, j, y, r, there):
-    """One pair by one output of the variance r about cᵀ x, its P in Joseph's form, where it is."""
+    """Correct a pair by one output of variance r about cᵀ x, where it is `there`.
+
+    P is in Joseph's form, which stays positive under round-off.
+    """
     x, P, half = bank.pair_x[i, j], bank.pair_P[i, j], bank.spare[0]
     toward, s, n = bank.toward[i, j], where(there, bank.spread[i, j], 1.0), c.size
     # s is 1 where there is no measurement, as eight scenarios divide together.
@@ -361,7 +364,7 @@ def _correct_by(c, bank, i, j, y, r, there):
 
 @inner_kernel
 def _observe(form, bank, i, j, y):
-    """A pair by the gains of observers, which need all of y."""
+    """Correct a pair by the gains of given observers, which need all of y."""
     gain, C, r, x, P = form.gain, form.C, form.variance, bank.pair_x[i, j], bank.pair_P[i, j]
     rest, half, n = bank.spare[0], bank.spare[1], bank.wide.size
     before, whole = bank.ahead_P[i, j], True
@@ -393,10 +396,10 @@ def _observe(form, bank, i, j, y):
 
 @inner_kernel
 def _merge(form, bank):
-    """One normal density for each mode, with mean and covariance of those that end in it.
+    """One normal density for each mode, with mean and covariance of the pairs that end in it.
 
-    The part of the belief that is forgotten is spread about x as it is believed to be in all: a
-    mode that was ruled out begins there.
+    The forgetting part of the belief has mean and covariance of all pairs: a mode that was ruled
+    out begins there.
     """
     weight, part = bank.chain.mass, form.chain.forgetting
     modes, total = bank.x.shape[0], 0.0
@@ -415,7 +418,7 @@ def _merge(form, bank):
             _add_mean(weight[i, j], bank.pair_x[i, j], x)
     for i in range(modes):
         for j in range(modes):
-            # In loops of its own: the mean must be complete before anything is spread about it.
+            # In a loop of its own: the mean must be complete before covariances about it.
             _add_spread(weight[i, j], bank.pair_x[i, j], bank.pair_P[i, j], x, P)
     for j in range(modes):
         own = part / modes

@@ -1,9 +1,10 @@
 """The steps of a `deadtime.feedback.belief.Belief`, for one scenario or for eight side by side.
 
-`advance_belief` is one sample of the filter, whoever runs it: it reads the states at two samples
-and a ring of inputs, u_{k−1} in row `row` and the one before in the row before. A number of these
-arrays is a float, or a vector of eight scenarios (`deadtime.numerics.numbers`); data of the form
-are floats.
+`advance_belief` is one sample of the filter, in single runs, batches and controllers. It reads the
+states at two samples and a ring of inputs, u_{k−1} in row `row` and the input before in the row
+before. A number of these arrays is a float, or a vector of eight scenarios
+(`deadtime.numerics.numbers`); numbers of the form are floats. What differs between scenarios is
+`where(condition, a, b)`, as a branch would be taken for all eight.
 """
 
 from __future__ import annotations
@@ -18,21 +19,21 @@ from deadtime.feedback.belief import Belief
 from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.numbers import arrays_of, exponent, mantissa, ratio, where
 
-ROUND_OFF = 1e-12  # of the size of what a prediction adds up: residuals below say nothing
-SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
-CURVED = 8.0 / 15.0  # mean square of a parabola over its span, by its height in the middle
-_LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
+ROUND_OFF = 1e-12  # of the terms of a prediction: smaller residuals are round-off
+SPENT = 1e-14  # of a variance: a smaller rest is round-off
+CURVED = 8.0 / 15.0  # mean square of a parabola over its span, in squares of its height
+_LEAST = 1e-300  # a smaller probability counts as 0, so that its share cannot overflow
 _LOG_2 = math.log(2.0)
-NORMAL = 2.0**-1022  # a variance below has lost digits, and its inverse is no number
+NORMAL = 2.0**-1022  # a smaller variance is denormal: it has lost digits, its inverse overflows
 
 
 class BeliefState(NamedTuple):
-    """Arrays of a belief that change from sample to sample, and room to work in.
+    """The state of a belief, and scratch arrays.
 
     now : (modes, ages), π_k
     weight : (rows,), the share of every row of the law's table
     density : (modes, modes), log p_ij of the period that ended, up to one constant
-    mass : (modes, modes), the probability of each of these before x_k was seen
+    mass : (modes, modes), the probability of each pair before x_k
     sent : (lags, m), the inputs that act in that period
     predicted : (modes, n), apart : (n,), size : (n,), root : (n, n), white : (n,), bent : (n,)
     """
@@ -51,7 +52,7 @@ class BeliefState(NamedTuple):
 
     @classmethod
     def of(cls, belief: Belief, rows: int, *lanes: int) -> BeliefState:
-        """The state at time 0, for a table of so many rows, of so many scenarios if any."""
+        """The state at time 0 for a table of `rows`; `lanes`: scenarios side by side, if any."""
         modes, lags, n, m = belief.Gamma.shape
         pairs, vector = (modes, modes), (n,)
         shapes = belief.start.shape, (rows,), pairs, pairs, (lags, m), (modes, n)
@@ -64,7 +65,7 @@ class BeliefState(NamedTuple):
 def advance_belief(form, state, before, x, known_inputs, row):
     """π_k in `state.now`, from π_{k−1}, x_{k−1} `before`, x_k and the inputs, u_{k−1} in row `row`.
 
-    Where a state is not finite, or nothing moves, nothing is learnt: the chain goes on by itself.
+    Where a state is not finite, or all predictions are 0, the chain is only predicted.
     """
     gather(form.lag, form.lag.size, known_inputs.shape[1], state.sent, known_inputs, row)
     seen = _predict(form, state, before, x)
@@ -96,8 +97,8 @@ def gather(lag, lags, m, sent, known_inputs, row):
 
 @inner_kernel
 def _predict(form, state, before, x):
-    """Predictions of each mode and the size of their terms; whether they say anything."""
-    # Taken out of their tuples first: in a loop, compiled code would count who holds them.
+    """Predictions of each mode and the size of their terms; whether they are finite and not 0."""
+    # Out of their tuples before the loop, in which compiled code would count references to them.
     Phi, Gamma, sent = form.Phi, form.Gamma, state.sent
     largest, predicted = state.size, state.predicted
     modes, lags, n, m = Gamma.shape
@@ -151,7 +152,7 @@ def _weigh(form, state, before, x, i):
             density[i, j] = -0.5 * (square + math.log(volume) + doublings * _LOG_2)
             finite = finite & math.isfinite(density[i, j])
     if not form.within:
-        # A switch at a sample leaves no trace in the period that ended.
+        # A switch at the sample does not change the period that ended.
         for j in range(predicted.shape[0]):
             density[i, j] = density[i, i]
     return finite
@@ -159,11 +160,11 @@ def _weigh(form, state, before, x, i):
 
 @inner_kernel
 def bend(form, i, j, x, sent, bent):
-    """The variance about the line from one prediction to the other that its bend leaves, per state.
+    """The variance of x_k about the line between two predictions, due to its bend, per state.
 
-    With the change at a share s of the period spent in j, x_{k+1} is off the line by 4 s (1 − s)
-    times what it is in the middle, to second order where the same inputs act all period; where one
-    arrives within it, x_{k+1} is a broken line, of which this is a measure.
+    If a share s of the period is spent in j, x_k is off the line by 4 s (1 − s) times its distance
+    in the middle: to second order if the same inputs act all period. If an input arrives within it,
+    x_k is a broken line, of which this is a measure.
     """
     bend_x, bend_u = form.bend_x, form.bend_u
     for a in range(bent.size):
@@ -182,10 +183,10 @@ def bend(form, i, j, x, sent, bent):
 
 @inner_kernel
 def factor(noise, size, more, root):
-    """L D Lᵀ of the noise, of round-off and of what a bend leaves; det D = v 2^e as (v, e).
+    """L D Lᵀ of the covariances of noise, round-off and bend; det D = v 2^e as (v, e).
 
-    L has ones on its diagonal, where 1/D is kept: 0 in a row without any of them, which is left
-    out.
+    L has ones on its diagonal, where 1/D is stored: 0 for a row without variance, which does not
+    count.
     """
     volume, doublings = 1.0, 0.0
     for a in range(size.size):
@@ -204,7 +205,7 @@ def factor(noise, size, more, root):
         rest = max(rest, SPENT * own)
         rest = where(rest >= NORMAL, rest, 0.0)
         root[a, a] = ratio(1.0, rest)
-        # One logarithm for all, of a product that stays a number.
+        # One logarithm for all: the product's exponent is taken out before it can overflow.
         volume *= where(rest > 0.0, rest, 1.0)
         doublings += where(math.isfinite(volume), exponent(volume), math.inf)
         volume = mantissa(volume)
@@ -213,7 +214,7 @@ def factor(noise, size, more, root):
 
 @inner_kernel
 def eliminate(root, vector):
-    """vector = L⁻¹ vector, the form of which is Σ vector_a² / D_a."""
+    """vector = L⁻¹ vector, so that its quadratic form is Σ vector_a² / D_a."""
     for a in range(vector.size):
         rest = vector[a]
         for b in range(a):
@@ -223,11 +224,11 @@ def eliminate(root, vector):
 
 @inner_kernel
 def _between(root, white, apart):
-    """(square, wide) of the density of a residual about a point on its way to `apart`.
+    """(square, wide), −2 log density = square + log wide, for a mean uniform on 0 … `apart`.
 
-    The point is spread evenly. A normal density about the middle, −2 log of which is square +
-    log wide, its variance along the way 1 + |d|²/12, d = `apart` where the noise is 1: split into
-    along and across before squaring, as d may be 1e12 times the noise.
+    A normal density about the middle, with variance 1 + |d|²/12 along d = `apart` and 1 across, in
+    units of the noise. Split into along and across before squaring, as d may be 1e12 times the
+    noise.
     """
     length = along = across = 0.0
     for a in range(white.size):
@@ -243,9 +244,9 @@ def _between(root, white, apart):
 
 @inner_kernel
 def move(form, state, seen):
-    """Let the chain go on for a period, weighed by the densities where they say something.
+    """Advance the chain by a period, and weigh it by the densities in scenarios that are `seen`.
 
-    Of each pair of modes `state.mass` is then the probability before, `state.density` the factor.
+    Afterwards `state.mass` is the probability of each pair before, `state.density` its factor.
     """
     now, mass, hazard, jump, density = state.now, state.mass, form.hazard, form.jump, state.density
     modes, ages = now.shape
@@ -286,9 +287,10 @@ def move(form, state, seen):
 
 @inner_kernel
 def _factors(state, seen):
-    """density = p over that of the likeliest pair that there may be; 1 where nothing was seen.
+    """density = p over the largest p of possible pairs; 1 in scenarios that are not `seen`.
 
-    With no probability below 1e-300, what e^−700 is lost of does not count beside the likeliest.
+    Probabilities are at least 1e-300: factors that underflow, e^−700, do not count beside the
+    largest.
     """
     mass, density = state.mass, state.density
     modes = mass.shape[0]
@@ -305,7 +307,7 @@ def _factors(state, seen):
 
 @kernel(eager=True, forceinline=True)
 def share_rows(state):
-    """The share of every row of a table: ages past the table's count as its last."""
+    """The share of every row of a table; ages beyond the table's count as its last."""
     now, weight = state.now, state.weight
     modes, ages = now.shape
     rows = weight.size // modes
@@ -318,9 +320,9 @@ def share_rows(state):
 
 @kernel
 def believe(form, state, k, past, known_inputs, measured, trace):
-    """The belief at sample k of a run, its shares of the rows, and π_k over modes in the trace.
+    """The belief at sample k of a run, the shares of the rows, and π_k over modes in the trace.
 
-    u_k is in row past + k of `known_inputs`, and x measured at sample k in row k of `measured`.
+    u_k is in row past + k of `known_inputs`, the measurement of sample k in row k of `measured`.
     """
     if k > 0:
         advance_belief(form, state, measured[k - 1], measured[k], known_inputs, past + k - 1)

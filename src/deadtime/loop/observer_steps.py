@@ -1,8 +1,12 @@
 """The steps of a `deadtime.feedback.memory.Memory`: an observer, and the sum of tracking errors.
 
-Before a sample z goes over the period that ends, in the mode of its begin; `select_mode` takes the
-matrices of the mode at the sample; then what is measured corrects z. Numbers and inputs are as in
-`belief_steps.py`: of one scenario, or of eight, each with the matrices of its own mode.
+`predict_observer` moves z over the period that ends, in the mode of its begin; `select_mode` takes
+the matrices of the mode at the sample; `correct_observer` corrects z by the measurement. Numbers
+and inputs are as in `belief_steps.py`: of one scenario, or of eight, each with the matrices of its
+own mode.
+
+    own   Φ (n n) | Γ of lag 0 (n m) | Γ of lag 1 | … | C (p n) | L (n p) | gain of q (m q)
+          0         n n                               at_C      at_gain   at_gain + n p
 """
 
 from __future__ import annotations
@@ -18,16 +22,16 @@ from deadtime.loop.belief_steps import gather
 from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.numbers import arrays_of, where
 
-_ROUND_OFF = 1e-9  # of an input: what differs by less was not refused
+_ROUND_OFF = 1e-9  # of an input: a smaller difference to the command is no limit
 
 
 class ObserverState(NamedTuple):
-    """Arrays of an observer that change from sample to sample, and room to work in.
+    """The state of an observer, and scratch arrays.
 
     own : (size,), the matrices of the mode that applies, as in a row of `Memory.matrices`
-    z : (z,), the estimate, sums of errors and the reference
+    z : (n + q + r,), the estimate, sums of errors and the reference
     value : (2, r), v at the sample before and now
-    asked : (m,), the law's answer at the sample before, which whoever runs it writes here
+    asked : (m,), the law's command at the sample before, written by the caller
     used : (1,), 1 where the last measurement corrected z, else 0
     sent : (lags, m), the inputs that act in the period that ended
     innovation : (p,), change : (q,), spare : (n,)
@@ -45,7 +49,7 @@ class ObserverState(NamedTuple):
 
     @classmethod
     def of(cls, memory: Memory, *lanes: int) -> ObserverState:
-        """The state before the first sample, of so many scenarios if any."""
+        """The state before the first sample; `lanes`: scenarios side by side, if any."""
         n, p, q, r, m, lags = memory.sizes
         shapes = (n + q + r,), (2, r), (m,), (1,), (lags, m), (p,), (q,), (n,)
         return cls(*arrays_of(memory.matrices.shape[1:], *shapes, lanes=lanes))
@@ -53,7 +57,7 @@ class ObserverState(NamedTuple):
 
 @inner_kernel
 def begin_observer(memory, state):
-    """z before anything is measured."""
+    """z before the first measurement."""
     for i in range(memory.start.size):
         state.z[i] = memory.start[i]
 
@@ -72,8 +76,7 @@ def select_mode(table, own, known, mode):
 def predict_observer(memory, state, known_inputs, row):
     """Predict over the period that ends; u_{k−1} is in row `row` of the ring `known_inputs`."""
     sizes = memory.sizes
-    # `own` is one row of numbers: Φ, then Γ lag by lag, C, L and the law's answer to q, each row by
-    # row. Offsets are counted by hand, as slices of it would cost more than the sums.
+    # Offsets in `own` are counted by hand, as slices of it would cost more than the sums.
     n, m, lags = sizes.n, sizes.m, sizes.lags
     own, z, ahead, sent = state.own, state.z, state.spare, state.sent
     gather(memory.lag, lags, m, sent, known_inputs, row)
@@ -92,9 +95,9 @@ def predict_observer(memory, state, known_inputs, row):
 
 @kernel(eager=True, forceinline=True)
 def correct_observer(memory, state, y, applied, reference, k):
-    """z at sample k by what is measured, if all of it is finite, and with the reference there.
+    """Correct z at sample k by y, if all of it is finite, and take the reference there.
 
-    `applied` is what the plant was given in the period that ended.
+    `applied` is the input applied in the period that ended.
     """
     sizes = memory.sizes
     n, p, q, r = sizes.n, sizes.p, sizes.q, sizes.r
@@ -122,7 +125,7 @@ def correct_observer(memory, state, y, applied, reference, k):
             total = 0.0
             for j in range(n):
                 total += own[at_C + i * n + j] * z[j]
-            # The innovation is spent; its room takes y, or what the estimate gives in its place.
+            # The innovation is not needed any more; its array takes y, or C z in its place.
             innovation[i] = where(use, y[i], total)
         for i in range(r):
             total = 0.0
@@ -132,18 +135,18 @@ def correct_observer(memory, state, y, applied, reference, k):
             state.value[1, i] = total
         if k > 0:
             _integrate(memory, state, applied, at_gain + n * p)
-        # After the sums, which take the reference that was in force in the period that ended.
+        # After the sums, which use the reference of the period that ended.
         for i in range(r):
             z[n + q + i] = reference[i]
 
 
 @inner_kernel
 def _integrate(memory, state, applied, at_push):
-    """q += h ((before + now)/2 − r), unless that asks for more of what was refused.
+    """q += h ((before + now)/2 − r), unless the input is limited and q would drive it further.
 
-    `push` is the law's answer to q. Where the input applied was not the one asked for, a change
-    of q that drives it further the same way is left out, so that nothing winds up. Round-off of
-    what was applied, as of one that was measured and reported, refuses nothing.
+    `push` is the law's gain of q. Where the applied input differs from the command, a change of q
+    that increases the difference is left out, against windup. Round-off of an input that was
+    measured and reported counts as no difference.
     """
     sizes = memory.sizes
     n, q, m = sizes.n, sizes.q, sizes.m

@@ -1,14 +1,21 @@
 """The prediction of a law that knows the signal, by two stacks of affine maps.
 
-At t_k the prediction goes through the pieces of the model that lie between t_k and t_k + D, each an
-affine map x → Φ x + v under the input that acts in it. From sample to sample pieces leave this
-window at its begin and enter at its end. Each that enters is kept in a slot and composed into
-`back`; once the older ones are used up, the slots of the window become suffixes, each the
-composition of all from its own on. So nothing is inverted, a sample costs a few products of
-matrices however long the delay is, and every prediction starts from the x_k that was measured.
+At t_k the prediction composes the pieces of the model between t_k and t_k + D, each an affine map
+x → Φ x + v under its input. From sample to sample pieces leave this window at its begin and enter
+at its end. A piece that enters is stored in a slot and composed into `back`. When the window has
+moved past the last suffix, all its slots become suffixes, each the composition of its piece and all
+later ones:
 
-Pieces have numbers, piece q lies in slot q modulo the number of slots. Numbers are as in
-`belief_steps.py`: of one scenario, or of eight, whose pieces then enter and leave together.
+    piece      q    q + 1   q + 2 | q + 3   q + 4
+    slot       a    b       c     | d       e          a = pieces q … q + 2, b = q + 1 … q + 2, …
+               suffixes           | composed in `back`
+    prediction from piece q + 1 on: x → b x, then `back`
+
+So nothing is inverted, a sample costs a few products of matrices however long the delay is, and
+every prediction starts from the measured x_k.
+
+Piece q lies in slot q modulo the number of slots. Numbers are as in `belief_steps.py`: of one
+scenario, or of eight, whose pieces then enter and leave together.
 """
 
 from __future__ import annotations
@@ -36,14 +43,14 @@ class PreviewSizes(NamedTuple):
 
 
 class PreviewState(NamedTuple):
-    """The two stacks, and room to work in.
+    """The two stacks, and scratch arrays.
 
     sizes : PreviewSizes, or in batches the same as constants of compiled code
     maps : (slots + 1, n (n + 1)), [Φ v] of the pieces in the window; the last one is `back`
-    acting : (q,), the inputs of a piece, for who lets it enter
-    x : (n,), x(t_k + D), and before what it is predicted from
+    acting : (q,), the inputs of a piece, written before it enters
+    x : (n,), x_k before the prediction and x(t_k + D) after it
     room : (n (n + 1),)
-    bounds : how many pieces have entered, the slot of the next one, and the first in no suffix
+    bounds : the number of pieces that entered, the slot of the next, and the first in no suffix
     """
 
     sizes: PreviewSizes
@@ -55,14 +62,14 @@ class PreviewState(NamedTuple):
 
     @classmethod
     def of(cls, sizes: PreviewSizes, slots: int, *lanes: int) -> PreviewState:
-        """Empty stacks with room for a window of so many pieces, of so many scenarios if any."""
+        """Empty stacks for a window of `slots` pieces; `lanes`: scenarios side by side, if any."""
         n, _, acting, room = sizes
         shapes = (max(1, slots) + 1, room), (acting,), (n,), (room,)
         maps, inputs, x, spare = arrays_of(*shapes, lanes=lanes)
         return cls(sizes, maps, inputs, x, spare, np.zeros(3, np.int64))
 
 
-# A part of who calls it where that is compiled, but run by Python in a run that is short.
+# Inlined into compiled callers, and run by Python in short runs.
 _step: dict[str, Any] = {"nogil": True, "forceinline": True, "_nrt": False}
 
 
@@ -86,7 +93,7 @@ def enter_piece(state, move):
 
 @kernel(**_step)
 def move_window(state, begin):
-    """Let the window begin with a piece, no earlier than before: with new suffixes if need be."""
+    """Let the window begin with piece `begin`, no earlier than before; new suffixes if needed."""
     n, maps, bounds, room = state.sizes.n, state.maps, state.bounds, state.room
     slots, back, slot = maps.shape[0] - 1, maps.shape[0] - 1, bounds[1]
     if begin >= bounds[2]:
@@ -113,7 +120,7 @@ def predict_ahead(state, begin):
 
 @kernel(**_step)
 def _follow(sizes, maps, room, slot, after):
-    """Let the map of another slot follow on that of a slot."""
+    """Compose: the map of `slot`, followed by that of `after`, into `slot`."""
     n, result = sizes.n, room_of(room, sizes)
     for i in range(n):
         for j in range(n + 1):
@@ -128,7 +135,7 @@ def _follow(sizes, maps, room, slot, after):
 
 @kernel(**_step)
 def _go_through(sizes, maps, slot, x, room):
-    """Let x go through the map of a slot."""
+    """x = Φ x + v by the map of a slot."""
     n, result = sizes.n, room_of(room, sizes)
     for i in range(n):
         total = maps[slot, i * (n + 1) + n]

@@ -1,9 +1,13 @@
-"""Which measurement and which mode reach a law at each sample, for one run or for many.
+"""The measurement and the mode that reach a law at each sample, for one run or for many.
 
-A measurement is lost, late or early whatever the state is, so all of it is drawn before a run
-(`imperfections.received`), and laid out here sample by sample. Arrays are (group, sample, lane),
-flat: the scenarios of a group side by side, eight in a batch, the last of all filling the rest, and
-one where a single run is laid out.
+Loss, delay and noise do not depend on the state, so that all draws are made before a run
+(`imperfections.received`) and arranged here sample by sample. Arrays are (group, sample, lane),
+flat, so that the loop reads the lanes of a sample in one piece:
+
+    sample        0                     | 1                     | …
+    lane          0   1   2   …   7     | 0   1   2   …   7     | …        group 0, then group 1, …
+
+A batch has eight lanes, of which the last scenario fills the rest; a single run has one.
 """
 
 from __future__ import annotations
@@ -24,10 +28,10 @@ from deadtime.imperfections.sensors_and_actuators import InputLimits
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.discretisation import snap
 
-# A part of who calls it where that is compiled, but run by Python in a run that is short.
+# Inlined into compiled callers, and run by Python in short runs.
 _part: dict[str, Any] = {"nogil": True, "forceinline": True, "_nrt": False}
 
-# Compiled from what is written: a checker of types may have wrapped it.
+# Unwrapped: a type checker may have wrapped them, which Numba cannot compile.
 snap_number, _age_after, row_of_mode = (
     kernel(inspect.unwrap(rule), **_part) for rule in (snap, age_after, row_at)
 )
@@ -36,13 +40,13 @@ snap_number, _age_after, row_of_mode = (
 class Received(NamedTuple):
     """Sensor data that reach a law.
 
-    lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
-        was begun, −1 for nothing: the last command is held; empty where every sample arrives at
+    lag : (group, sample, lane), age of the measurement in samples, or of the period in which it was
+        made, −1 for no measurement (the last command is held); empty if every sample arrives at
         once
-    reach : the longest of them
-    noise : (group, sample, n, lane), what was added to it; empty for nothing
-    row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
-    mode : (group, sample, lane), the mode reported to an observer; empty where that is the plant's
+    reach : the longest lag
+    noise : (group, sample, n, lane), added to it; empty without noise
+    row : (group, sample, lane), the row of the law's table; empty if that is the plant's mode's
+    mode : (group, sample, lane), the mode reported to an observer; empty if that is the plant's
     """
 
     lag: np.ndarray
@@ -56,10 +60,10 @@ Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and 
 
 
 class MeasurementLags(NamedTuple):
-    """How long before its sample each state is measured, seconds, (run, sample).
+    """Time from the measurement of each state to its sample, seconds, (run, sample).
 
-    Of missing seconds, what was before time 0 is missing; of early ones, time 0 is taken instead.
-    An axis of length 1 is the same for all.
+    A measurement before time 0 is missing if the seconds are `missing`, and made at time 0 if they
+    are `early`. An axis of length 1 is the same for all.
     """
 
     missing: Float[np.ndarray, "run sample"]
@@ -67,7 +71,7 @@ class MeasurementLags(NamedTuple):
 
     @classmethod
     def of(cls, lags: Iterable[tuple[TimingImperfection, np.ndarray]]) -> MeasurementLags:
-        """Those of imperfections, one after the other."""
+        """The sums of the lags of imperfections."""
         sums = [np.zeros((1, 1)), np.zeros((1, 1))]
         for each, more in lags:
             place = 0 if each.waits else 1
@@ -76,7 +80,7 @@ class MeasurementLags(NamedTuple):
 
     @classmethod
     def of_run(cls, pairs: Pairs, sizes: Sizes, samples: int) -> MeasurementLags | None:
-        """Those of a run, None where every state is measured at its sample."""
+        """The lags of a run, None if every state is measured at its sample."""
         timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
         lags = [(each, lags_of(each, sizes, samples, rng)[None]) for each, rng in timings]
         return cls.of(lags) if lags else None
@@ -85,7 +89,7 @@ class MeasurementLags(NamedTuple):
 def lags_of(
     each: TimingImperfection, sizes: Sizes, samples: int, rng: np.random.Generator
 ) -> Float[np.ndarray, " sample"]:
-    """Its lags; refused where they do not fit, as compiled loops look back by them."""
+    """The lags of an imperfection, checked: compiled loops index by them without bounds."""
     name, found = f"{type(each).__name__}.lags", np.asarray(each.lags(sizes, samples, rng))
     if found.dtype.kind not in "fiu" or found.shape != (samples,):
         raise ArgumentError(
@@ -105,7 +109,7 @@ class DrawnImperfections(NamedTuple):
     Attributes
     ----------
     commanded : bool
-        Whether the law takes the inputs that it asked for to be those applied.
+        Whether the law's past inputs are its commands.
     """
 
     received: ReceivedData
@@ -125,14 +129,14 @@ class DrawnImperfections(NamedTuple):
 
 
 def tells_commands(predict: str) -> bool:
-    """Whether the law's past inputs are those asked for."""
+    """Whether the law's past inputs are its commands, not the inputs applied."""
     if predict not in ("applied", "commanded"):
         raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
     return predict == "commanded"
 
 
 def takes(pairs: Pairs) -> bool:
-    """Whether the compiled loop takes them all.
+    """Whether the compiled loop can run all these imperfections.
 
     Examples
     --------
@@ -149,7 +153,7 @@ def takes(pairs: Pairs) -> bool:
 
 @kernel(nogil=True)
 def find_instants(missing, early, step, period, offset):
-    """Fill in the period, −1 before time 0, and the seconds into it at which x is measured.
+    """Fill in the period of each measurement, −1 before time 0, and the seconds into it.
 
     missing, early : of `MeasurementLags`;  period, offset : (run, sample)
     """
@@ -167,10 +171,10 @@ def find_instants(missing, early, step, period, offset):
 
 @kernel(nogil=True)
 def fill_lags(lag, reach, sample, period, scenarios, lanes):
-    """Fill in the lags of scenarios, side by side in lanes; the longest, `reach` at least.
+    """Fill in the lags of scenarios, side by side in lanes; the longest, at least `reach`.
 
-    sample : (run or 1, sample), whose measurement is received, −1 for none
-    period : (run or 1, sample), in which that of each is begun, or (0, 0) for its sample
+    sample : (run or 1, sample), the sample whose measurement is received, −1 for none
+    period : (run or 1, sample), the period of each measurement, or (0, 0) for its sample
     """
     samples, at = sample.shape[1], 0
     for first in range(0, scenarios, len(lanes)):
@@ -186,14 +190,14 @@ def fill_lags(lag, reach, sample, period, scenarios, lanes):
     return reach
 
 
-ONE_LANE = (0.0,)
+ONE_LANE = (0.0,)  # the number of lanes is the length of a tuple: a type, so that loops unroll
 AT_SAMPLES = np.zeros((0, 0), np.int64)
 
 
 def lags_of_run(
     sample: Int[np.ndarray, " sample"], lags: MeasurementLags | None, step: float
 ) -> tuple[Int[np.ndarray, " sample"], Float[np.ndarray, " sample"]]:
-    """The lags of one run, and the seconds into the period at which x is measured."""
+    """The lags of one run, and the seconds into the period of each measurement."""
     period, offset = AT_SAMPLES, np.zeros((1, sample.size))
     if lags is not None:
         period = np.empty(offset.shape, np.int64)
@@ -205,12 +209,12 @@ def lags_of_run(
 
 @kernel(nogil=True)
 def fill_rows(row, reported, sampled, begun, apart, ages, lanes):
-    """Fill `row` with a table's rows by reported modes, −1 for none: then the last goes on.
+    """Fill `row` with a table's rows by reported modes; −1, no report, continues the last mode.
 
-    Before any is known it is the first row of that age, the age being that of the plant's mode, and
-    the first that is reported is taken to be as old as that.
+    Until a mode is reported it is mode 0, at the age of the plant's mode; the first reported mode
+    starts with that age.
     reported, sampled : (scenario, sample), the mode that is reported to a law, and the plant's
-    begun : (scenario,), how old the first mode is at time 0, samples
+    begun : (scenario,), age of the first mode at time 0, samples
     apart, ages : those of the `Feedback`
     """
     scenarios, samples = reported.shape
@@ -237,7 +241,7 @@ def rows_of_run(
     apart: int = 1,
     ages: int = 1,
 ) -> Int[np.ndarray, " sample"]:
-    """`fill_rows` of one run; with rows one apart, the modes that a law assumes.
+    """`fill_rows` of one run; the default `apart` and `ages` give the modes that a law assumes.
 
     Examples
     --------
@@ -251,9 +255,9 @@ def rows_of_run(
 
 @kernel(**_part)
 def is_held(measured, answer):
-    """Whether the last command is held: nothing usable is received, and the law has no answer.
+    """Whether the last command is held: neither the measurement nor the answer is finite.
 
-    An observer or a filter has one: it predicts over a sample that is lost.
+    The answer of an observer or a filter is finite: it predicts over lost samples.
     """
     finite = True
     for i in range(measured.size):

@@ -1,4 +1,4 @@
-"""Beliefs that run, one sample per call, for whoever runs them: a filter, a law, a controller."""
+"""Mode beliefs that run, one sample per call, in filters, laws and controllers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deadtime.loop.belief_steps import BeliefState, advance_belief, begin_belief
 
 
 class RunningBelief:
-    """A belief from states, for a table of so many rows.
+    """A belief from states, for a table of `rows`.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class RunningBelief:
     begun : bool
         Whether there has been a sample.
     seen : (n,) or (p,) array
-        The last measurement, in one array: a compiled step has one type to know.
+        The last measurement, copied: compiled steps are compiled for one type of array.
     """
 
     bank: BankForm | None = None
@@ -44,7 +44,7 @@ class RunningBelief:
 
     @property
     def by_mode(self) -> Float[np.ndarray, " mode"]:
-        """How likely each mode is."""
+        """The probability of each mode."""
         return self.now.sum(axis=1)
 
     def begin(self) -> None:
@@ -67,39 +67,40 @@ class RunningBelief:
         return self.state.weight
 
     def usable(self, x: np.ndarray) -> bool:
-        """Whether a law has an answer where this is seen."""
+        """Whether a law can compute its command from this measurement."""
         return bool(np.isfinite(x).all())
 
     def states(self, rows: int) -> Float[np.ndarray, "row n"]:
-        """The state that each row is given."""
+        """The state that each row multiplies."""
         return np.tile(self.before, (rows, 1))
 
     def add_states(self, F: Float[np.ndarray, "row m n"], u: Float[np.ndarray, " m"]) -> None:
-        """Add to u the mean over all rows of F x, x the state that the row is given."""
+        """Add to u the mean over all rows of F x, x the state of the row."""
         u += np.einsum("c,cma,ca->m", self.state.weight, F, self.states(len(F)))
 
     def covariances(self, rows: int) -> Float[np.ndarray, "row n n"]:
-        """Of the states that each row is given."""
+        """Covariances of the states of the rows."""
         n = self.before.size
         return np.zeros((rows, n, n))
 
     def require(self, belief: ArrayLike) -> Float[np.ndarray, "mode age"]:
-        """Probabilities that are given from elsewhere, or an error that says why they are none."""
+        """Probabilities from elsewhere, checked; an error if they are none."""
         return belief_of("belief", belief, self.now)
 
     def snapshot(self) -> dict[str, Any]:
-        """Copies of everything that changes."""
+        """Copies of the state."""
         return {name: getattr(self, own).copy() for name, own in self.arrays.items()}
 
     def load(self, saved: dict[str, Any]) -> None:
-        """The opposite of `snapshot`; `ArgumentError` where the belief is none."""
+        """Restore a `snapshot`; `ArgumentError` if its belief is not one."""
         belief_of("state['belief']", saved["belief"], self.now)
-        for name, own in self.arrays.items():  # not divided by its sum: to the last bit
+        # The saved numbers, not those that `belief_of` normalises: runs go on to the same bits.
+        for name, own in self.arrays.items():
             getattr(self, own)[:] = saved[name]
 
 
 class RunningBank(RunningBelief):
-    """A belief from outputs, by a bank of Kalman filters: each row is given its mode's estimate."""
+    """A belief from outputs, by a bank of Kalman filters: rows multiply their modes' estimates."""
 
     arrays: ClassVar = {"belief": "now", "belief_estimates": "x", "belief_covariances": "P"}
 
@@ -164,7 +165,7 @@ def running_belief(form: BeliefForm, rows: int) -> RunningBelief:
 def belief_of(
     name: str, value: ArrayLike, now: Float[np.ndarray, "mode age"]
 ) -> Float[np.ndarray, "mode age"]:
-    """Probabilities over modes and ages, when they are some; over modes alone, ages as in `now`."""
+    """Probabilities over modes and ages, checked; if over modes alone, with the ages of `now`."""
     modes, ages = now.shape
     form = f"(modes,) or (modes, ages) = {now.shape}"
     given = as_floats(name, value, form)

@@ -1,4 +1,4 @@
-"""An observer that runs, one sample per call, for whoever runs it: a law or a controller."""
+"""An observer that runs, one sample per call, in laws and controllers."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ class RunningObserver:
     ----------
     memory : Memory
     state : ObserverState
-        What the law is given is `state.z`, as of the last update; whoever runs it writes what the
-        law asked for into `state.asked`.
+        `state.z` is the vector that the law's rows multiply, as of the last update; the caller
+        writes the law's command into `state.asked`.
     """
 
-    # z, the inputs, how many samples, place in the ring and mode, what was asked for and tracked.
+    # The state: z; the ring of inputs; the numbers of samples, place in the ring and mode; the last
+    # command; the tracked outputs before.
     arrays: ClassVar = ("z", "ring", "counters", "asked", "before")
 
     def __init__(self, memory: Memory) -> None:
@@ -52,11 +53,11 @@ class RunningObserver:
 
     @property
     def corrected(self) -> bool:
-        """Whether the last update had a measurement that it could use."""
+        """Whether the last update had a finite measurement."""
         return bool(self.state.used[0])
 
     def begin(self, history: Float[np.ndarray, "past m"]) -> None:
-        """Start anew; `history` are the inputs before, at least N of them, the oldest first."""
+        """Start again; `history` are at least N inputs before, oldest first."""
         for name in self.arrays:
             getattr(self, name)[...] = 0
         begin_observer.function(self.memory, self.state)
@@ -72,10 +73,10 @@ class RunningObserver:
         mode: int,
         reference: Float[np.ndarray, " r"] | None = None,
     ) -> Float[np.ndarray, " z"]:
-        """z at this sample, from the input that ends as applied and from what was measured.
+        """z at this sample, from the input applied in the period that ended and from y.
 
         A y that is None or not finite corrects nothing. `mode` is the sampled mode; below 0 it is
-        not known, and the last one goes on, mode 0 before any was known.
+        not known, and the last known one continues, mode 0 before any.
         """
         samples, place, before = self.counters.tolist()
         self.ring[place], self.counters[1] = latest, (place + 1) % len(self.ring)
@@ -96,10 +97,10 @@ class RunningObserver:
             self.state.own[:], self._known[0] = self.memory.matrices[mode], mode
 
     def snapshot(self) -> dict[str, Any]:
-        """Copies of everything that changes."""
+        """Copies of the state."""
         return {name: getattr(self, name).copy() for name in self.arrays}
 
     def load(self, saved: dict[str, Any]) -> None:
-        """The opposite of `snapshot`."""
+        """Restore a `snapshot`."""
         for name in self.arrays:
             getattr(self, name)[...] = saved[name]

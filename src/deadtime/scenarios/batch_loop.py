@@ -32,12 +32,12 @@ from deadtime.scenarios.periods import (
 from deadtime.simulation.trajectory import LATE
 from deadtime.switching import SignalBatch
 
-_CELLS = 1024  # of a period, for a plant that is so fast
+_CELLS = 1024  # of a period, at most: beyond, the plant is too fast for series
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The plant, how its time is cut, and what limits its inputs.
+    """The plant, the periods of its run, and the limits of its inputs.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Loop:
         Seconds from t_K to the horizon, in [0, h).
     actuators : sequence of Limiting
     weight : Weight or None
-        What engines measure: ∫xᵀQx as their ise, uᵀRu as their energy; None for the identity.
+        Q and R of the ise and energy that engines measure; None for the identity.
     forced : bool
         Whether disturbances act.
     """
@@ -94,7 +94,7 @@ class Loop:
 
     @cached_property
     def late_times(self) -> Float[np.ndarray, " time"] | None:
-        """When |x| is asked for, where the samples of the second half are too few for a slope."""
+        """Instants of |x| for the decay rate, if the second half has too few samples."""
         samples = self.whole + 1 - self.late + (self.rest > 0.0)
         if samples >= LATE:
             return None
@@ -102,45 +102,42 @@ class Loop:
 
     @cached_property
     def root(self) -> Float[np.ndarray, "rows m"]:
-        """L with LᵀL = R, by which engines multiply the inputs that they measure; empty for I."""
+        """L with LᵀL = R, so that engines sum |L u|²; empty for R = I."""
         if self.weight is None:
             return np.zeros((0, self.plant.inputs))
         return read_only(square_root(self.weight.R).T)
 
     @cached_property
     def maps(self) -> Maps:
-        """The uncut periods."""
+        """The maps of periods without a switch."""
         return whole_periods(self.sampled, self.acting, self.weight)
 
     @cached_property
     def tables(self) -> CellSeries | None:
-        """Cut periods as series; None for a plant so fast that they would be too long."""
+        """The series of periods with a switch; None if the plant is too fast for them."""
         if self.cells > _CELLS:
             return None
         return tables_of(self.sampled, self.cells, self.weight, self.forced)
 
     @cached_property
     def cells(self) -> int:
-        """How many cells of a period a series is made of."""
+        """Cells of a period, each with its own series: a power of two, about ‖A‖h."""
         size = max(map(balanced_norm, self.plant.A)) * self.step
         return 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
 
     def place(self, signals: SignalBatch) -> Records:
-        """In which period, and when in it, the switches of signals fall."""
+        """The periods in which the switches of signals fall, and the instants within them."""
         from deadtime.scenarios.by_period import sample_signals
 
-        return sample_signals(
-            signals.first,
-            signals.times,
-            signals.modes,
-            self.whole + 1,
-            self.step,
-            self.acting,
-            self.plant.modes,
-        )
+        grid = self.whole + 1, self.step, self.acting, self.plant.modes
+        return sample_signals(signals.first, signals.times, signals.modes, *grid)
 
     def sample_signals(self, signals: SignalBatch) -> SignalPeriods:
-        """Signals sampled on the periods up to the horizon."""
+        """Signals sampled on the periods up to the horizon.
+
+        maps :  0 … modes − 1 | modes, modes + 1, …
+                whole periods | cut periods, in the order of `Records.sojourn`
+        """
         records, tables = self.place(signals), self.tables
         assert tables is not None
         modes = self.plant.modes
@@ -155,7 +152,7 @@ class Loop:
     def _fill_cuts(
         self, maps: np.ndarray, records: Records, modes: np.ndarray, tables: CellSeries
     ) -> None:
-        """Fill in the cut periods: with one switch from series, the others step by step."""
+        """Fill in the cut periods: with one switch from series, the others piece by piece."""
         from deadtime.scenarios.by_period import compose_cuts, fill_switched
 
         last, series, acting = records.last, tables.switched, self.acting
@@ -164,6 +161,7 @@ class Loop:
         width = (0.0,) * (tables.width // WIDE)
         fill_switched(maps, *given, self.plant.modes, width)
         left = ~alone
+        # A horizon at a sample leaves nothing of the last period: x stays, and costs nothing.
         if self.rest == 0.0:
             left &= ~last
             n = acting.states * acting.wide
@@ -182,7 +180,7 @@ class Loop:
         cut: Int[np.ndarray, " part"],
         until: Float[np.ndarray, " part"],
     ) -> Float[np.ndarray, "part n z"]:
-        """x(t_k + τ) = M z_k: the M of cut periods `cut`, `until` being τ, seconds."""
+        """M of x(t_k + τ) = M z_k in the cut periods `cut`, with τ = `until`, seconds."""
         from deadtime.scenarios.by_period import follow_cuts
 
         assert self.tables is not None
@@ -194,7 +192,7 @@ class Loop:
         return moves
 
     def without_signals(self) -> SignalPeriods:
-        """No signals, as `sample_signals` lays them, but without a compiler."""
+        """The result of `sample_signals` for no signals, without compiling anything."""
         assert self.tables is not None
         few = np.zeros(0, np.int32)
         cuts = few, few, np.zeros(0, np.bool_), np.zeros(0)

@@ -1,7 +1,7 @@
 """`monte_carlo`: several laws over many switching signals, as a labelled dataset.
 
-Scenarios are run in blocks on threads, with progress, and with an end when the user asks for one;
-the memory that the whole needs is asked for before it starts.
+Scenarios run in blocks on threads, with progress; Ctrl-C ends the run. Memory for all results is
+checked before the run.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import os
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, positive, real_array, require_shape
+from deadtime.base.checks import count, instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.threads import processors
 from deadtime.feedback import Law
@@ -54,7 +54,7 @@ _SHARE = 0.8  # of the memory that is free
 
 
 def free_memory() -> float:
-    """Bytes of memory that are free, or all there are where the system does not tell."""
+    """Bytes of free memory; of all memory, or ∞, where the system reports no more."""
     for name in ("SC_AVPHYS_PAGES", "SC_PHYS_PAGES"):
         if name in getattr(os, "sysconf_names", {}):
             return float(os.sysconf(name)) * float(os.sysconf("SC_PAGE_SIZE"))
@@ -80,9 +80,9 @@ _CHECK = 0.2  # seconds between looks at the keyboard
 def run_blocks(
     run: RunBlock, scenarios: int, size: int, threads: int, progress: Progress
 ) -> tuple[int, bool]:
-    """Run all scenarios in blocks of `size`; the sum of what blocks return, and if cut short.
+    """Run all scenarios in blocks of `size`; the sum of the blocks' results, and if interrupted.
 
-    Ctrl-C ends the run within a block's time: blocks in hand are left, those done are kept. An
+    Ctrl-C ends the run within a block's time: running blocks are left, finished ones are kept. An
     error in a block ends the run, too.
     """
     starts = iter(range(0, scenarios, size))
@@ -91,10 +91,10 @@ def run_blocks(
     pool = ThreadPoolExecutor(threads, thread_name_prefix="deadtime")
     try:
         while True:
-            # No more are handed over than are needed to keep all threads busy.
+            # One more than there are threads keeps all of them busy, and leaves little to cancel.
             while len(running) < threads + 1 and (start := next(starts, None)) is not None:
-                count = min(size, scenarios - start)
-                running[pool.submit(run, start, count, stop.is_set)] = count
+                few = min(size, scenarios - start)
+                running[pool.submit(run, start, few, stop.is_set)] = few
             if not running:
                 return total, False
             finished, _ = wait(running, _CHECK, FIRST_COMPLETED)
@@ -104,25 +104,19 @@ def run_blocks(
                 progress(done, scenarios)
     except KeyboardInterrupt:
         stop.set()
-        return total + _rest(running), True
+        for future in running:
+            future.cancel()
+        ended, _ = wait(running)
+        whole = [one for one in ended if not one.cancelled() and not one.exception()]
+        return total + sum(one.result() for one in whole), True
     finally:
         stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _rest(running: dict[Future[int], int]) -> int:
-    """Collect the blocks in hand at the end, cancel the others, and sum the results."""
-    for future in running:
-        future.cancel()
-    finished, _ = wait(running)
-    return sum(
-        future.result() for future in finished if not future.cancelled() and not future.exception()
-    )
-
-
 @contextmanager
 def show_progress(progress: Progress | bool | None, scenarios: int) -> Iterator[Progress]:
-    """The function to report progress to: the user's, a bar on the terminal, or none."""
+    """The function that receives progress: the user's, that of a bar on the terminal, or none."""
     if progress is None or progress is False:
         yield lambda done, total: None
     elif progress is True:
@@ -142,8 +136,7 @@ def show_progress(progress: Progress | bool | None, scenarios: int) -> Iterator[
         )
 
 
-_BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios
-_MOST_TERMS = 1500  # of straight-line code for a period of the plant
+_BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios: a tenth of a second of work
 _NAMED = 10  # scenarios that a message names
 
 
@@ -171,26 +164,26 @@ def monte_carlo(
     any delay, a law whose model is not the plant.
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
-    where their rows are factorised; so do those of their observers (`OutputFeedback`) and those
-    that weigh rows by a belief (`BeliefPredictor`). One by one, by `simulate`, run: laws that are
-    no table, laws that draw their first estimate or reference (`OutputFeedback`), in scenario i
-    by the seed ``scenario_seed(seed, i)`` alone, all laws where the plant is disturbed and its
-    delays differ between modes, or an imperfection is a function of the user's own, plants beyond
-    some 30 states (11 for a law that knows the signal) or a thousand times faster than the period,
-    and servos over less than a period; `attrs["one_by_one"]` names the laws. So do scenarios that
-    diverge or vanish.
+    where their rows are factorised; so do laws on observers (`OutputFeedback`) and on a mode belief
+    (`BeliefPredictor`). Other laws run one by one, by `simulate`, and ``attrs["one_by_one"]`` names
+    them: laws that are no table; laws that draw their first estimate or reference, in scenario i by
+    the seed ``scenario_seed(seed, i)``; servos over less than a period; and all laws where the
+    plant is disturbed and its delays differ between modes, where an imperfection is a function of
+    the user, or where the plant has more than some 30 states (11 for a law that knows the signal)
+    or is a thousand times faster than the period. Scenarios that diverge or vanish run again by
+    `simulate`, too.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth, as in `simulate`.
+        The true plant, as in `simulate`.
     laws : list of Law, or mapping of names to laws
         A list is named by the laws' labels, which must differ.
     model : switching model, list of SwitchingSignal, or SignalBatch
-        A `deadtime.switching.SwitchingModel`, which draws whole batches, or anything with a method
-        ``sample(horizon, seed)``; it is asked for signals that reach the horizon plus the longest
-        delay. Or the signals themselves, one per scenario. One that ends before the horizon goes
-        on in its last mode, as in `simulate`, and ``attrs["message"]`` counts these.
+        A `deadtime.switching.SwitchingModel`, which draws whole batches, or any object with a
+        method ``sample(horizon, seed)``, called for signals up to the horizon plus the longest
+        delay. Or the signals themselves, one per scenario: a signal that ends before the horizon is
+        continued in its last mode, as in `simulate`, and ``attrs["message"]`` counts these.
     x0 : array_like, shape (n,)
         State at time 0.
     horizon : float
@@ -202,20 +195,19 @@ def monte_carlo(
     seed : int
         At least 0. The same seed gives the same signals.
     backend : "numba"
-        The compiled loop for processors, the only engine that there is.
+        The compiled loop, the only engine.
     progress : bool or callable, optional
         True for a bar on the terminal; or called as ``progress(done, total)`` after each block
         of scenarios.
     imperfections : sequence of Imperfection
-        What sensors and actuators do, as in `simulate`; scenario i draws the same for every law,
-        whatever the number of scenarios: what `simulate` draws with the seed
-        ``scenario_seed(seed, i)`` of `deadtime.scenarios`.
+        As in `simulate`. Scenario i draws the same for every law, whatever the number of scenarios:
+        the numbers of `simulate` with the seed ``scenario_seed(seed, i)`` of `deadtime.scenarios`.
     trajectories : bool
         Keep states and inputs at the samples, and the modes.
     threads : int, optional
-        How many to use; by default one for each processor.
+        Number of threads; by default one for each processor.
     weight : Weight, optional
-        Of the cost, the identity by default; with another one every scenario runs twice.
+        Weight of the cost, the identity by default; with another one every scenario runs twice.
 
     Returns
     -------
@@ -247,23 +239,8 @@ def monte_carlo(
     >>> data.ise.median("scenario").sel(law="mean").item() < 1000
     True
     """
-    found = compare(
-        plant,
-        laws,
-        model,
-        x0,
-        horizon,
-        step,
-        scenarios,
-        seed,
-        backend,
-        progress,
-        imperfections,
-        trajectories,
-        threads,
-        weight,
-    )
-    return dataset_of(found)
+    loop = plant, laws, model, x0, horizon, step, scenarios, seed, backend, progress
+    return dataset_of(compare(*loop, imperfections, trajectories, threads, weight))
 
 
 def compare(
@@ -296,8 +273,8 @@ def compare(
     named = named_laws(laws)
     for law in named.values():
         require_match(plant, law)
-    scenarios, seed = _whole("scenarios", scenarios, 1), _whole("seed", seed, 0)
-    threads = processors() if threads is None else _whole("threads", threads, 1)
+    scenarios, seed = count("scenarios", scenarios), count("seed", seed, 0)
+    threads = processors() if threads is None else count("threads", threads)
     if backend != "numba":
         raise ArgumentError(f"backend must be 'numba', the only engine there is, got {backend!r}.")
     x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
@@ -306,7 +283,7 @@ def compare(
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
     request = BatchRequest(plant, named, x0, horizon, step, imperfections)
-    loop, engine, tables = prepare(request)
+    loop, engine, tables, one_by_one = prepare(request)
     follow = [Followed.of(law) for law in named.values()]
     tracked = max((one.rows.shape[1] for one in follow if one is not None), default=0)
     results = _room(loop, len(named), scenarios, trajectories, tracked)
@@ -315,13 +292,22 @@ def compare(
         other = replace(loop, weight=weight)
         weighed = other, Engine(other)
     helper = Helper(request, tables if share_compiling else {})
-    block = Block(
-        loop, source, named, tables, engine, imperfections, seed, results, helper, weighed
-    )
+    given = loop, source, named, tables, engine, imperfections, seed, results, helper, weighed
+    # `simulate` runs Python: blocks of one, and threads would only wait for each other.
     size = _block(loop, imperfections) if tables else 1
+    workers = min(threads, -(-scenarios // size)) if tables else 1
     with show_progress(progress, scenarios) as report, helper.at_hand():
-        workers = min(threads, -(-scenarios // size)) if tables else 1
-        continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
+        run = Block(*given).run
+        continued, interrupted = run_blocks(run, scenarios, size, workers, report)
+    notes = []
+    if isinstance(model, SwitchingModel) and model.modes != plant.modes:
+        notes.append(
+            f"the model has {model.modes} modes, the plant {plant.modes}: the others never occur."
+        )
+    notes += _notes(results, list(named), continued, interrupted)
+    # |x(T)| above which a run that does not decay has grown: ∞ where x is pushed, or starts at 0.
+    pushed = any(is_pushed(law, imperfections) for law in named.values())
+    grows_above = math.inf if pushed or not x0.any() else float(np.linalg.norm(x0))
     attributes = {
         "seed": seed,
         "step": step,
@@ -332,24 +318,16 @@ def compare(
         "delay": plant.delay_data if plant.has_one_delay else plant.delays.ravel().tolist(),
         "backend": backend,
         "imperfections": [in_words(one) for one in imperfections],
-        "grows_above": _grows_above(x0, named.values(), imperfections),
-        "one_by_one": [name for name in named if name not in tables],
+        "grows_above": grows_above,
+        "one_by_one": list(one_by_one),
         "interrupted": int(interrupted),
-        "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
+        "message": " ".join(notes),
     }
-    return Comparison(list(named), results, step, attributes, weight)
-
-
-def _grows_above(
-    x0: np.ndarray, laws: Iterable[Law], imperfections: Sequence[Imperfection]
-) -> float:
-    """|x(T)| above which a run that does not decay has grown; ∞ where x is pushed, or at rest."""
-    pushed = any(is_pushed(law, imperfections) for law in laws)
-    return math.inf if pushed or not x0.any() else float(np.linalg.norm(x0))
+    return Comparison(list(named), results, step, attributes, weight, one_by_one)
 
 
 def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
-    """Scenarios in a block, in whole vectors of eight; fewer where all received data are kept."""
+    """Scenarios in a block, in whole vectors of eight; fewer where received data are stored."""
     steps = _BLOCK_STEPS
     if any(isinstance(one, Relaying | TimingImperfection | Disturbance) for one in imperfections):
         steps /= 4
@@ -373,26 +351,10 @@ def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool, tracked: in
     return Results.empty(laws, scenarios, (plant.states, plant.inputs, samples), tracked)
 
 
-def _whole(name: str, value: object, least: int) -> int:
-    """An integer ≥ `least`."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ArgumentError(f"{name} must be an integer ≥ {least}, got {value!r}.")
-    return int(value)
-
-
-def _unseen(model: object, plant: SwitchedSystem) -> str:
-    """That a model knows of fewer modes than the plant has: they are left out at times."""
-    if not isinstance(model, SwitchingModel) or model.modes == plant.modes:
-        return ""
-    return f"the model has {model.modes} modes, the plant {plant.modes}: the others never occur."
-
-
-def _message(
-    results: Results, names: Sequence[str], continued: int, interrupted: bool, unseen: str
-) -> str:
-    """The notes on the run as a whole: interruptions, continued signals, divergence."""
+def _notes(results: Results, names: Sequence[str], continued: int, interrupted: bool) -> list[str]:
+    """Sentences on the whole run: interruption, continued signals, divergence."""
     done, scenarios = int(results.done.sum()), results.done.size
-    notes = [unseen] if unseen else []
+    notes = []
     if interrupted:
         notes.append(f"interrupted after {done:,} of {scenarios:,} scenarios.")
     if continued:
@@ -405,4 +367,4 @@ def _message(
         if which.size:
             listed = ", ".join(map(str, which[:_NAMED])) + ", …" * (which.size > _NAMED)
             notes.append(f"{name} diverged on {which.size:,} of {done:,} scenarios: {listed}.")
-    return " ".join(notes)
+    return notes

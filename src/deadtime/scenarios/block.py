@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection
@@ -33,24 +33,23 @@ if TYPE_CHECKING:
     from deadtime.scenarios.helper import Helper
     from deadtime.scenarios.prepare import Runnable
 
-_ROOM = 1 << 19  # numbers of trajectories that the engine takes at a time
+_ROOM = 1 << 19  # numbers of the trajectories that the engine makes at a time: 4 MiB
 
 Stopped = Callable[[], bool]
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """How to run any block of scenarios, and where its results go.
+    """Runs blocks of scenarios under every law, into the results.
 
     Attributes
     ----------
     tables : mapping
-        From the name of a law to what the engine takes it for. Laws without an entry are run one
-        by one by `simulate`.
+        From the names of laws to their tables in the engine; `simulate` runs the other laws.
     helper : Helper
-        Who compiles the loop of some laws: these are run last.
+        Compiles the loop of some laws: these run last.
     weighed : pair of Loop and Engine, or None
-        Of the cost's weight, where that is not the identity: runs are run again to measure it.
+        With the cost's weight, where that is not the identity: a second run measures the cost.
     """
 
     loop: Loop
@@ -68,42 +67,29 @@ class Block:
     def run(self, first: int, count: int, stopped: Stopped) -> int:
         """Run scenarios first, …, first + count − 1; how many of their signals end early.
 
-        Where `stopped` says so in between, the block is left and counts as not done.
+        If `stopped` returns true, the block ends and counts as not done.
         """
-        signals = self.source.batch(first, count)
+        signals, loop = self.source(first, count), self.loop
         by_period, later, along = None, self.helper.laws, self.engine.along
         tables = {
             name: along(law, signals) for name, law in self.tables.items() if name not in later
         }
-        if self.tables:
-            loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
-            by_period = [loop.sample_signals(signals) for loop in loops]
         received = force = instants = None
-        if by_period is not None and self.loop.late_times is not None:
-            instants = Instants.of(self.loop, self.loop.late_times, signals, by_period[0].records)
-        if by_period is not None and self.loop.forced:
-            records = by_period[0].records
-            maps = self._force_maps
-            force = forces_of(
-                maps, self.imperfections, signals, records, self.seed, first, self.rooms
-            )
-        if by_period is not None and any(
-            isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
-        ):
-            by_mode, given = any(map(_by_mode, tables.values())), (signals, by_period[0])
-            received = {
-                size: BlockMeasurements(
-                    self.loop,
-                    self.imperfections,
-                    *given,
-                    self.seed,
-                    first,
-                    by_mode,
-                    size,
-                    self.rooms.under(size),
-                )
-                for size in {table.measured for table in tables.values()}
-            }
+        if self.tables:
+            loops = [loop, *([] if self.weighed is None else self.weighed[:1])]
+            by_period = [each.sample_signals(signals) for each in loops]
+            records, drawn = by_period[0].records, (self.imperfections, signals)
+            if loop.late_times is not None:
+                instants = Instants.of(loop, loop.late_times, signals, records)
+            if loop.forced:
+                force = forces_of(self._force_maps, *drawn, records, self.seed, first, self.rooms)
+            if any(isinstance(one, Relaying | TimingImperfection) for one in self.imperfections):
+                given = loop, *drawn, by_period[0], self.seed, first
+                by_mode = any(map(_by_mode, tables.values()))
+                received = {
+                    size: BlockMeasurements(*given, by_mode, size, self.rooms.under(size))
+                    for size in {table.measured for table in tables.values()}
+                }
         rows = list(enumerate(self.laws.items()))
         for row, (name, law) in sorted(rows, key=lambda one: one[1][0] in later):
             if name in later:
@@ -121,14 +107,14 @@ class Block:
                     return 0
                 self._alone(row, law, signals[i], first + i)
         if self.results.mode is not None:
-            step = self.loop.step
-            times = step * np.arange(self.loop.whole + 1)
+            times = loop.step * np.arange(loop.whole + 1)
             for i, signal in enumerate(signals):
-                self.results.mode[first + i] = modes_at(signal, times, step)
+                self.results.mode[first + i] = modes_at(signal, times, loop.step)
         if stopped():
             return 0
+        # Last: an interrupted block leaves its scenarios not done, and its results unread.
         self.results.done[first : first + count] = True
-        return int((signals.end < self.loop.horizon).sum())
+        return int((signals.end < loop.horizon).sum())
 
     @cached_property
     def _force_maps(self) -> ForceMaps:
@@ -146,7 +132,10 @@ class Block:
         first: int,
         stopped: Stopped,
     ) -> Sequence[int]:
-        """Run a law by the engine; which scenarios are left to `simulate`."""
+        """Run a law by the engine; the scenarios that are left to `simulate`.
+
+        Without trajectories all at once, else as many as fit into `_ROOM`, in the caches.
+        """
         results, count = self.results, by_period[0].scenarios
         whole = results.x is None and self._followed[row] is None and instants is None
         samples, numbers = self.loop.whole + 1, table.shape.x + table.shape.u
@@ -182,28 +171,16 @@ class Block:
     def _keep(
         self, row: int, path: Path, by_period: SignalPeriods, start: int, these: slice
     ) -> None:
-        """Keep trajectories and how they follow a reference, where these are asked for."""
+        """Store trajectories, and figures of a followed reference."""
         results, followed = self.results, self._followed[row]
         if results.x is not None and results.u is not None:
             results.x[row, these], results.u[row, these] = path.x, path.u
-        if followed is not None:
-            modes = None
-            if not followed.is_same_in_modes:
-                modes = by_period.records.modes(self.loop.whole + 1)[start : start + path.scenarios]
-            self._track(row, followed, path, modes, these)
-
-    def _track(
-        self,
-        row: int,
-        followed: Followed,
-        path: Path,
-        modes: Int[np.ndarray, "scenario sample"] | None,
-        these: slice,
-    ) -> None:
-        """How a few scenarios follow the reference."""
+        if followed is None:
+            return
         time = self.loop.step * np.arange(self.loop.whole + 1)
         y, error = None, np.zeros(path.scenarios)
-        if modes is not None:
+        if not followed.is_same_in_modes:
+            modes = by_period.records.modes(time.size)[start : start + path.scenarios]
             y = np.stack([followed.outputs(x, mode) for x, mode in zip(path.x, modes, strict=True)])
 
         def figures(
@@ -218,13 +195,13 @@ class Block:
             where, r = followed.window(time, output)
             found = figures(output, where, r)
             for name, values in found.items():
-                self.results.tracking[name][row, these, output] = values
+                results.tracking[name][row, these, output] = values
             # The metric is over the whole run, not over the window of the last step.
             if r.size < time.size:
                 along = followed.reference.along(time)[:, output]
                 found = figures(output, slice(0, time.size), along)
             error += found["IAE"]
-        self.results.metrics["iae"][row, these] = error
+        results.metrics["iae"][row, these] = error
 
     @cached_property
     def _followed(self) -> list[Followed | None]:
@@ -233,17 +210,9 @@ class Block:
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""
-        loop, results = self.loop, self.results
-        run = simulate(
-            loop.plant,
-            law,
-            signal,
-            loop.x0,
-            loop.horizon,
-            loop.step,
-            imperfections=self.imperfections,
-            seed=scenario_seed(self.seed, scenario),
-        )
+        loop, results, seed = self.loop, self.results, scenario_seed(self.seed, scenario)
+        given = loop.plant, law, signal, loop.x0, loop.horizon, loop.step
+        run = simulate(*given, imperfections=self.imperfections, seed=seed)
         results.diverged[row, scenario] = run.diverged
         weight = None if self.weighed is None else self.weighed[0].weight
         for metric, value in run.metrics(weight).items():

@@ -1,7 +1,7 @@
 """Switching signals, and measurements within periods, by the periods of a digital loop; compiled.
 
 As in `plant.discretisation.Cuts`, a switch within 1e-9 of a period of a sample, or of an arriving
-input, is at it.
+input, counts as at it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from deadtime.scenarios.periods import Acting, Records
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _place(time, step, arrival, arriving, rate):
-    """The period that a switch falls in, and when in it; `rate` is 1/step."""
+    """The period of a switch, and seconds into it; `rate` is 1/step."""
     ratio = snap_number(time * rate)
     k = np.floor(ratio)
     if ratio == k:
@@ -46,14 +46,16 @@ def sample_signals(
 
     Scenario s has the sojourns offset[s], …, offset[s + 1] − 1; `plants` is the number of modes.
     """
+    # A sojourn makes two records at most, of its cut period and of the periods after, and the last
+    # period of a scenario makes two more.
     most = 2 * (modes.size + offset.size - 1)
-    step_of, mode_of, map_of, sojourn, until = (np.empty(most, np.int32) for _ in range(5))
+    numbers = (np.empty(most, np.int32) for _ in range(5))
     first, last, at = (
         np.empty(offset.size, np.int64),
         np.empty(most, np.bool_),
         np.empty(modes.size),
     )
-    room = Records(first, step_of, mode_of, map_of, sojourn, until, last, at)
+    room = Records(first, *numbers, last, at)
     arrivals = acting.arrival, acting.arriving
     r, c = fill_records(room, offset, times, modes, samples, step, *arrivals, plants)
     records, cuts = (part[:r] for part in room[1:4]), (part[:c] for part in room[4:7])
@@ -62,7 +64,7 @@ def sample_signals(
 
 @kernel(eager=True, nogil=True)
 def fill_records(room, offset, times, modes, samples, step, arrival, arriving, plants):
-    """Fill the records of `sample_signals`: how many there are, and how many cut periods."""
+    """Fill the records of `sample_signals`; their number, and that of cut periods."""
     scenarios, rate = offset.size - 1, 1.0 / step
     final, r, c = samples - 1, 0, 0
     for s in range(scenarios):
@@ -104,7 +106,7 @@ def fill_records(room, offset, times, modes, samples, step, arrival, arriving, p
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def series(flat, index, cells, degrees, size, start, cell, t, width):
-    """Σ_d flat[index, c, d] δ^d: c the cell of t, δ ∈ [−1, 1] the place in it."""
+    """Σ_d flat[index, c, d] δ^d by Horner's rule: c the cell of t, δ ∈ [−1, 1] the place in it."""
     c = min(max(np.int64((t - start) / cell), 0), cells - 1)
     delta = same(2.0 * ((t - start) / cell - c) - 1.0, width)
     place = ((index * cells + c) * degrees + degrees - 1) * size
@@ -217,7 +219,7 @@ def _compose_period(first, last, modes, at, end, acting, pieces, cell, result, r
 
 @kernel(eager=True, nogil=True)
 def fill_composed(maps, which, first, stop, end, modes, at, acting, pieces, step, room, width):
-    """Fill maps[which[c]] with what the sojourns first[c], …, stop[c] − 1 do until end[c].
+    """Fill maps[which[c]] with the map over [0, end[c]) of sojourns first[c], …, stop[c] − 1.
 
     pieces : (mode, cell, degree, size)
     """
@@ -239,7 +241,7 @@ def compose_cuts(
     pieces: np.ndarray,
     step: float,
 ) -> None:
-    """Fill maps[which[c]] with what cut period which[c] does until `end`, before sojourn `stop`."""
+    """Fill maps[which[c]] with cut period which[c] up to `end`, before sojourn `stop`."""
     n, wide, size = acting.states, acting.wide, pieces.shape[-1]
     shapes = (n, wide), (wide, wide), (acting.column.shape[1] + n, wide), (size,)
     room, width = tuple(np.empty(shape) for shape in shapes), (0.0,) * (size // LANES)
@@ -253,12 +255,13 @@ def fill_places(
     row, place, news, lag, received, offset, begin, few, records, modes, edges, cells, count, cut,
     when,
 ):  # fmt: skip
-    """Fill rows and places of scenarios from `begin` on; how many measurements lie in cut periods.
+    """Fill rows and places of scenarios from `begin` on; the number of measurements in cut periods.
 
-    These have the rows count, count + 1, …, and are noted: cut period `cut` at `when`.
-    row, place : (group, sample, lane), flat;  news : (group, sample), flat, set where a row is
-        another one than before;  lag : of scenarios from `begin` on, and heard : (few or 1,
-        sample), whose measurement is received, as in `fill_lags`
+    These have the rows count, count + 1, …, and their cut periods `cut` and instants `when`.
+    row, place : (group, sample, lane), flat
+    news : (group, sample), flat, set where a row differs from the sample before
+    lag : of scenarios from `begin` on;  received : (few or 1, sample), the sample whose measurement
+        arrives, as in `fill_lags`
     offset : (few or 1, sample), of all samples
     """
     samples, parts, noted = received.shape[1], edges.size - 1, 0

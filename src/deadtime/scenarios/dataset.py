@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,7 +74,7 @@ DIVERGED = "|x| left 1e100 and the run ended there; its metrics are those up to 
 
 
 def attributes_of(metric: str, cost: str | None = None) -> dict[str, str]:
-    """The attributes of a metric in a dataset; of the cost its formula, where a weight has one.
+    """The attributes of a metric in a dataset; for a weighted cost its formula.
 
     Examples
     --------
@@ -87,7 +87,7 @@ def attributes_of(metric: str, cost: str | None = None) -> dict[str, str]:
 
 
 def formula_of(metric: xr.DataArray) -> str:
-    """The cost that a dataset holds, as labels say it."""
+    """The formula of a dataset's cost, for labels."""
     return str(metric.attrs.get("formula", PLAIN))
 
 
@@ -99,14 +99,14 @@ class Results:
     ----------
     metrics : mapping
         From a metric to an array (law, scenario); where a law follows a reference also `IAE`, NaN
-        of the others.
+        for the other laws.
     done : (scenario,) array
-        Which scenarios are whole.
+        Which scenarios are complete.
     tracking : mapping
         From a figure of `TRACKING` to an array (law, scenario, output), where a law follows a
-        reference; NaN of the others.
+        reference; NaN for the other laws.
     x, u, mode : arrays or None
-        Trajectories where they are asked for; NaN past the end of a run that diverged.
+        Trajectories if they are kept; NaN past the end of a run that diverged.
     """
 
     metrics: Mapping[str, Float[np.ndarray, "law scenario"]]
@@ -125,7 +125,7 @@ class Results:
         path: tuple[int, int, int] | None = None,
         tracked: int = 0,
     ) -> Results:
-        """Room for the results, with `path` = (n, m, samples) for trajectories, too."""
+        """Empty arrays; `path` = (n, m, samples) of trajectories, None to keep none."""
         shape = laws, scenarios
         metrics = {name: np.empty(shape) for name in METRICS}
         metrics |= {name: np.full(shape, np.nan) for name in IAE if tracked}
@@ -141,7 +141,7 @@ class Results:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Laws over the same scenarios: what a dataset says, for those who need no xarray.
+    """Laws over the same scenarios: the content of a dataset, without xarray.
 
     Attributes
     ----------
@@ -153,7 +153,9 @@ class Comparison:
     attributes : mapping
         Those of the dataset.
     weight : Weight or None
-        Of the cost; None for the identity.
+        Weight of the cost; None for the identity.
+    one_by_one : mapping
+        From the names of laws that ran one by one to the reason.
     """
 
     names: Sequence[str]
@@ -161,6 +163,7 @@ class Comparison:
     step: float
     attributes: Mapping[str, Any]
     weight: Weight | None = None
+    one_by_one: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def scenarios(self) -> int:
@@ -169,17 +172,17 @@ class Comparison:
 
     @property
     def formula(self) -> str:
-        """The cost, as labels say it."""
+        """The formula of the cost, for labels."""
         return PLAIN if self.weight is None else self.weight.text
 
     def keep(self, array: np.ndarray, axis: int = 1) -> np.ndarray:
-        """Of an array the scenarios that are done."""
+        """The finished scenarios of an array."""
         done = self.results.done
         return array if done.all() else np.take(array, np.flatnonzero(done), axis)
 
 
 def dataset_of(comparison: Comparison) -> xr.Dataset:
-    """The scenarios that are done, labelled."""
+    """The finished scenarios as a labelled dataset."""
     import xarray as xr
 
     results, weight, keep = comparison.results, comparison.weight, comparison.keep

@@ -1,6 +1,6 @@
 """Numbers that imperfections draw in many scenarios, at once where they can, else run by run.
 
-They lie in memory that a thread uses again: new memory costs more than to write into it.
+Threads use their memory again: to get new memory costs more than to write into it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from deadtime.scenarios.source import scenario_seeds
 
 
 class Rooms(threading.local):
-    """Arrays by name, of each thread its own; what is in one lasts until it is asked for again.
+    """Arrays by name, each thread its own; an array is valid until its name is used again.
 
     Examples
     --------
@@ -47,13 +47,13 @@ class Rooms(threading.local):
         self._inner: dict[Hashable, Rooms] = {}
 
     def under(self, name: Hashable) -> Rooms:
-        """Others, with names of their own."""
+        """Further arrays, with names of their own."""
         return self._inner.setdefault(name, Rooms())
 
     def of(
         self, name: Hashable, shape: tuple[int, ...], kind: DTypeLike = np.float64
     ) -> np.ndarray:
-        """An array, which holds anything; a name has one kind of numbers."""
+        """An array with arbitrary content; a name has one kind of numbers."""
         size, kept = math.prod(shape), self._kept.get(name)
         if kept is None or kept.size < size:
             kept = self._kept[name] = np.empty(size, kind)
@@ -61,7 +61,7 @@ class Rooms(threading.local):
 
 
 class RunLength(NamedTuple):
-    """How many periods are asked for, and for how many a single run moves its plant."""
+    """Periods of the batch, and those over which a single run moves its plant: it draws for all."""
 
     periods: int
     moved: int
@@ -71,7 +71,7 @@ class RunLength(NamedTuple):
 class InManyRuns:
     """An imperfection in many scenarios, with the stream of each.
 
-    What it draws lies in `rooms`, under a name of its own, until it draws again.
+    Its draws lie in `rooms`, under its name, until it draws again.
     """
 
     one: Imperfection
@@ -80,19 +80,19 @@ class InManyRuns:
     name: Hashable = ""
 
     def room(self, sizes: Sizes, samples: int, scenarios: int) -> np.ndarray:
-        """Memory for what it draws in so many scenarios."""
+        """Memory for its draws in so many scenarios."""
         shape = scenarios, self._count(sizes, samples) or 0
         return self.rooms.of((self.name, "numbers"), shape)
 
     def is_fixed(self, sizes: Sizes, samples: int) -> bool:
-        """Whether it does the same in all scenarios."""
+        """Whether it draws nothing."""
         return self._count(sizes, samples) == 0
 
     def _count(self, sizes: Sizes, samples: int) -> int | None:
         return self.one.count(sizes, samples) if isinstance(self.one, Drawing) else None
 
     def numbers(self, first: int, room: np.ndarray) -> np.ndarray:
-        """Draw its numbers in scenarios from `first` on, (scenario, count), (1, 0) for nothing."""
+        """Its draws in the scenarios from `first` on, (scenario, count), or (1, 0) for none."""
         if room.size == 0:
             return room[:1]
         assert isinstance(self.one, Drawing)
@@ -116,8 +116,8 @@ class InManyRuns:
     ) -> np.ndarray:
         """The draws of a disturbance in the scenarios from `first` on, (stretch, one, period, r).
 
-        The axis of scenarios has length 1 where all draw the same; stretches of no length have no
-        part in it.
+        The axis of scenarios has length 1 where all draw the same; stretches of length 0 are left
+        out.
         """
         one, there = self.one, [i for i, length in enumerate(lengths) if length > 0.0]
         if isinstance(one, DrawnDisturbance) and type(one).__module__.startswith("deadtime."):
@@ -158,7 +158,10 @@ class InManyRuns:
 
 
 def _as_we_wrote_it(one: Imperfection, base: type, method: str) -> bool:
-    """Whether it answers for many runs what it does for one; others' answers are checked singly."""
+    """Whether its method for many runs equals the one for a single run, as for deadtime's own.
+
+    A subclass of the user may change one of the two: its runs are drawn, and checked, one by one.
+    """
     own = type(one)
     return own.__module__.startswith("deadtime.") and getattr(own, method) is getattr(base, method)
 
@@ -171,7 +174,7 @@ def in_many_runs(
     count: int,
     rooms: Rooms | None = None,
 ) -> list[InManyRuns]:
-    """Those of a kind, in their order, in the scenarios first, …, first + count − 1 of a seed."""
+    """The imperfections of a kind, in scenarios first, …, first + count − 1 of a seed."""
     rooms = Rooms() if rooms is None else rooms
     seeds, names = scenario_seeds(seed, first, count), [type(one).__name__ for one in imperfections]
     return [

@@ -3,10 +3,10 @@
 Factorised rows are brought into the form that costs least per period. The factorisation
 G_{c,j} = H_c S^{j−1} Γ_s leaves the basis open: H T, T⁻¹ S T, T⁻¹ Γ_s is the same table. In the
 basis of its eigenvectors S is diagonal, or has 2 × 2 blocks for pairs of complex ones, which saves
-most of the work. Whether a basis is good enough is not guessed from its condition but measured: the
-taps that it gives are compared with the table's own.
+most of the work. A basis is judged not by its condition number but by the taps that it gives, which
+are compared with the table's own.
 
-Of a law that knows the signal the model is sampled along signals, up to the end of its preview.
+For a law that knows the signal its model is sampled along signals, up to the end of its preview.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from deadtime.scenarios.state_lanes import ObserverLanes, OutputLanes, belief_la
 from deadtime.switching import SignalBatch, SwitchingSignal
 
 ACCURACY = 2e-13  # of the largest entry of a tap
-_MOST_ROWS, _MOST_ORDER = 4, 48  # beyond, dense rows cost less than straight-line code
+_MOST_ROWS, _MOST_ORDER = 4, 48  # beyond, dense rows cost less than factorised straight-line code
 
 
 class WindowForm(NamedTuple):
@@ -95,16 +95,15 @@ def window_form(feedback: Feedback) -> WindowForm | None:
 
 
 def _candidates(factor: Factor) -> list[tuple[Factor, int]]:
-    """The factorisation in other bases, and the size of the blocks that S has there."""
-    found = []
-    # The modal basis first: its blocks are the smallest, where round-off lets it pass.
-    modal = _modal(factor)
-    if modal is not None:
-        found.append(modal)
+    """The factorisation in the modal and in its own basis, with the sizes of the blocks of S.
+
+    The modal basis is first: its blocks are the smallest, where round-off lets it pass.
+    """
     S, q = factor.S, factor.S.shape[0]
     sizes = [size for size in range(1, q + 1) if q % size == 0]
     size = next(s for s in sizes if not (S * (1.0 - _blocks_of_ones(q, s))).any())
-    return [*found, (factor, size)]
+    modal = _modal(factor)
+    return [(factor, size)] if modal is None else [modal, (factor, size)]
 
 
 def _blocks_of_ones(q: int, size: int) -> np.ndarray:
@@ -112,7 +111,7 @@ def _blocks_of_ones(q: int, size: int) -> np.ndarray:
 
 
 def _modal(factor: Factor) -> tuple[Factor, int] | None:
-    """In real eigenvectors of S: real parts and imaginary parts for complex pairs."""
+    """The factorisation in the real eigenvectors of S, complex pairs as real and imaginary part."""
     values, vectors = np.linalg.eig(factor.S)
     real, imaginary = np.real(vectors), np.imag(vectors)
     single, pairs = np.flatnonzero(np.imag(values) == 0.0), np.flatnonzero(np.imag(values) > 0.0)
@@ -130,7 +129,7 @@ def _modal(factor: Factor) -> tuple[Factor, int] | None:
     except np.linalg.LinAlgError:
         return None
     S = inverse @ factor.S @ basis
-    # Off the blocks is round-off, which the kernel never reads: the check must not either.
+    # Round-off beside the blocks, which the kernel never reads, must not count in the check either.
     S = S * _blocks_of_ones(S.shape[0], size)
     return Factor(factor.H @ basis, S, inverse @ factor.input, factor.last), size
 
@@ -147,7 +146,7 @@ def _form(factor: Factor, size: int, length: int) -> WindowForm:
 
 
 def _fits(form: WindowForm, feedback: Feedback) -> bool:
-    """Whether the form's taps are the table's, forwards, and across the two blocks."""
+    """Whether the taps of the form are the table's, by both of the products that the loop uses."""
     taps = feedback.input_gain
     W = taps.shape[1] - 1
     forwards = np.einsum("cmq,jqp->cjmp", form.out, form.ahead[::-1])
@@ -166,31 +165,31 @@ class ModelAhead:
     Attributes
     ----------
     loop : Loop
-        What it does in a period; of no plant's state.
+        The maps of the model's periods; its x0 and weight are not used.
     """
 
     def __init__(self, law: Law, sampled: SampledPlant, samples: int) -> None:
         window, n = sampled.window, sampled.plant.states
         self._law, self._step, self._samples = law, window.step, samples
-        self._preview = self._ask(SwitchingSignal.constant(0))
+        self._preview = self._preview_along(SwitchingSignal.constant(0))
         whole = window.phase >= window.step
         self._length = window.count if whole else window.count - 1
         self._rest = 0.0 if whole else window.phase
         self.loop = Loop(sampled, np.zeros(n), (samples - 1 + self._length) * window.step)
 
     def sample_signals(self, signals: SignalBatch) -> KnownSignalModel:
-        """The model along signals; an error where one is not known as far as the law looks."""
-        self._ask(signals[int(signals.end.argmin())])
+        """The model along signals; an error if one ends before the preview does."""
+        self._preview_along(signals[int(signals.end.argmin())])
         return self._own if self._law.previewed is not None else self._sample_signals(signals)
 
     @cached_property
     def _own(self) -> KnownSignalModel:
-        """The model along the signal that the law assumes, the same in all scenarios."""
+        """The model along the signal that the law was given, the same in all scenarios."""
         assert self._law.previewed is not None
         return self._sample_signals(SignalBatch.of([self._law.previewed]))
 
     def without_signals(self) -> KnownSignalModel:
-        """The model along no signals, which compiles all but `sample_signals` itself."""
+        """The model along no signals, to compile the loop without `sample_signals`."""
         return self._model(self.loop.without_signals(), read_only(np.zeros(0, np.int64)))
 
     def _sample_signals(self, signals: SignalBatch) -> KnownSignalModel:
@@ -209,11 +208,12 @@ class ModelAhead:
     def _tails_of_cuts(
         self, records: Records, sampled: Int[np.ndarray, " sojourn"]
     ) -> Float[np.ndarray, "cut tail"]:
-        """Those of cut periods: over the first seconds, up to t_k + D, then by the gain there."""
+        """[K M, L] of cut periods: M moves x over the rest of the delay, K is the gain there."""
         loop, tables = self.loop, self.loop.tables
         assert tables is not None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
         last, cuts = records.sojourn.astype(np.int64), records.sojourn.size
+        # The last sojourn that has begun by t_k + D, in all cut periods at once.
         begun = last + 1 < records.until
         while begun.any():
             begun[begun] = records.at[last[begun] + 1] <= self._rest
@@ -221,13 +221,9 @@ class ModelAhead:
             begun &= last + 1 < records.until
         moves = np.eye(n, wide)[None]
         if self._rest > 0.0:
-            maps, which, end = (
-                np.empty((cuts, tables.width)),
-                np.arange(cuts),
-                np.full(cuts, self._rest),
-            )
+            maps, end = np.empty((cuts, tables.width)), np.full(cuts, self._rest)
             given = end, records, sampled, loop.acting, tables.pieces, loop.step
-            compose_cuts(maps, which, last + 1, *given)
+            compose_cuts(maps, np.arange(cuts), last + 1, *given)
             moves = maps[:, : n * wide].reshape(cuts, n, wide)
         gains, tails = self._preview.gains[sampled[last]], np.zeros((cuts, m, n + m))
         tails[:, :, n:] += self._preview.latest
@@ -235,20 +231,20 @@ class ModelAhead:
             tails += gains[:, :, j, None] * moves[:, None, j, : n + m]
         return tails.reshape(cuts, m * (n + m))
 
-    def _ask(self, signal: SwitchingSignal) -> Preview:
+    def _preview_along(self, signal: SwitchingSignal) -> Preview:
         found = self._law.preview(self._step, signal, self._samples)
         assert found is not None
         return found
 
     @cached_property
     def _own_tails(self) -> np.ndarray:
-        """The tails of modes that no switch cuts."""
+        """[K M, L] of periods in one mode, as in `_tails_of_cuts`."""
         loop, plant = self.loop, self.loop.plant
         n, m, tails = plant.states, plant.inputs, []
+        # Over no time `parts_of` gives no parts, and M = [I 0].
+        periods = [parts_of(loop.acting, i, 0.0, self._rest) for i in range(plant.modes)]
         moves = np.tile(np.eye(n, loop.acting.wide), (plant.modes, 1, 1))
         if self._rest > 0.0:
-            modes = range(plant.modes)
-            periods = [parts_of(plant, loop.acting, i, 0.0, self._rest) for i in modes]
             moves = compose(plant, loop.acting, periods, loop.acting.wide).move
         for K, move in zip(self._preview.gains, moves, strict=True):
             tail = K @ move[:, : n + m]
@@ -262,33 +258,34 @@ PERFECT = MeasurementLanes()
 
 
 class EngineTable(NamedTuple):
-    """A law as `scenarios.lane_loop` takes it: one of three, its memory or belief, its window.
+    """A law as `scenarios.lane_loop` takes it: `factored`, `dense` or `model`, and its state.
 
-    `taps` is how many inputs it reads, and `feedback` what its rows are, where it has some and goes
-    by the reported modes; `outputs` the plant's C where these are measured, and `gains`
-    (rows, m, n) what its rows make of the state where a belief weighs them.
+    taps : how many past inputs it reads
+    feedback : the table whose rows follow the reported modes, None if they do not
+    outputs : (modes, p, n), the plant's C if outputs are measured
+    gains : (rows, m, n), F of the rows that a belief weighs
     """
 
     shape: LoopSizes
-    factored: Factored | None
-    dense: Dense | None
-    model: KnownSignalModel | None
-    memory: Memory | None
-    belief: Belief | None
-    bank: BankForm | None
-    taps: int
-    feedback: Feedback | None
+    factored: Factored | None = None
+    dense: Dense | None = None
+    model: KnownSignalModel | None = None
+    memory: Memory | None = None
+    belief: Belief | None = None
+    bank: BankForm | None = None
+    taps: int = 0
+    feedback: Feedback | None = None
     outputs: np.ndarray | None = None
     gains: np.ndarray | None = None
 
     @property
     def measured(self) -> int:
-        """How many numbers the law measures."""
+        """Size of a measurement."""
         return self.shape.seen
 
 
 class Engine:
-    """Runs tables along signals on the grid of a loop; holds nothing that changes."""
+    """Runs tables along signals on the grid of a loop; immutable, shared by threads."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
@@ -307,16 +304,13 @@ class Engine:
         _, m, n = feedback.state_gain.shape
         if form is None:
             shape = replace(self._shape, head=m * (n + m))
-            return EngineTable(
-                shape, None, _dense(feedback), None, None, None, None, taps, feedback
-            )
+            return EngineTable(shape, dense=_dense(feedback), taps=taps, feedback=feedback)
         rows, _, q = form.out.shape
-        block = form.transition.shape[1]
-        shape = replace(self._shape, b=q, block=block, rows=rows * m)
+        shape = replace(self._shape, b=q, block=form.transition.shape[1], rows=rows * m)
         own = _factored(feedback, form)
-        return EngineTable(shape, own, None, None, None, None, None, taps, feedback)
+        return EngineTable(shape, factored=own, taps=taps, feedback=feedback)
 
-    def remember(
+    def on_observer(
         self, feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode p n"]
     ) -> EngineTable:
         """The rows of a law on its observer of y = C_σ x, `outputs` being the plant's C."""
@@ -331,39 +325,35 @@ class Engine:
             shape=shape, memory=memory._replace(sizes=sizes), taps=taps, outputs=outputs
         )
 
-    def believe(self, feedback: Feedback, belief: Belief) -> EngineTable:
+    def on_belief(self, feedback: Feedback, belief: Belief) -> EngineTable:
         """The rows of a law weighed by a belief."""
         gains = feedback.state_gain
         return self.table(feedback)._replace(belief=belief, feedback=None, gains=gains)
 
-    def estimate(
+    def on_bank(
         self, feedback: Feedback, bank: BankForm, outputs: Float[np.ndarray, "mode p n"]
     ) -> EngineTable:
         """The rows of a law weighed by a belief from y = C_σ x, `outputs` being the plant's C."""
-        table, (_, p, n) = self.believe(feedback, bank.chain), outputs.shape
+        table, (_, p, n) = self.on_belief(feedback, bank.chain), outputs.shape
         shape = replace(table.shape, seen=p, output=p, kept=n)
         return table._replace(shape=shape, bank=bank, outputs=outputs)
 
-    def answer_with_preview(self, ahead: ModelAhead, signals: SignalBatch) -> EngineTable:
-        """The table of a law that knows these signals, for each of them."""
-        return self._with_preview(ahead, ahead.sample_signals(signals))
-
     def along(self, law: EngineTable | ModelAhead, signals: SignalBatch) -> EngineTable:
         """The table of a law along signals."""
-        return law if isinstance(law, EngineTable) else self.answer_with_preview(law, signals)
+        if isinstance(law, EngineTable):
+            return law
+        return self._with_preview(law, law.sample_signals(signals))
 
     def compile(self, law: EngineTable | ModelAhead) -> None:
         """Compile the loop under a law that receives every sample: run it along no signals."""
-        table = (
-            law if isinstance(law, EngineTable) else self._with_preview(law, law.without_signals())
-        )
-        self.run(table, self._loop.without_signals())
+        if isinstance(law, ModelAhead):
+            law = self._with_preview(law, law.without_signals())
+        self.run(law, self._loop.without_signals())
 
     def _with_preview(self, ahead: ModelAhead, model: KnownSignalModel) -> EngineTable:
         entering = model.lags.size * self._loop.plant.inputs
         shape = replace(self._shape, entering=entering)
-        taps = ahead.loop.sampled.longest_lag
-        return EngineTable(shape, None, None, model, None, None, None, taps, None)
+        return EngineTable(shape, model=model, taps=ahead.loop.sampled.longest_lag)
 
     def run(
         self,
@@ -423,6 +413,7 @@ class Engine:
         if table.belief is not None and table.gains is not None:
             mind = belief_lanes(shape, table.belief, table.bank, table.gains)
         outputs = None if table.outputs is None else OutputLanes.of(table.outputs)
+        # The fields up to `taps` are the law's arguments, in the order of `run_scenarios`.
         room = work, ahead, kept, mind, outputs
         run_scenarios(*table[:8], *loop, first, count, path, keep, *room)
         # The last two are exponents, which the kernel has added to the logarithms.
@@ -449,7 +440,7 @@ def _dense(feedback: Feedback) -> Dense:
 
 
 def _zeros_on_cache_lines(size: int) -> np.ndarray:
-    """Zeros of which every eighth begins a cache line: a vector across two costs twice as much."""
+    """Zeros of which every eighth begins a cache line: a vector across two takes twice as long."""
     room = np.zeros(size + LANES)
     skip = -(room.ctypes.data // room.itemsize) % LANES
     return room[skip : skip + size]

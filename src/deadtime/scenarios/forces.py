@@ -1,7 +1,7 @@
 """Disturbances in a block of scenarios: a force for every stretch of every period.
 
-It is constant over the stretch and does to the state there what the disturbance does; what draws it
-and what it is are as in a single run (`simulation.forcing`).
+It is constant over the stretch and has the same effect on the state at its end as the disturbance.
+Draws and forces are those of single runs (`simulation.forcing`).
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from deadtime.scenarios.side_by_side import fill_forces, groups
 from deadtime.simulation.forcing import force_over, lengths_of, spread_over
 from deadtime.switching import SignalBatch
 
-ACCURACY = 1e-12  # of the largest that a number makes, to which series are those of `_over`
-_CHECKS = 29  # of a series in each cell
+ACCURACY = 1e-12  # of the largest effect of a number: series must agree so well with `_over`
+_CHECKS = 29  # instants in each cell at which a series is checked, none of them a node
 _FEW = 32  # scenarios that are gone through at a time, so that they stay in the caches
 
 
 @dataclass(frozen=True, eq=False)
 class ForceMaps:
-    """From what disturbances draw for a stretch to its force, for every map of `Records`.
+    """The maps from draws for a stretch to its force, for every map of `Records`.
 
-    A period that one switch cuts has them from series in its instant, as `periods` has what
-    moves the plant: a stretch being as long wherever the switch lies in it, they are analytic.
+    In a period with one switch they come from series in its instant, as the plant's maps do in
+    `periods`: a stretch has the same length wherever the switch lies in it, so they are analytic.
     """
 
     loop: Loop
@@ -51,7 +51,7 @@ class ForceMaps:
     def along(
         self, signals: SignalBatch, records: Records
     ) -> list[Float[np.ndarray, "map stretch n r"]]:
-        """Those of each disturbance along signals; last periods are taken as whole."""
+        """The maps of each disturbance along signals; last periods count as whole."""
         held, modes = self._held, signals.modes
         maps = np.empty((len(held) + records.sojourn.size, *held.shape[1:]))
         cut, switches = maps[len(held) :], records.until - records.sojourn - 1
@@ -76,23 +76,23 @@ class ForceMaps:
 
     @cached_property
     def _held(self) -> np.ndarray:
-        """Those of periods that no switch cuts."""
+        """The maps of periods without a switch."""
         mode = np.arange(self.loop.plant.modes)[:, None]
         return self._over(mode, np.broadcast_to([0.0, self.loop.step], (len(mode), 2)))
 
     @cached_property
     def _widths(self) -> list[int]:
-        """How many numbers each disturbance draws for a stretch."""
+        """Numbers that each disturbance draws for a stretch."""
         sizes, A = Sizes.of(self.loop.plant, self.loop.step), self.loop.plant.A
         one = np.zeros((1, 1), np.int64), np.full((1, 1), self.loop.step)
         return [spread_over(kind, sizes, A, *one).shape[2] for kind in self.kinds]
 
     @cached_property
     def _switched(self) -> tuple[np.ndarray, int] | None:
-        """Series (mode·mode, part, cell, degree, size), and how many vectors one entry is.
+        """Series (mode·mode, part, cell, degree, size), and the vectors in one entry.
 
-        None where there are too many modes for it, or where a series is no match: that of a root
-        of a covariance that is almost singular for some switch.
+        None if there are too many modes, or if a series does not fit: one of the root of a
+        covariance that is almost singular for some switch.
         """
         cells, edges, modes = self.loop.cells, self.loop.acting.edges, self.loop.plant.modes
         size = self._held[0].size
@@ -119,7 +119,7 @@ class ForceMaps:
         return (flat, len(width)) if fits else None
 
     def _with_switch(self, t: np.ndarray) -> np.ndarray:
-        """Those of periods with a switch at t (cell, node): (mode·mode, cell, node, numbers)."""
+        """The maps of periods with a switch at t (cell, node): (mode·mode, cell, node, numbers)."""
         modes = self.loop.plant.modes
         pairs = np.stack(np.divmod(np.arange(modes * modes), modes), axis=1)
         at = np.zeros((len(pairs), *t.shape, 3))
@@ -129,7 +129,10 @@ class ForceMaps:
         return values.reshape(*at.shape[:3], -1)
 
     def _along_cuts(self, modes: np.ndarray, records: Records, which: np.ndarray) -> np.ndarray:
-        """Those of cut periods, each with its own number of switches."""
+        """The maps of cut periods, each with its own number of switches.
+
+        Shorter rows are filled with instants at the end of the period: parts of no length.
+        """
         sojourn, until = records.sojourn[which], records.until[which]
         order = sojourn[:, None] + np.arange(int((until - sojourn).max()) + 1)
         i = np.minimum(order, until[:, None] - 1)
@@ -138,7 +141,7 @@ class ForceMaps:
         return self._over(modes[i[:, :-1]], at)
 
     def _over(self, mode: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Those of periods (period, stretch, n, numbers) in mode (period, part) between `at`s."""
+        """The maps (period, stretch, n, numbers), in mode (period, part) between instants `at`."""
         loop, sizes = self.loop, Sizes.of(self.loop.plant, self.loop.step)
         stretches, A = loop.acting.stretches, loop.plant.A
         start, stop = (part[: stretches.first[1], None] for part in stretches[1:3])
@@ -163,8 +166,7 @@ def forces_of(
 ) -> np.ndarray:
     """The forces in scenarios first, first + 1, … with these signals, period by period.
 
-    (group, sample, stretch, n, lane), flat, in `rooms`; what is drawn is the same whatever the
-    signals are.
+    (group, sample, stretch, n, lane), flat, in `rooms`; the draws do not depend on the signals.
     """
     loop, count = maps.loop, len(signals)
     samples, sampled = loop.whole + 1, loop.sampled

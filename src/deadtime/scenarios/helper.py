@@ -1,9 +1,9 @@
 """A second process that compiles the loop for some of the laws, where there are processors for two.
 
 Numba compiles one function at a time in a process. The helper has the same plant and laws and the
-same folder for compiled code: it compiles what it is asked for (`Engine.compile`) and ends, and the
-first process, which samples signals and compiles for the other laws, finds the files. They
-are all that the two share: a helper that fails leaves the work to the first process.
+same folder for compiled code: it compiles its share (`Engine.compile`) and ends, and the first
+process, which samples signals and compiles for the other laws, finds the files. The two share
+nothing else: if the helper fails, the first process does its work.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from deadtime.scenarios.lane_loop import run_scenarios
 from deadtime.scenarios.prepare import BatchRequest, Runnable, prepare
 
 _CHECK = 0.02  # seconds between looks at it
-_LONGEST = 120.0  # seconds after which it is given up: several times what it takes
+_LONGEST = 120.0  # seconds after which it is given up: several times its usual time
 
 
 class Helper:
@@ -35,7 +35,7 @@ class Helper:
     Attributes
     ----------
     laws : set of str
-        Those laws; none where no helper would be of use.
+        Its laws; none where no helper would be of use.
     """
 
     def __init__(self, request: BatchRequest, tables: Mapping[str, Runnable]) -> None:
@@ -58,7 +58,7 @@ class Helper:
                 self._process.communicate()
 
     def wait(self, stopped: Callable[[], bool]) -> None:
-        """Until its laws are compiled, or it has failed; from now on it does not start."""
+        """Wait until its laws are compiled, or it has failed; after that it does not start."""
         self._asked = True
         while self._process is not None and self._process.poll() is None and not stopped():
             if time.monotonic() > self._given_up:
@@ -70,10 +70,10 @@ class Helper:
         if self._asked or (is_cached(run_scenarios.dispatcher) and not ours):
             return
         self._asked = True
-        # That it starts is not what the run stands or falls with, whatever a law of the user's is.
+        # The run does not need it: laws of the user that cannot be pickled are compiled here.
         with contextlib.suppress(Exception):
             data = pickle.dumps((self._request, self.laws))
-            # Its modules are those of this process, and not those that lie in the current folder.
+            # Its modules are those of this process, not those in the current folder.
             path = os.pathsep.join(filter(None, sys.path))
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", __name__],
@@ -89,7 +89,7 @@ class Helper:
 
 
 def _is_of_use(request: BatchRequest) -> bool:
-    """Whether two can compile at once, for one another, and what `Engine.compile` compiles."""
+    """Whether two processes can compile at once, sharing files, all that the run needs."""
     if processors() < 2 or not sys.executable or hasattr(sys, "frozen"):
         return False
     receives_all = all(isinstance(one, Limiting) for one in request.imperfections)
@@ -99,7 +99,7 @@ def _is_of_use(request: BatchRequest) -> bool:
 def share_of(tables: Mapping[str, Runnable]) -> frozenset[str]:
     """The laws to compile elsewhere: those of at least half of the work, the most costly first.
 
-    Laws that share a loop are together. Laying signals, which is left, costs as much as two loops.
+    Laws that share a compiled loop are together. A law that knows the signal counts twice.
     """
     laws: dict[tuple[Hashable, ...], list[str]] = {}
     for name, table in tables.items():
@@ -122,18 +122,18 @@ def _kind(table: Runnable) -> tuple[Hashable, ...]:
 
 
 def _end_with_parent() -> None:
-    os.read(0, 1)  # nothing more comes: it returns when the other end is closed
+    os.read(0, 1)  # returns when the parent closes its end: nothing more is written
     os._exit(1)
 
 
 def main() -> None:
-    """Compile what is asked for on stdin, while that is open."""
+    """Compile the request from stdin, as long as that is open."""
     request, laws = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _, engine, tables = prepare(request)
-    for name, table in tables.items():
+    prepared = prepare(request)
+    for name, table in prepared.tables.items():
         if name in laws:
-            engine.compile(table)
+            prepared.engine.compile(table)
 
 
 if __name__ == "__main__":

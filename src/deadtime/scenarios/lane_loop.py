@@ -1,10 +1,18 @@
 """The digital loop of eight scenarios at once, compiled: see `docs/theory/batch.md`.
 
+Why lanes: within one scenario every operation of a period waits for the one before, and the units
+of a processor idle. Eight scenarios are independent, and one vector instruction moves them all.
+
+    lane         0     1     2   …   7
+    x            x₁ of eight scenarios   | x₂ of eight scenarios | …       vectors in registers
+    ring         u_{k−N} | … | u_{k−1} | u_k,   each m vectors             place k mod period
+    own          M of eight scenarios, entry by entry, then E              one map per lane
+
 All sizes are types (`deadtime.numerics.lanes`), so that one period is straight-line code with
-states, window sums and metrics in registers. Each scenario's transition over a period lies in
-memory and is rewritten where its records say so: when its mode changes, and for a period that a
-switch cuts. A law is factorised rows, dense ones, or a model for a preview; what there is none
-of is None, and Numba leaves out what hangs on that alone.
+states, window sums and metrics in registers. Each scenario's map over a period lies in memory and
+is rewritten by its records: when its mode changes, and for a period with a switch. A law is
+factorised rows, dense rows, or a model for a preview; arguments that are None leave their branches
+out of the compiled code.
 """
 
 # Intrinsics take one argument less than the functions that declare them.
@@ -84,13 +92,15 @@ _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out
 
 
 class LaneScratch(NamedTuple):
-    """Memory of eight scenarios, made before the loop: what makes arrays is dear to compile.
+    """Memory of eight scenarios, made before the loop: code that makes arrays compiles slowly.
 
-    figures : of all scenarios, by groups of eight, FIGURES + 2 vectors each
-    ring : inputs, of `period` samples;  own : maps;  xs : x₀;  carry : of factorised rows
-    mode, its number as one that `choose` reads, when it began
-    at, stop, coming : the next record, the end of records, 8·period + place of the next one
-    acting : where in `ring` the inputs that act lie, lag by lag
+    figures : (group, FIGURES + 2, lane), flat, of all scenarios
+    ring : (period, m, lane), flat, the inputs of the last `period` samples
+    own : (M and E, lane), flat;  xs : (n, lane), x₀;  carry : of factorised rows (`refill`)
+    mode : (lane,), `number` the same as a float, for `choose`;  began : the sample of its begin
+    at, stop : (lane,), the next record and the end of records
+    coming : (lane,), 8 · period + lane of the next record
+    acting : (lag,), the places in `ring` of the inputs that act
     """
 
     figures: np.ndarray
@@ -144,7 +154,7 @@ def _begin(n, m, work, plant, run, start, count):
 
 @inner_kernel
 def _switch(plant, work, k, soon):
-    """Apply the records of period k; which comes next, or a number that no period reaches."""
+    """Apply the records of period k; the next of `coming`."""
     size = work.own.size // LANES
     while soon // LANES == k:
         lane = soon % LANES
@@ -166,14 +176,14 @@ def _switch(plant, work, k, soon):
 
 @inner_kernel
 def _turn_around(places, m, size):
-    """The places of the next inputs in a ring."""
+    """Move places in a ring on to the next input."""
     for p in range(places.size):
         after = places[p] + m * LANES
         places[p] = 0 if after == size else after
 
 
-# One loop, one function: a second one, called from here, would be optimised by itself and again
-# where it is inlined, in twice the time of compiling.
+# One function: a second one, called from here, would be optimised alone and again where it is
+# inlined, which doubles the time of compiling.
 @kernel(eager=True, nogil=True)
 def run_scenarios(
     shape, factored, dense, model, memory, belief, bank, taps, plant, run, limits, relayed,
@@ -181,14 +191,16 @@ def run_scenarios(
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory`
-    its observer, `belief` the chain that weighs its rows (`feedback.belief.Belief`), and `bank`
-    its filters of outputs. These may be None, and so may `limits` of the inputs, `relayed`
-    and `instants`, how measurements and modes reach the law (`lane_types.MeasurementLanes`), and
-    `force`, what acts on the plant besides (`forces`). `path`, unless it is empty, gets x and u of
-    every sample from `keep` on. The last scenario fills the last group of eight.
-    `ahead` is the memory of a model, `kept` of an observer and `mind` of a belief, None without
-    one; `outputs` what the plant shows of its state, None where that is measured itself.
+    factored, dense, model : one of them is the law, which reads `taps` past inputs
+    memory, belief, bank : its observer, the belief that weighs its rows, its filters of outputs
+    plant, run, limits : `PlantLanes`, `RunLanes`, and the limits of the inputs
+    relayed, instants : measurements and modes as received (`lane_types.MeasurementLanes`)
+    force : of disturbances (`forces`)
+    path : gets x and u of every sample from `keep` on, unless it is empty
+    work, ahead, kept, mind : memory of the loop, of a model, an observer and a belief
+    outputs : C of the plant, None if the state is measured
+
+    All but shape, plant, run, path and work may be None. The last scenario fills the last group.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     ring, own, carry, sizes = work.ring, work.own, work.carry, len(shape.rows)
@@ -209,7 +221,7 @@ def run_scenarios(
         )
         if memory is not None:
             begin_observers(memory, kept)
-        # A plain 0 is a type of its own, for which what is called would be compiled once more.
+        # A plain 0 has another type, for which every callee would be compiled once more.
         soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
         older = period - min(taps, run.samples)
         if factored is not None:
@@ -222,7 +234,7 @@ def run_scenarios(
         if relayed is not None:
             recent = recent_of(shape, relayed, instants)
             lost_now = lanes_of(recent.lost.reshape(1, LANES))
-            # Asked here, for what ends within a branch is counted by Numba in every period.
+            # Before the loop: Numba counts references to arrays that are first used in a branch.
             late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
             by_reported = relayed.row.size > 0
         for k in range(run.samples):

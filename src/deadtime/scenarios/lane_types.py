@@ -15,13 +15,13 @@ from deadtime.loop.received_samples import Received
 class LoopSizes:
     """The sizes of a loop, which compiled code knows as types: the lengths of tuples.
 
-    x : states;  u : inputs;  both : states and the inputs of one sample;  pair : two inputs
-    acting : the inputs that act over a period;  driving : these and the forces;  z : and the state
-    b : the window of factorised rows;  block : a block of its transition
-    rows : the inputs that all its rows ask for
+    x : states;  u : inputs;  both : states and inputs of one sample;  pair : inputs of two samples
+    acting : the inputs that act over a period;  driving : with the forces;  z : with the state, too
+    b : the window sums of factorised rows;  block : a block of its transition
+    rows : the commands of all rows together
     force : all forces of a period
-    seen : what is measured;  known : what the law's rows are multiplied with
-    kept : that of a law with a memory, zeros of one with a bank;  output : what it measures
+    seen : a measurement;  known : the vector that the law's rows multiply
+    kept : the state of an observer, or zeros for a bank;  output : the outputs of the plant
     head : m (n + m), for the heads of dense rows
     entering : `acting` of the model of a law that knows the signal
     """
@@ -52,7 +52,7 @@ class LoopSizes:
 
 
 class Factored(NamedTuple):
-    """Factorised rows, the row a mode's where there are several; `length` is the window.
+    """Factorised rows, one row per mode if there are several; `length` is that of the window.
 
     state (rows, m, n), out (rows, m, q), last (rows, m, m), transition (q, block), enter (q, m),
     ahead (length, q, m) and behind (length, rows, m, q), flat.
@@ -71,8 +71,9 @@ class Factored(NamedTuple):
 class Dense(NamedTuple):
     """Dense rows of `taps` inputs.
 
-    `head` (rows, m, n + m): what x and the latest input, and `rest` (rows, m, width): what the
-    others, the latest first, are multiplied by, padded. `apart` and `ages` are those of the table.
+    head : (rows, m, n + m), flat, gains of x and of the latest input
+    rest : (rows, m, width), flat, gains of the older inputs, latest first, padded to whole vectors
+    apart, ages : of the table
     """
 
     taps: int
@@ -84,9 +85,9 @@ class Dense(NamedTuple):
 
 
 class PlantLanes(NamedTuple):
-    """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals by periods.
+    """The plant: the lags l of the inputs u_{k−l} that act, oldest first, and signals by periods.
 
-    See `periods.SignalPeriods`.
+    See `periods.SignalPeriods` for the others.
     """
 
     lags: np.ndarray
@@ -99,9 +100,9 @@ class PlantLanes(NamedTuple):
 
 
 class RunLanes(NamedTuple):
-    """samples, the weight of the last one's input, where the late half begins, x0, root.
+    """A run: samples, the weight of the last input, the first sample of the late half, x0, root.
 
-    Energy is |root u|², root (m, m) flat, or |u|² where that is empty.
+    Energy is Σ|root u|², root (m, m) flat, or Σ|u|² if that is empty.
     """
 
     samples: int
@@ -112,12 +113,12 @@ class RunLanes(NamedTuple):
 
 
 class InstantLanes(NamedTuple):
-    """Measurements within periods: from z, x and what acts in a period, to what is measured there.
+    """Measurements within periods: the maps from z, x and the inputs of a period, to x there.
 
     series : (row, degree·n·z), Σ_d M_d δ^d, M_d (n, z);  cuts : (row, n·z), one M each
     row : (group, sample, lane), flat: a row of `series`, or beyond them one of `cuts`
     place : (group, sample, lane), flat: δ
-    news : (group, sample), flat: whether a scenario's row is another one than before
+    news : (group, sample), flat: whether a row differs from the sample before in some lane
     """
 
     series: np.ndarray
@@ -128,7 +129,7 @@ class InstantLanes(NamedTuple):
 
 
 class MeasurementLanes(NamedTuple):
-    """The received data of a law, None for all; `instants` is None with measurements at samples."""
+    """The data that a law receives; None: every sample at once. `instants`: None for at samples."""
 
     relayed: Received | None = None
     instants: InstantLanes | None = None

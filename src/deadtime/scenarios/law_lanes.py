@@ -43,6 +43,7 @@ from deadtime.scenarios.lane_types import LoopSizes
 
 _ONE = (0.0,)
 _FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
+_NEVER = np.int64(2**62)
 
 
 @kernel(eager=True, nogil=True)
@@ -63,10 +64,14 @@ def dot(a, i, b, j, length):
 
 @inner_kernel
 def refill(shape, factored, ring, period, now, carry):
-    """Fill `carry` with the share of the previous block of inputs in each sum of the coming one.
+    """Fill `carry` with the share of the previous block of W inputs in the sums of the next one.
 
-    With s_r = Σ_{i ≥ r} S^{W−1−i} Γ u_{k−W+i}, the sum r periods on gets H S^r s_r. Nothing is
-    subtracted, so nothing cancels.
+        inputs   … | u_{k−W}  …  u_{k−1} | u_k  …  u_{k+r−1} | u_{k+r}
+                   previous block        | coming block: summed in b as they enter
+
+    The window of the sum r periods on is u_{k−W+r}, …, u_{k+r−1}. With s_r = Σ_{i ≥ r} S^{W−1−i} Γ
+    u_{k−W+i} the previous block adds H S^r s_r. Inputs leave the window without being subtracted,
+    so that nothing cancels and round-off does not grow from block to block.
     """
     m, asked = len(shape.u), len(shape.rows)
     q = len(shape.b)
@@ -84,8 +89,14 @@ def refill(shape, factored, ring, period, now, carry):
 class RowWindow(NamedTuple):
     """Memory of dense rows.
 
-    line : scenario by scenario, inputs twice over, so that N of them lie side by side wherever the
-    ring begins;  sums : of all inputs but the latest;  row : each scenario's, and where its head is
+    line : (lane, 2 taps m and padding), flat, the inputs of each scenario, twice
+    sums : (lane, m), of all inputs but the latest;  row, head : (lane,), rows and their places
+
+    The ring of inputs, latest first, is written twice, so that `taps` of them are contiguous from
+    any place on:
+
+        place        0      1      2     …  taps − 1 | taps   taps + 1 …
+        content      u_k−1  u_k−2  u_k−3 …           | u_k−1  u_k−2    …
     """
 
     line: np.ndarray
@@ -128,19 +139,12 @@ def sum_dense(shape, dense, window, place):
             window.sums[lane * m + i] = dot(dense.rest, begin, window.line, start, dense.width)
 
 
-# Intrinsics take one argument less than the functions that declare them.
-# pyright: reportCallIssue=false
-
-
-_NEVER = np.int64(2**62)
-
-
 class KnownSignalModel(NamedTuple):
-    """A law's model along signals that it knows, of each scenario its own or one for all.
+    """A law's model along signals that it knows, one per scenario or one for all.
 
-    length : W;  lags, maps, first, step, map : as of `PlantLanes`, over W periods more
-    tails : (maps, m (n + m)), what the prediction after W periods and the latest input are
-        multiplied by, up to t_k + D and by the gain there
+    length : W;  lags, maps, first, step, map : as in `PlantLanes`, over W periods more
+    tails : (maps, m (n + m)), [K M, L], for the prediction after W periods and the latest input: M
+        moves x up to t_k + D, K is the gain there
     """
 
     length: int
@@ -182,7 +186,7 @@ class PreviewLanes(NamedTuple):
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def look_ahead(shape, model, ahead, ring, start, count, period):
-    """The stacks at time 0, when the first W periods are in; when the next records enter.
+    """Fill the stacks with the first W periods, for time 0; the next of `coming`.
 
     Inputs from before time 0 are 0.
     """
@@ -203,7 +207,7 @@ def look_ahead(shape, model, ahead, ring, start, count, period):
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def turn(model, ahead, k, soon):
-    """Apply the records of the period that enters at t_k; when the next one does."""
+    """Apply the records of the period that enters the window at t_k; the next of `coming`."""
     while soon // LANES == k:
         lane = soon % LANES
         record = ahead.at[lane]
@@ -225,7 +229,7 @@ def turn(model, ahead, k, soon):
 
 @inner_kernel
 def enter(ahead, ring):
-    """Let the period that enters into the window, under the inputs in their ring."""
+    """Let a period enter the window, under its inputs, which are in the ring already."""
     eight = lanes_of(ahead)
     acting, m, q = eight.stacks.acting, eight.stacks.sizes.m, eight.stacks.sizes.acting
     for p in range(q // m):
@@ -239,7 +243,7 @@ def enter(ahead, ring):
 
 @inner_kernel
 def answer_with_preview(shape, length, ahead, k, x, latest):
-    """The input: x predicted over the W coming periods, then by the tail."""
+    """The command: x predicted over W periods, then multiplied by the tail."""
     eight = lanes_of(ahead)
     if length > 0:
         move_window(eight.stacks, k)

@@ -31,13 +31,12 @@ _ONE = (0.0,)
 
 
 class Recent(NamedTuple):
-    """The last states of eight scenarios, scenario by scenario, and where to read in them.
+    """The last states of eight scenarios, and the places of the received measurements.
 
-    Where measurements lie within periods, the inputs that act in its period are beside each.
-
-    slot : of x_k, one number;  places : where the received measurement lies
-    lost : 1 where nothing is received;  number : the row of the law's table, as `choose` reads it
-    row : of `InstantLanes`, each scenario's;  own : what that holds, (degree, n, z)
+    states : (lane, slot, seen), flat, a ring; with measurements within periods (lane, slot, z)
+    slot : (1,), of x_k;  places : (lane,), of the received measurements
+    lost : (lane,), 1 where nothing is received;  number : (lane,), the row of the law's table
+    row : (lane,), of `InstantLanes`;  own : (degree, n, z, lane), flat, its content
     """
 
     states: np.ndarray
@@ -51,7 +50,7 @@ class Recent(NamedTuple):
 
 @kernel(eager=True, nogil=True)
 def recent_of(shape, relayed, instants):
-    """Room for as many states as are looked back to, or for what acts on these, too."""
+    """Room for the states back to the longest lag, and for their inputs if need be."""
     size = len(shape.seen) if instants is None else len(shape.z)
     states = np.zeros(LANES * (relayed.reach + 1) * size)
     slot, places = np.zeros(1, np.int64), np.zeros(LANES, np.int64)
@@ -62,7 +61,7 @@ def recent_of(shape, relayed, instants):
 
 @inner_kernel
 def receive(shape, relayed, recent, x, at):
-    """The measurement of as many samples before x_k as the lags at `at` say."""
+    """The measurements of the samples that the lags at `at` choose."""
     n, slots, slot = len(shape.seen), relayed.reach + 1, recent.slot[0]
     spread(recent.states, slot * n, slots * n, x)
     _look_back(relayed, recent, at, slots, n)
@@ -115,7 +114,7 @@ def go_on(shape, relayed, recent, acting):
 
 @inner_kernel
 def _look_back(relayed, recent, at, slots, size):
-    """Note where the received measurements lie, and in which scenarios there is none."""
+    """Note the places of the received measurements, and the scenarios without one."""
     slot = recent.slot[0]
     for lane in range(LANES):
         lag = np.int64(relayed.lag[at + lane])

@@ -1,11 +1,11 @@
 """Statistics of laws compared in pairs on the same signals: quotients, shares, and the best law.
 
-Intervals hold at 95 %. Those of medians are made of order statistics and those of shares are
-Wilson's: they assume no distribution. That of a geometric mean is Student's for the mean of the
-logarithms, which asks for some dozens of signals.
+Intervals hold at 95 %. Those of medians are order statistics and those of shares are Wilson's: they
+assume no distribution. The interval of a geometric mean is Student's for the mean of the
+logarithms, which needs some dozens of signals.
 
-Where laws are ranked, scores are such that less is better: ∞ for a run that diverged, NaN for a law
-that could not be built.
+Laws are ranked by scores of which less is better: ∞ for a run that diverged, NaN for a law that
+could not be built.
 """
 
 from __future__ import annotations
@@ -16,10 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+SAME = 1e-6  # relative difference below which two runs count as equally good
+MOST = 1e12  # largest quotient: a divergence counts as no worse
+CONFIDENCE = 0.95
+
+Cells = Float[np.ndarray, "*cell"]
+Runs = Float[np.ndarray, "*cell law scenario"]
+
 
 @dataclass(frozen=True)
 class Proportion:
-    """How often something held: a count out of trials, with Wilson's 95 % interval.
+    """A count out of trials, with Wilson's 95 % interval.
 
     References
     ----------
@@ -60,13 +67,6 @@ class Proportion:
             f"{100 * self.fraction:.1f} % of {self.trials:,} "
             f"({100 * low:.1f} to {100 * high:.1f} %)"
         )
-
-
-SAME = 1e-6  # relative difference below which two runs count as equally good
-MOST = 1e12  # a quotient that counts as no worse than any larger one, such as that of a divergence
-CONFIDENCE = 0.95
-
-Cells = Float[np.ndarray, "*cell"]
 
 
 def quotient(
@@ -138,7 +138,7 @@ def median_interval(values: Float[np.ndarray, "*cell scenario"]) -> tuple[Cells,
 
 
 def share_below(ratio: Float[np.ndarray, " scenario"]) -> Float[np.ndarray, " three"]:
-    """How often a ratio is below 1, of the times that it differs from it."""
+    """The share of ratios below 1 among those that differ from 1, with its interval."""
     return share_of(ratio[np.abs(ratio - 1.0) > SAME] < 1.0)
 
 
@@ -148,9 +148,6 @@ def share_of(outcomes: Bool[np.ndarray, " outcome"]) -> Float[np.ndarray, " thre
     return np.array([found.fraction if found.trials else 0.5, *found.interval])
 
 
-Runs = Float[np.ndarray, "*cell law scenario"]
-
-
 class Ranking(NamedTuple):
     """Laws in the order of a mean, the best first, and how many of them could be built."""
 
@@ -158,7 +155,7 @@ class Ranking(NamedTuple):
     built: Int[np.ndarray, "*cell"]
 
     def place(self, rank: int) -> Int[np.ndarray, "*cell"]:
-        """Which law has a rank in each cell, counting from 0; −1 where there are not so many."""
+        """The law of a rank in each cell, counted from 0; −1 if fewer laws could be built."""
         last = self.order.shape[-1] - 1
         return np.where(self.built > rank, self.order[..., min(rank, last)], -1)
 
@@ -176,7 +173,7 @@ class Winners(NamedTuple):
 
 
 def ranking_of(means: Float[np.ndarray, "*cell law"]) -> Ranking:
-    """Laws by a mean of theirs, NaN where they could not be built.
+    """The ranking of laws by their means, NaN for those that could not be built.
 
     Examples
     --------
@@ -196,9 +193,9 @@ def pick(runs: Runs, place: Int[np.ndarray, "*cell"]) -> Float[np.ndarray, "*cel
 
 
 def verdict_of(low: Cells, high: Cells) -> Cells:
-    """1 where the interval of a quotient lies below 1, −1 where above, 0 where it decides nothing.
+    """1 where the interval of a quotient lies below 1, −1 where above, 0 where it contains 1.
 
-    NaN where the interval is.
+    NaN where the interval is NaN.
     """
     verdict = (high < 1.0 - SAME) * 1.0 - (low > 1.0 + SAME) * 1.0
     return np.where(np.isnan(low), np.nan, verdict)
@@ -207,8 +204,8 @@ def verdict_of(low: Cells, high: Cells) -> Cells:
 def winners_of(runs: Runs) -> Winners:
     """The law of the least geometric mean of paired quotients, and the runner-up's distance.
 
-    Quotients are with the least score that any of the laws has on the signal: with another
-    common reference the order is the same.
+    Quotients are taken to the least score of all laws on the same signal: any other common
+    reference gives the same order.
 
     Examples
     --------

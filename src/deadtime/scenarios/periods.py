@@ -1,10 +1,15 @@
-"""The periods of a loop: what acts over them, the maps of whole and cut ones, and signals by these.
+"""The periods of a loop: their inputs, the maps of whole and cut periods, and signals by periods.
 
-Over a period the plant sees z, its state at the sample, inputs of several lags and forces of
-disturbances, each constant over its stretch (`simulation.forcing`), and moves by x_{k+1} = M z with
-∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts the period, M and E are analytic in the
-instant of the switch, as long as no piece of either mode ends there: series in it replace two
-exponentials by one short polynomial.
+Over a period x_{k+1} = M z and ∫xᵀQx = zᵀ E z, where z is the state at the sample, the inputs of
+several lags and the forces of disturbances, each constant over its stretch (`simulation.forcing`):
+
+    z = ( x_k | u_{k−l₁} | u_{k−l₂} | … | d of stretch 1 | d of stretch 2 | … )
+          n     m          m              n                n
+        states                       plain                                 wide
+
+Where one switch from mode i to mode j cuts the period, M and E are analytic in the instant of the
+switch, as long as no piece of either mode ends there: series in it replace two exponentials by one
+short polynomial.
 """
 
 from __future__ import annotations
@@ -20,6 +25,11 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.checks import read_only
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.plant.pieces import Stretches
+
+WIDE = 8  # entries of a map come in vectors of so many
+NODES = 20  # of a series in a cell, which converges to round-off for ‖A‖ times its length ≤ 1
+_ROUND_OFF = 2e-15  # of the largest value: smaller terms of a series are left out
+MOST_NUMBERS = 4e6  # of the series for all pairs of modes: 32 MB
 
 
 class Acting(NamedTuple):
@@ -47,9 +57,9 @@ class Acting(NamedTuple):
 
 
 def acting_of(sampled: SampledPlant, forced: bool = False) -> Acting:
-    """The inputs that act on a sampled plant; if `forced`, a force over each stretch, too.
+    """The inputs of a sampled plant over a period; if `forced`, a force over each stretch, too.
 
-    Stretches of the same place in their modes' periods have the same force.
+    Stretches of all modes with the same number within the period have the same force.
 
     Examples
     --------
@@ -82,13 +92,17 @@ def acting_of(sampled: SampledPlant, forced: bool = False) -> Acting:
 
 
 class Records(NamedTuple):
-    """Which map takes a scenario over a period, from that period on.
+    """The map that moves a scenario over a period, from that period on.
 
-    Record r of scenario s, first[s] ≤ r < first[s + 1], says that from period `step[r]` on the
-    sampled mode is `mode[r]` and the map is `map[r]`. A map below the number of modes is that
-    mode's. Map modes + c is that of cut period c with the sojourns sojourn[c], …, until[c] − 1 of
-    the signals, of which sojourn i begins at[i] seconds into the period, the first one before it
-    or at its start. A scenario's last period counts as cut, and is marked in `last`.
+    Record r of scenario s, first[s] ≤ r < first[s + 1]: from period `step[r]` on the sampled mode
+    is `mode[r]` and the map is `map[r]`. A map below the number of modes is that mode's. Map
+    modes + c is that of cut period c with the sojourns sojourn[c], …, until[c] − 1 of the signals;
+    sojourn i begins at[i] seconds into the period, the first one at its start or before. The last
+    period of a scenario counts as cut, and is marked in `last`.
+
+        scenario s:  period   0  1  2  3  4  5  6       a switch within period 3, from mode 0 to 1
+        record       step     0        3  4     6       three maps: mode 0, cut c, mode 1, cut c + 1
+                     map      0        2+c 1    2+c+1   (two modes)
     """
 
     first: Int[np.ndarray, " scenario+1"]
@@ -115,11 +129,11 @@ class Records(NamedTuple):
 
 
 class SignalPeriods(NamedTuple):
-    """Signals by the periods 0, …, K, the last of which goes on to the horizon only.
+    """Signals by the periods 0, …, K, the last of which ends at the horizon.
 
-    Row `records.map[r]` of `maps` takes the plant over a period: `move` and the upper triangle of
-    `energy` with its off-diagonal doubled, flat (`Maps`). `age` is that of the first
-    mode at time 0, in samples.
+    Row `records.map[r]` of `maps` moves the plant over a period: `move` and the upper triangle of
+    `energy` with its off-diagonal doubled, flat (`Maps`). `age` is the age of the first mode at
+    time 0, in samples.
     """
 
     records: Records
@@ -128,13 +142,7 @@ class SignalPeriods(NamedTuple):
 
     @property
     def scenarios(self) -> int:
-        """How many there are."""
         return self.age.size
-
-
-WIDE = 8  # entries of a map come in vectors of so many
-NODES, _ROUND_OFF = 20, 2e-15
-MOST_NUMBERS = 4e6  # of the series for all pairs of modes
 
 
 class Maps(NamedTuple):
@@ -148,8 +156,8 @@ class CellSeries(NamedTuple):
     """Series by cells of a period, in δ ∈ [−1, 1] across each, the lowest power first.
 
     switched : (mode·mode, part, cell, degree, size), M and E of a period with one switch from
-        mode i to mode j, row i·modes + j, in every part of the period (`Acting.edges`); without
-        cells where there are too many modes for it
+        mode i to mode j, row i·modes + j, in every part of the period (`Acting.edges`); no cells
+        if there are too many modes
     pieces : (mode, cell, degree, size), Φ, Γ and the energy of one mode over a time
     width : the size of a map, in whole vectors
     """
@@ -187,9 +195,7 @@ class ModePart(NamedTuple):
     column: Int[np.ndarray, " m"]
 
 
-def parts_of(
-    plant: SwitchedSystem, acting: Acting, i: int, low: float, high: float
-) -> list[ModePart]:
+def parts_of(acting: Acting, i: int, low: float, high: float) -> list[ModePart]:
     """The parts of a period between two instants in mode i, with constant inputs each."""
     stretches, parts = acting.stretches, []
     for s in range(stretches.first[i], stretches.first[i + 1]):
@@ -228,9 +234,9 @@ def compose(
 
 
 def whole_periods(sampled: SampledPlant, acting: Acting, weight: Weight | None = None) -> Maps:
-    """The periods that no switch cuts."""
+    """The maps of periods without a switch."""
     plant, step = sampled.plant, sampled.step
-    periods = [parts_of(plant, acting, i, 0.0, step) for i in range(plant.modes)]
+    periods = [parts_of(acting, i, 0.0, step) for i in range(plant.modes)]
     return compose(plant, acting, periods, acting.wide, weight)
 
 
@@ -255,10 +261,7 @@ def tables_of(
 
     def with_switch(i: int, j: int) -> Callable[[np.ndarray], np.ndarray]:
         def at(times: np.ndarray) -> np.ndarray:
-            periods = [
-                parts_of(plant, acting, i, 0.0, t) + parts_of(plant, acting, j, t, step)
-                for t in times
-            ]
+            periods = [parts_of(acting, i, 0.0, t) + parts_of(acting, j, t, step) for t in times]
             move, energy = compose(plant, acting, periods, wide, weight)
             return np.concatenate((move.reshape(times.size, -1), pack(energy)), axis=1)
 
@@ -289,7 +292,7 @@ def _series(
 
 
 def nodes(low: float, high: float, cells: int) -> Float[np.ndarray, "cell node"]:
-    """The instants of [low, high] through which a series goes."""
+    """The instants of [low, high] through which a series is fitted: Chebyshev's, cell by cell."""
     places = np.arange(cells)[:, None] + 0.5 + 0.5 * np.polynomial.chebyshev.chebpts1(NODES)
     return low + (high - low) / cells * places
 

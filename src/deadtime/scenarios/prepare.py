@@ -17,13 +17,13 @@ from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.engine import Engine, EngineTable, ModelAhead
 from deadtime.switching import SwitchingSignal
 
-_MOST_TERMS = 1500  # of straight-line code for a period of the plant
+_MOST_TERMS = 1500  # of straight-line code for a period of the plant: more compiles for a minute
 
 Runnable = EngineTable | ModelAhead  # the latter is a table along signals
 
 
 class BatchRequest(NamedTuple):
-    """A run without its signals; each field as in `run.compare`."""
+    """A run without its signals; each field as in `batch_run.compare`."""
 
     plant: SwitchedSystem
     laws: Mapping[str, Law]
@@ -33,62 +33,70 @@ class BatchRequest(NamedTuple):
     imperfections: Sequence[Imperfection]
 
 
-def prepare(request: BatchRequest) -> tuple[Loop, Engine, dict[str, Runnable]]:
-    """The loop, its engine, and the laws that this can run."""
+class Prepared(NamedTuple):
+    """The loop, its engine, the laws that this can run, and why it cannot run the others."""
+
+    loop: Loop
+    engine: Engine
+    tables: dict[str, Runnable]
+    one_by_one: dict[str, str]
+
+
+def prepare(request: BatchRequest) -> Prepared:
+    """Prepare a batch run."""
     plant, laws, x0, horizon, step, imperfections = request
     forced = any(isinstance(one, Disturbance) for one in imperfections)
-    loop = Loop(SampledPlant.of(plant, step), x0, horizon, _actuators(imperfections), forced=forced)
-    engine = Engine(loop)
-    return loop, engine, _tables(engine, loop, laws, imperfections)
-
-
-def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Limiting]:
-    """The imperfections that engines model themselves: limits of the inputs."""
-    return [one for one in imperfections if isinstance(one, Limiting)]
-
-
-def _tables(
-    engine: Engine,
-    loop: Loop,
-    laws: Mapping[str, Law],
-    imperfections: Sequence[Imperfection],
-) -> dict[str, Runnable]:
-    """The laws that the engine can run."""
-    n, wide = loop.plant.states, loop.acting.wide
-    if loop.tables is None or not all(map(is_batched, imperfections)):
-        return {}
-    if loop.forced and not loop.plant.modes_share_delays:
-        return {}
-    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS:
-        return {}
+    limits = [one for one in imperfections if isinstance(one, Limiting)]
+    loop = Loop(SampledPlant.of(plant, step), x0, horizon, limits, forced=forced)
+    found = Prepared(loop, Engine(loop), {}, {})
+    reason = _why_no_batch(loop, imperfections)
     timed = any(isinstance(one, TimingImperfection) for one in imperfections)
-    tables = {name: _table(engine, loop, law, timed) for name, law in laws.items()}
-    return {name: table for name, table in tables.items() if table is not None}
+    for name, law in laws.items():
+        table = reason or _table(found.engine, loop, law, timed)
+        if isinstance(table, str):
+            found.one_by_one[name] = table
+        else:
+            found.tables[name] = table
+    return found
 
 
-def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | None:
-    """A law as the engine takes it; None for one that it cannot run."""
-    if law.draws:  # the engine keeps one beginning and one reference for all scenarios
-        return None
+def _why_no_batch(loop: Loop, imperfections: Sequence[Imperfection]) -> str:
+    """Why the engine can run no law on this loop; empty where it can."""
+    n, wide = loop.plant.states, loop.acting.wide
+    if loop.tables is None:
+        return "the plant is a thousand times faster than the period"
+    if not all(map(is_batched, imperfections)):
+        return "an imperfection is a function of its own"
+    if loop.forced and not loop.plant.modes_share_delays:
+        return "the plant is disturbed and its delays differ between modes"
+    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS:
+        return "the plant has too many states and inputs in flight"
+    return ""
+
+
+def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | str:
+    """A law as the engine takes it; or why it cannot run it."""
+    if law.draws:  # the engine keeps one first estimate and one reference for all scenarios
+        return "it draws its first estimate or its reference"
     C = law.outputs
     if C is not None and law.needs_preview:
-        return None
+        return "it measures outputs and knows the signal"
     steps = 1 if C is None else loop.whole + 1
     tables = law.tables_along(loop.step, SwitchingSignal.constant(0), steps)
     if tables is None:
-        return None
+        return "it is no table of gains"
     if tables.preview is not None:
         ahead = ModelAhead(law, law.sampled_plant(loop.step), loop.whole + 1)
         fits = ahead.loop.tables is not None and loop.plant.states**3 <= _MOST_TERMS
-        return ahead if fits else None
+        return ahead if fits else "its prediction has too many states, or is too fast"
     feedback = tables.feedback
     if feedback is None or feedback.context == "step":
-        return None
+        return "its gains change from sample to sample"
     if C is not None:
         return _on_outputs(engine, loop, tables, feedback, C, timed)
-    return (
-        engine.table(feedback) if tables.belief is None else engine.believe(feedback, tables.belief)
-    )
+    if tables.belief is not None:
+        return engine.on_belief(feedback, tables.belief)
+    return engine.table(feedback)
 
 
 def _on_outputs(
@@ -98,14 +106,18 @@ def _on_outputs(
     feedback: Feedback,
     C: Float[np.ndarray, "mode p n"],
     timed: bool,
-) -> EngineTable | None:
-    """The table of a law on outputs; measurements within periods need one C for all modes."""
+) -> EngineTable | str:
+    """The table of a law on outputs; or why the engine cannot run it."""
     memory = tables.memory
     if timed and (C[0] != C).any():
-        return None
+        return "outputs that depend on the mode are measured within periods"
     if tables.bank is not None:
-        return engine.estimate(feedback, tables.bank, C)
-    if memory is None or (memory.tracked.size and loop.whole == 0):  # errors are summed to the end
-        return None
+        return engine.on_bank(feedback, tables.bank, C)
+    if memory is None:
+        return "it has no observer"
+    if memory.tracked.size and loop.whole == 0:  # sums of errors go to the end
+        return "it follows a reference for less than a period"
     wide = max(part.shape[-1] for part in (memory.Phi, memory.Gamma))
-    return None if wide**2 * 4 > _MOST_TERMS else engine.remember(feedback, memory, C)
+    if wide**2 * 4 > _MOST_TERMS:
+        return "its observer has too many states"
+    return engine.on_observer(feedback, memory, C)

@@ -1,10 +1,9 @@
 """Measurements and modes that reach the laws of a block of scenarios, drawn before they run.
 
-A measurement t seconds into a period is x(t_k + t) = M z, z being the state at the sample and what
-acts in the period: the first n rows of what a period that ends there does. In a period that no
-switch cuts M is a series in t, M = Σ_d M_d δ^d with δ ∈ [−1, 1] the place in a cell, and so is
-M z = Σ_d (M_d z) δ^d: the loop keeps the M_d of each scenario's mode. What is measured in a cut
-period has its own M.
+A measurement t seconds into a period is x(t_k + t) = M z, z being the state at the sample with the
+inputs of the period, and M the map of a period that ends there. Without a switch M is a series in
+t, M = Σ_d M_d δ^d with δ ∈ [−1, 1] the place in a cell, and so is M z = Σ_d (M_d z) δ^d: the loop
+holds the M_d of each scenario's mode. A measurement in a cut period has its own M.
 """
 
 from __future__ import annotations
@@ -52,10 +51,10 @@ from deadtime.switching import SignalBatch
 
 @dataclass(frozen=True, eq=False)
 class BlockInstants:
-    """Where the measurements of a block of scenarios lie, filled in a few scenarios at a time.
+    """Instants of the measurements of a block of scenarios, filled in a few scenarios at a time.
 
-    row, place, news : as `InstantLanes` has them, or None where all is measured at samples
-    cuts : the M of measurements in cut periods, a few scenarios' each
+    row, place, news : as in `InstantLanes`, None if x is measured at samples
+    cuts : the M of measurements in cut periods, an array per few scenarios
     """
 
     loop: Loop
@@ -76,7 +75,7 @@ class BlockInstants:
         count: int,
         rooms: Rooms,
     ) -> BlockInstants | None:
-        """Those of scenarios first, …; None where no imperfection changes when x is measured."""
+        """Those of scenarios first, …; None without imperfections of timing."""
         kinds = in_many_runs(imperfections, TimingImperfection, seed, first, count, rooms)
         if not kinds:
             return None
@@ -105,8 +104,8 @@ class BlockInstants:
     ) -> int:
         """Place the measurements of scenarios begin, …, begin + few − 1 of the block on periods.
 
-        `received` (scenario or 1, sample) is whose measurement arrives; `lag`, which is filled for
-        these scenarios, and `reach`, which is returned, are as `Received` has them.
+        `received` (scenario or 1, sample): the sample whose measurement arrives. Fills `lag` for
+        these scenarios and returns `reach`, both as in `Received`.
         """
         from deadtime.scenarios.by_period import fill_places
 
@@ -136,7 +135,7 @@ class BlockInstants:
         return reach
 
     def instants(self) -> InstantLanes | None:
-        """All places and cuts that were filled in."""
+        """The instants that were filled in, None if x is measured at samples."""
         if self.row is None or self.place is None or self.news is None:
             return None
         series = instant_series(self.loop.sampled, self.loop.cells, self.loop.forced)
@@ -154,7 +153,7 @@ def instant_series(
     plant, acting = sampled.plant, acting_of(sampled, forced)
 
     def along(mode: int, times: Float[np.ndarray, "cell node"]) -> np.ndarray:
-        periods = [parts_of(plant, acting, mode, 0.0, t) for t in times.ravel()]
+        periods = [parts_of(acting, mode, 0.0, t) for t in times.ravel()]
         return compose(plant, acting, periods, acting.wide).move.reshape(*times.shape, -1)
 
     size = plant.states * acting.wide
@@ -169,20 +168,18 @@ def instant_series(
 
 
 def _sum(kinds: Sequence[InManyRuns], lags: Sequence[np.ndarray]) -> MeasurementLags:
-    """The lags of several."""
     timings = [each.one for each in kinds if isinstance(each.one, TimingImperfection)]
     return MeasurementLags.of(zip(timings, lags, strict=True))
 
 
-_LANES = (0.0,) * LANES
+_LANES = (0.0,) * LANES  # the length of a tuple is a type: loops over it are unrolled
 _FEW = 32  # scenarios that are gone through at a time, so that they stay in the caches
 
 
 class _Stack(NamedTuple):
-    """The received data of all scenarios, as in `Received`, and the modes.
+    """The received data of all scenarios, as in `Received` and `MeasurementLanes`, and the modes.
 
-    sight : as `MeasurementLanes` has it
-    modes : (scenario, sample), the reported modes, or None where they are the plant's
+    modes : (scenario, sample), the reported modes, or None if they are the plant's
     """
 
     lag: np.ndarray
@@ -198,12 +195,12 @@ class BlockMeasurements:
 
     Attributes
     ----------
-    signals, laid : SignalBatch, Laid
-        Their signals, and these sampled on the grid.
+    signals, by_period : SignalBatch, SignalPeriods
+        Their signals, also sampled on the grid.
     by_mode : bool
         Whether a law depends on the reported modes.
     measured : int
-        How many numbers laws measure.
+        Size of a measurement.
     rooms : Rooms
         Memory of the received data.
     """
@@ -223,7 +220,7 @@ class BlockMeasurements:
     ) -> MeasurementLanes:
         """The received data of a law with this table, in `count` scenarios from `begin` on.
 
-        `begin` is a multiple of eight; the observer of a law that `has_state` needs the mode, too.
+        `begin` is a multiple of eight; a law with an observer (`has_state`) needs the mode, too.
         """
         received, row, reported_mode = self._received, np.zeros(0, np.int32), np.zeros(0, np.int32)
         if received.modes is not None:
@@ -242,7 +239,7 @@ class BlockMeasurements:
     def _rows(
         self, reported: np.ndarray, begin: int, count: int, apart: int, ages: int
     ) -> np.ndarray:
-        """The rows of a table in scenarios to which these modes are reported, by samples."""
+        """The rows of a table by reported modes, at every sample."""
         part = slice(begin, begin + count)
         size = groups(count) * reported.shape[1] * LANES
         row = self._room(("rows", apart, ages), size, np.int32)
@@ -270,7 +267,7 @@ class BlockMeasurements:
             these = slice(begin, begin + few)
             for each, room in zip(kinds, rooms, strict=True):
                 received = each.relay(begin, room[:few], received, sizes)
-            # By identity below: a sensor that changes nothing of a part hands the same array on.
+            # By identity below: a sensor that does not change an array hands it on.
             sample = received.sample
             if block_instants is not None or sample is not nothing.sample:
                 lag = lag if lag.size else self._room("lag", size, np.int32)
@@ -283,7 +280,7 @@ class BlockMeasurements:
             if received.noise is not nothing.noise:
                 if noise.size == 0:
                     noise = self._room("noise", size * self.measured)
-                    # The room is used again, and scenarios may have gone by without noise.
+                    # The room is used again, and the scenarios before may have no noise.
                     noise.fill(0.0)
                 fill_numbers(received.noise, begin // LANES, noise)
             true = received.mode_of is nothing.mode_of and received.named is nothing.named

@@ -1,8 +1,8 @@
 """Sums along each scenario, the metrics that follow from them, and states at shared instants.
 
-An engine measures the sums. States between samples, at instants that all scenarios share, are
-x(t_k + τ) = M z_k: z_k is the state at the sample and what acts in the period; M is the map of the
-period cut off at τ. Each mode has one M for every instant, and each cut period one for every
+An engine makes the sums. States between samples, at instants that all scenarios share, are
+x(t_k + τ) = M z_k: z_k is the state at the sample with the inputs of the period; M is the map of
+the period cut off at τ. Each mode has one M for every instant, and each cut period one for every
 instant that lies in it.
 """
 
@@ -19,16 +19,17 @@ from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.periods import Records, compose, parts_of
 from deadtime.switching import SignalBatch
 
-_LIMIT, _TINY = 1e200, 1e-290  # of |x|²
+_LIMIT, _TINY = 1e200, 1e-290  # of |x|², beyond which `simulate` runs a scenario again
 
 
 class ScenarioSums(NamedTuple):
     """Sums along each scenario.
 
-    ise ∫|x|² and energy Σ|u|², the last one weighted by what is left of the horizon; peak and
-    final are |x|², over the samples t_0, …, t_K and at the horizon; outside is the last sample
-    with |x| above 2 % of the peak so far, −1 if there is none; over the samples of the second
-    half, least is the smallest |x|², log_sum Σ log|x|² and log_double Σ_k Σ_{j ≤ k} log|x_j|².
+    ise, energy : ∫|x|² and Σ|u|², the last term weighted by the rest of the horizon
+    peak, final : |x|², its maximum over the samples t_0, …, t_K and its value at the horizon
+    outside : the last sample with |x| above 2 % of the peak so far, −1 for none
+    least, log_sum, log_double : min |x|², Σ log|x|² and Σ_k Σ_{j ≤ k} log|x_j|² over the samples of
+        the second half
     """
 
     ise: Float[np.ndarray, " scenario"]
@@ -47,8 +48,8 @@ class Path:
 
     Attributes
     ----------
-    laid : (group, sample, n + m, lane)
-        x and u of all scenarios, eight side by side, the last of all filling the rest.
+    in_lanes : (group, sample, n + m, lane)
+        x and u of all scenarios, as in `side_by_side`.
     scenarios, states : int
     """
 
@@ -79,10 +80,10 @@ def metrics_of(
 ) -> dict[str, Float[np.ndarray, " scenario"]]:
     """The metrics of `Trajectory.metrics`, in its order.
 
-    `weighed` are the figures of the cost; `late` is |x|² at `Loop.late_times`, where there are any.
+    `weighed` are the sums of the cost; `late` is |x|² at `Loop.late_times`, where there are any.
 
-    The peak of |x| so far never falls, and is the peak itself from where it is reached on; so the
-    last sample above 2 % of the peak so far is the last one above 2 % of the peak.
+    The last sample above 2 % of the peak so far is the last one above 2 % of the peak: once the
+    peak is reached they are the same, and before, |x| later reaches the peak itself.
     """
     step = loop.step
     peak = np.maximum(figures.peak, figures.final)
@@ -144,7 +145,7 @@ def needs_own_run(
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """Where instants lie in the periods of a block of scenarios.
+    """The maps to instants within the periods of a block of scenarios.
 
     Attributes
     ----------
@@ -154,7 +155,7 @@ class Instants:
     moves : (row, n, z)
         M.
     row : (scenario, time)
-        Which of them takes a scenario to an instant.
+        The row of `moves` of a scenario and an instant.
     """
 
     loop: Loop
@@ -170,7 +171,7 @@ class Instants:
         plant, acting, ratio = loop.plant, loop.acting, snap_all(times / loop.step)
         period = np.floor(ratio).astype(np.int64)
         until = np.where(ratio == period, 0.0, times - period * loop.step)
-        parts = [parts_of(plant, acting, i, 0.0, t) for i in range(plant.modes) for t in until]
+        parts = [parts_of(acting, i, 0.0, t) for i in range(plant.modes) for t in until]
         whole = compose(plant, acting, parts, acting.wide).move
         maps, place = records.maps(loop.whole + 1)[:, period], np.arange(times.size)
         row, cut = maps * times.size + place, maps >= plant.modes

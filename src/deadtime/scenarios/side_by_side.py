@@ -1,7 +1,11 @@
 """Numbers of every scenario and sample, eight scenarios side by side, for the compiled loop.
 
 (scenario, sample, …) goes to (group, sample, …, lane), flat: group g has the scenarios 8g, …,
-8g + 7, the last of all filling the rest.
+8g + 7, and the last of all fills the last group. At a sample the loop reads one contiguous block:
+
+    scenario     0  1  2 … 7 | 0  1  2 … 7 | … | 8  9 10 … 15 | …
+    sample       0           | 1           | … | 0            | …
+    group        0                             | 1
 """
 
 from __future__ import annotations

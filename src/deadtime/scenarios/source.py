@@ -1,9 +1,8 @@
-"""Where the scenarios' signals come from: the same for every law, engine, block and order."""
+"""Signals and seeds of scenarios: the same for every law, engine, block and order."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -16,18 +15,18 @@ from deadtime.switching import SignalBatch, SwitchingModel, SwitchingSignal
 
 @runtime_checkable
 class SignalSampler(Protocol):
-    """Anything that draws switching signals."""
+    """An object that draws switching signals."""
 
     def sample(self, horizon: float, seed: int = 0) -> SwitchingSignal:
-        """A signal that is known up to the horizon; the same seed gives the same signal."""
+        """A signal known up to the horizon; the same seed gives the same signal."""
         ...
 
 
 def scenario_seed(seed: int, scenario: int) -> int:
     """The seed of one scenario's signal, a function of `seed` and the scenario's number only.
 
-    It is a word of Philox with the key of the seed, so scenarios are independent of each other, of
-    how many there are and of the order in which they run.
+    It is a word of Philox with the key of the seed, so that scenarios are independent of each
+    other, of their number and of the order in which they run.
 
     Examples
     --------
@@ -38,71 +37,20 @@ def scenario_seed(seed: int, scenario: int) -> int:
 
 
 def scenario_seeds(seed: int, first: int, count: int) -> UInt64[np.ndarray, " scenario"]:
-    """Those of the scenarios first, …, first + count − 1, a word each, four to a block."""
+    """The seeds of scenarios first, …, first + count − 1: Philox's words, four to a block."""
     block, before = divmod(first, WORDS)
     return np.random.Philox(key=key_of(seed), counter=block).random_raw(before + count)[before:]
 
 
-class Source(ABC):
-    """Signals by the number of their scenario."""
-
-    @abstractmethod
-    def batch(self, first: int, count: int) -> SignalBatch:
-        """The signals of scenarios first, …, first + count − 1."""
-
-
-class GivenSignals(Source):
-    """A list of signals."""
-
-    def __init__(self, signals: SignalBatch) -> None:
-        self._signals = signals
-
-    def batch(self, first: int, count: int) -> SignalBatch:
-        return self._signals.slice(first, first + count)
-
-
-class DrawnSignals(Source):
-    """A switching model, which draws whole batches."""
-
-    def __init__(self, model: SwitchingModel, seed: int, reach: float, modes: int) -> None:
-        self._model, self._seed, self._reach, self._modes = model, seed, reach, modes
-
-    def batch(self, first: int, count: int) -> SignalBatch:
-        drawn = self._model.draw(self._reach, self._seed, first, count)
-        return drawn.require_modes(self._modes)
-
-
-class Sampled(Source):
-    """Any model, asked for one signal at a time, with `scenario_seed`."""
-
-    def __init__(self, model: SignalSampler, seed: int, reach: float, modes: int) -> None:
-        self._model, self._seed, self._reach, self._modes = model, seed, reach, modes
-
-    def batch(self, first: int, count: int) -> SignalBatch:
-        return SignalBatch.of([self._signal(first + i) for i in range(count)])
-
-    def _signal(self, scenario: int) -> SwitchingSignal:
-        reach = self._reach
-        signal = self._model.sample(reach, seed=scenario_seed(self._seed, scenario))
-        if not isinstance(signal, SwitchingSignal):
-            raise ArgumentError(
-                "model.sample(horizon, seed) must return a SwitchingSignal, got "
-                f"{type(signal).__name__}."
-            )
-        if signal.end < reach * (1.0 - 1e-12):
-            raise ArgumentError(
-                f"model.sample(horizon={reach:g}) must return a signal known up to its horizon, "
-                f"got one that ends at {signal.end:g} s."
-            )
-        return signal.require_modes(self._modes)
+Source = Callable[[int, int], SignalBatch]  # the signals of scenarios first, …, first + count − 1
 
 
 def source_of(
     model: object, scenarios: int, seed: int, reach: float, modes: int
 ) -> tuple[Source, int]:
-    """Where signals come from, and the number of scenarios.
+    """The source of signals, and the number of scenarios.
 
-    A model is asked for signals up to `reach`; a list is taken as it is.
+    A model draws signals up to `reach`; a list is used as given.
     """
     if isinstance(model, SwitchingSignal):
         raise ArgumentError(
@@ -110,18 +58,45 @@ def source_of(
             "for one signal, write [signal]."
         )
     if isinstance(model, SignalBatch):
-        return GivenSignals(model.require_modes(modes)), len(model)
+        return _given(model.require_modes(modes)), len(model)
     if isinstance(model, Sequence):
-        given = _check_list(model, modes)
-        return GivenSignals(SignalBatch.of(given)), len(given)
+        signals = SignalBatch.of(_check_list(model, modes))
+        return _given(signals), len(signals)
     if isinstance(model, type) or not isinstance(model, SignalSampler):
         raise ArgumentError(
             "model must have a method sample(horizon, seed) that returns a SwitchingSignal, or "
             f"be a list of signals, got {type(model).__name__}."
         )
-    if isinstance(model, SwitchingModel):
-        return DrawnSignals(model, seed, reach, modes), scenarios
-    return Sampled(model, seed, reach, modes), scenarios
+
+    def draw(first: int, count: int) -> SignalBatch:
+        if isinstance(model, SwitchingModel):
+            return model.draw(reach, seed, first, count).require_modes(modes)
+        return SignalBatch.of([_sample(model, reach, s, modes) for s in seeds(first, count)])
+
+    def seeds(first: int, count: int) -> list[int]:
+        return scenario_seeds(seed, first, count).tolist()
+
+    return draw, scenarios
+
+
+def _given(signals: SignalBatch) -> Source:
+    return lambda first, count: signals.slice(first, first + count)
+
+
+def _sample(model: SignalSampler, reach: float, seed: int, modes: int) -> SwitchingSignal:
+    """One signal of any model, checked."""
+    signal = model.sample(reach, seed=seed)
+    if not isinstance(signal, SwitchingSignal):
+        raise ArgumentError(
+            "model.sample(horizon, seed) must return a SwitchingSignal, got "
+            f"{type(signal).__name__}."
+        )
+    if signal.end < reach * (1.0 - 1e-12):
+        raise ArgumentError(
+            f"model.sample(horizon={reach:g}) must return a signal known up to its horizon, "
+            f"got one that ends at {signal.end:g} s."
+        )
+    return signal.require_modes(modes)
 
 
 def draw_signals(
@@ -133,12 +108,12 @@ def draw_signals(
     ----------
     model : switching model
     horizon : float
-        How far they reach, seconds; those of `monte_carlo` reach its horizon plus the longest
-        delay, and longer ones continue shorter ones.
+        Their length, seconds; those of `monte_carlo` reach its horizon plus the longest delay, and
+        longer signals continue shorter ones.
     seed : int
         That of `monte_carlo`.
     first, count : int
-        Which scenarios.
+        The first scenario, and the number of scenarios.
 
     Examples
     --------
@@ -148,7 +123,7 @@ def draw_signals(
     (3, 5.0)
     """
     source, _ = source_of(model, first + count, seed, horizon, 2**31)
-    return source.batch(first, count)
+    return source(first, count)
 
 
 def _check_list(signals: Sequence[object], modes: int) -> list[SwitchingSignal]:

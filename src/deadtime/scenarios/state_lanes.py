@@ -1,7 +1,7 @@
-"""States of laws in eight scenarios: observers, beliefs, banks, and the outputs given to them.
+"""States of laws in eight scenarios: observers, beliefs, banks, and the outputs that they measure.
 
-The answers of a law's rows, each weighed by its share, are summed for all eight. From outputs the
-rows get an x of 0, and what they make of the estimates of their own modes is added to their mean.
+A law on a belief commands Σ_c π_c u_c over its rows. With a bank the rows get x = 0, and
+Σ_c π_c F_c x̂ with the estimate x̂ of the row's mode is added.
 """
 
 from __future__ import annotations
@@ -104,21 +104,18 @@ def observe_again(shape, memory, kept, outputs, line, row, mode, received, lost,
 
 @inner_kernel
 def note_answer(kept, u):
-    """Keep what the law asked for."""
+    """Store the command, before limits: the sums of errors compare it with the applied input."""
     store(kept.state.asked, 0, u)
 
 
-# Intrinsics take one argument less than the functions that declare them.
-# pyright: reportCallIssue=false
-
-
 class BeliefLanes(NamedTuple):
-    """Memory of eight scenarios.
+    """Memory of a belief in eight scenarios.
 
-    chain : BeliefState;  bank : BankState, around the same, or None
+    chain : BeliefState;  bank : BankState around it, or None
     gains : (rows, m, n), F
-    x, before : what is measured at this sample and at the one before, (n or p)
-    answer : of every row, (rows, m);  u : their mean;  both : (lane, n + m), x and the latest input
+    x, before : (n or p), the measurements at this sample and at the one before
+    answer : (rows, m), of every row;  u : (m,), their mean
+    both : (lane, n + m), x and the latest input
     """
 
     chain: BeliefState
@@ -146,7 +143,7 @@ def belief_lanes(
 
 @inner_kernel
 def believe_again(belief, bank, mind, line, row, seen, lost, k):
-    """Each scenario's belief at sample k, from what it sees, and the shares of the rows.
+    """Each scenario's belief at sample k, from its measurement, and the shares of the rows.
 
     `line` are the inputs, u_{k−1} in row `row`.
     """
@@ -205,7 +202,7 @@ def _answer_dense(mind, dense, line, place, m, both):
 
 @inner_kernel
 def _mean(shape, bank, mind):
-    """Σ_c π_c of the answers, and of what rows make of the estimates of their modes."""
+    """Σ_c π_c u_c, and with a bank Σ_c π_c F_c x̂."""
     eight = lanes_of(mind)
     share, answer, u = eight.chain.weight, eight.answer, eight.u
     for i in range(u.size):

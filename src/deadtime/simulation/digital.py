@@ -24,11 +24,11 @@ from deadtime.switching import SwitchingSignal
 
 
 class LawSignals(NamedTuple):
-    """The data that a law received at the samples of a run, and its answers.
+    """Measurements that a law received at the samples of a run, and its commands.
 
     measured : (samples, n) or (samples, p), x or y, NaN where nothing arrived
-    commanded : (samples, m), what it asked for
-    estimates : (samples, states), of a law with a memory, what it took the state to be
+    commanded : (samples, m), before limits
+    estimates : (samples, states), of a law with an observer
     """
 
     measured: np.ndarray
@@ -47,11 +47,11 @@ class RunOutcome:
     diverged : bool
         Whether it ended because it diverged.
     note : str
-        What else is worth knowing.
-    told : Told or None
-        The measurements that the law received, where those are not the state.
+        Sentences for the run's message.
+    law_signals : LawSignals or None
+        None where the law receives the state itself at every sample.
     belief : (samples, modes) or None
-        The probability of each mode in a law that does not receive the mode.
+        The probability of each mode in a law to which the mode is not reported.
     """
 
     record: DigitalRecord | IdealRecord
@@ -59,7 +59,7 @@ class RunOutcome:
     end: float | None
     diverged: bool = False
     note: str = ""
-    known_inputs: LawSignals | None = None
+    law_signals: LawSignals | None = None
     belief: np.ndarray | None = None
 
 
@@ -70,53 +70,55 @@ def run_table(
     x0: np.ndarray,
     drawn: DrawnImperfections | None = None,
 ) -> RunOutcome:
-    """Run a law by its tables, or what imperfections make of it, along a signal."""
+    """Run a law by its tables along a signal; `drawn` are its imperfections, None for none."""
     grid, memory, belief = truth.grid, tables.memory, tables.belief
     past, plant, step = grid.past, grid.sampled.plant, grid.sampled.step
     rows = _rows(tables, truth, drawn)
     instants = MeasurementInstants.of(drawn, truth, law.outputs)
     measured = x0.size if law.outputs is None else law.outputs.shape[1]
-    memory_size = 0 if memory is None else memory.start.size
-    believed = 0 if belief is None else len(belief.start)
-    line = DelayLine.of(grid, drawn, measured, memory_size, believed)
+    line = DelayLine.of(
+        grid,
+        drawn,
+        measured,
+        0 if memory is None else memory.start.size,
+        0 if belief is None else len(belief.start),
+    )
     limits = drawn.limits if drawn else InputLimits.of((), Sizes.of(plant, step))
     preview = PreviewLaw.of(tables.preview, truth) if tables.preview else None
-    state = observer = None
+    state = None if belief is None else BeliefState.of(belief, rows.F.shape[0])
+    observer = None
     if memory is not None:
         observer = ObserverState.of(memory)
         observer.z[:] = memory.start
-    if belief is not None:
-        state = BeliefState.of(belief, rows.F.shape[0])
     known = memory, observer, belief, state, preview
     kept, path = closed_loop(truth.table, rows, *known, line, instants, limits, truth.shift, x0)
-    diverged, known_inputs = kept < grid.samples, None
+    diverged, law_signals = kept < grid.samples, None
     if drawn is not None or law.outputs is not None:
         estimates = None if memory is None else line.estimates[:kept]
-        known_inputs = LawSignals(line.measured[:kept], line.asked[past : past + kept], estimates)
+        law_signals = LawSignals(line.measured[:kept], line.asked[past : past + kept], estimates)
     return RunOutcome(
         truth.record(path, kept),
         truth.switching,
         (kept - 1) * step if diverged else None,
         diverged,
-        known_inputs=known_inputs,
+        law_signals=law_signals,
         belief=None if state is None else line.beliefs[:kept],
     )
 
 
 def _rows(tables: Tables, truth: KnownTruth, drawn: DrawnImperfections | None) -> Rows:
-    """The rows of a run."""
+    """The rows of a run; a law with a preview has none."""
     age, modes = truth.age, truth.modes[: truth.grid.samples]
     feedback, assumed = tables.feedback, modes
     if feedback is None:
         none = read_only(np.zeros((1, 1, 0)))
         return Rows(none, none, read_only(np.zeros(modes.size, np.int64)), read_only(modes))
-    row = None
+    row = feedback.rows(modes, age)
     if drawn is not None:
         reported = drawn.received.modes(modes)
         assumed = rows_of_run(reported, modes, age)
+        # The rows of a law that knows the signal follow the sample, whatever is reported.
         if feedback.context != "step":
             row = rows_of_run(reported, modes, age, feedback.apart, feedback.ages)
-    if row is None:
-        row = feedback.rows(modes, age)
     F, G = feedback.state_gain, read_only(feedback.oldest_first)
     return Rows(F, G, row, read_only(assumed))

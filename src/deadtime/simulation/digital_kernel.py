@@ -1,9 +1,14 @@
 """The inner loops of a digital run: compiled, and over Python's own numbers.
 
-`closed_loop` reads arrays element by element, which costs Python several times what lists do. Most
-runs receive the state itself at every sample and have neither limits nor disturbances; of these
-little is left of the loop, and uncompiled it is done by `bare_loop`, over lists: the same products,
-added in the same order, so the bits are those of the kernel.
+`closed_loop` reads arrays element by element, which costs Python several times as much as reading
+lists. In most runs the law receives the state itself at every sample, and there are neither limits
+nor disturbances. Uncompiled, these runs take `bare_loop`, over lists: the same products, added in
+the same order, so the bits are those of the kernel.
+
+    period                 k              k + 1       one switch and one arriving input in period k
+    sample                 |              |
+    piece       …  q − 1   | q  q+1  q+2  | q+3  …    first[k] = q, first[k + 1] = q + 3
+    path[q]: x at the start of piece q                inputs[past + k]: u_k, the history before it
 """
 
 from __future__ import annotations
@@ -43,6 +48,7 @@ def bare_loop(
     table: PieceTable, rows: Rows, line: DelayLine, x0: np.ndarray
 ) -> tuple[int, np.ndarray]:
     """`closed_loop` of a run that `is_bare`, by rows: it fills `line` and returns the same."""
+    plain_dot, within_limit = dot.function, _within_limit.function  # plain Python takes lists, too
     past, m, samples = line.past, line.inputs.shape[1], rows.row.size
     first, entry, row = table.first.tolist(), table.entry.tolist(), rows.row.tolist()
     moves, lag = np.concatenate((table.Phi, table.Gamma), axis=2).tolist(), table.lag.tolist()
@@ -50,14 +56,14 @@ def bare_loop(
     flat, x = line.inputs[:past].ravel().tolist(), x0.tolist()
     path = [x]
     for k in range(len(first) - 1):
-        if 0 < k < samples and not _is_within_limit(x):
+        if 0 < k < samples and not within_limit(x):
             samples = k
         if k < samples:
             line.measured[k] = x
             recent = flat[len(flat) - window :]
             of = row[k]
             flat += [
-                _dot_lists(g, recent) + _dot_lists(f, x) for f, g in zip(F[of], G[of], strict=True)
+                plain_dot(g, recent) + plain_dot(f, x) for f, g in zip(F[of], G[of], strict=True)
             ]
         for q in range(first[k], first[k + 1]):
             lags = lag[entry[q]]
@@ -91,32 +97,9 @@ def _moved(rows: list[list[float]], z: list[float]) -> list[float]:
     return result
 
 
-def _dot_lists(a: list[float], b: list[float]) -> float:
-    """Σ a_i b_i in the four sums of the kernel's `dot`."""
-    first = second = third = fourth = 0.0
-    whole = len(a) - len(a) % 4
-    for i in range(0, whole, 4):
-        first += a[i] * b[i]
-        second += a[i + 1] * b[i + 1]
-        third += a[i + 2] * b[i + 2]
-        fourth += a[i + 3] * b[i + 3]
-    total = (first + second) + (third + fourth)
-    for i in range(whole, len(a)):
-        total += a[i] * b[i]
-    return total
-
-
-def _is_within_limit(x: list[float]) -> bool:
-    """Whether |x| ≤ LIMIT (false when x is not a number)."""
-    square = 0.0
-    for part in x:
-        square += (part / LIMIT) * (part / LIMIT)
-    return square <= 1.0
-
-
 @kernel
 def _row_dot(A, c, i, b):
-    """`dot` of A[c, i] and b, for short rows: a slice costs as much as 20 terms."""
+    """`dot` of A[c, i] and b, for short rows: handing over a slice costs as much as 20 terms."""
     first = second = third = fourth = 0.0
     whole = b.size - b.size % 4
     for j in range(0, whole, 4):
@@ -143,18 +126,18 @@ def _mean_row(rows, weight, recent, known, answer):
 
 
 @kernel
-def _within_limit(path, q):
-    """Whether |x| ≤ LIMIT at the start of piece q (false when x is not a number)."""
+def _within_limit(x):
+    """Whether |x| ≤ LIMIT (false when x is not a number)."""
     square = 0.0
-    for i in range(path.shape[1]):
-        square += (path[q, i] / LIMIT) ** 2
+    for i in range(len(x)):
+        square += (x[i] / LIMIT) * (x[i] / LIMIT)
     return square <= 1.0
 
 
-# A call that hands over a tuple of arrays, or many of them, costs as much as 50 terms.
+# Inlined: a call that hands over a tuple of arrays, or many of them, costs as much as 50 terms.
 @kernel(forceinline=True)
 def _apply(answer, held, at, asked, inputs, low, high, relative):
-    """Ask for the answer, or for the last one again, and apply what limits leave of it."""
+    """Command the answer, or the last command again, and apply it within the limits."""
     for i in range(answer.size):
         u = asked[at - 1, i] if held else answer[i]
         asked[at, i] = u
@@ -163,7 +146,7 @@ def _apply(answer, held, at, asked, inputs, low, high, relative):
 
 @kernel
 def _go_on(table, instants, k, x, inputs, past, result):
-    """x further on in its piece, to where it is measured, under what acts there and the force."""
+    """x of the instant at which it is measured, within a piece, from x at the piece's start."""
     q, way, now = instants.piece[k], instants.way[k], past + instants.step[k]
     e, m = table.entry[q], inputs.shape[1]
     acting = np.empty(instants.Gamma.shape[2])
@@ -205,7 +188,7 @@ def answer_with_preview(law, k, past, known_inputs, x, answer):
 
 @kernel
 def _move(Phi, Gamma, e, path, q, acting):
-    """x at the end of piece q, of entry e: `advance` from row to row."""
+    """x at the end of piece q, of entry e, from its start: row q of `path` into row q + 1."""
     for i in range(path.shape[1]):
         total = 0.0
         for j in range(path.shape[1]):
@@ -216,7 +199,7 @@ def _move(Phi, Gamma, e, path, q, acting):
 
 
 def _in_python(table, rows, memory, observer, belief, state, preview, *run):
-    """`closed_loop` where it is not compiled: over lists where these will do."""
+    """`closed_loop` where it is not compiled: over lists where the run is bare."""
     line, instants, limits, shift, x0 = run
     simple = memory is None and belief is None and preview is None
     if simple and is_bare(table, line, instants, limits, shift):
@@ -231,21 +214,21 @@ def closed_loop(
 ):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
-    `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`
-    and `observer` its state, `belief` a `deadtime.feedback.belief.Belief` and `state` its own,
-    `preview` a `PreviewLaw` in place of rows, or None each; the others are of
-    `deadtime.simulation`, too: `rows` and `line` of `loop_arrays`, `instants` of its file; `limits`
-    are `deadtime.imperfections.actuators.InputLimits`; `shift` (pieces, n), or empty, is what
-    disturbances add. Returns (samples, path): how many samples were kept before |x| left the limit,
-    and x at the start of every piece that was run and at the end of the last.
+    table : `deadtime.plant.pieces.PieceTable`
+    rows, line, instants : `Rows`, `DelayLine` and `MeasurementInstants` of `loop_arrays`
+    memory, observer : `deadtime.feedback.memory.Memory` and its state, or None
+    belief, state : `deadtime.feedback.belief.Belief` and its state, or None
+    preview : `PreviewLaw` in place of rows, or None
+    limits : `deadtime.imperfections.sensors_and_actuators.InputLimits`
+    shift : (pieces, n), what disturbances add to x over each piece, or empty
+
+    Returns (samples, path): how many samples were kept before |x| left the limit, and x at the
+    start of every piece that was run and at the end of the last.
     """
     first, entry, Phi, Gamma, lag = table.first, table.entry, table.Phi, table.Gamma, table.lag
-    inputs, asked, known_inputs, flat = (
-        line.inputs,
-        line.asked,
-        line.known_inputs,
-        line.known_inputs.reshape(-1),
-    )
+    inputs, asked, known_inputs = line.inputs, line.asked, line.known_inputs
+    # Flat, the N latest inputs are one contiguous row, oldest first, to multiply with G.
+    flat = known_inputs.reshape(-1)
     F, G, row, measured = rows.F, rows.G, rows.row, line.measured
     piece, way = instants.piece, instants.way
     low, high, relative = limits
@@ -257,7 +240,7 @@ def closed_loop(
     for i in range(n):
         path[0, i] = x0[i]
     for k in range(first.size - 1):
-        if k < samples and k > 0 and not _within_limit(path, first[k]):
+        if k < samples and k > 0 and not _within_limit(path[first[k]]):
             samples = k
         if k < samples:
             at, q = past + k, piece[k]
@@ -293,6 +276,7 @@ def closed_loop(
             e = entry[q]
             for i in range(m):
                 sample = k - lag[e, i]
+                # Past the last sample the plant runs on only while it reads inputs that were sent.
                 if sample >= samples:
                     return samples, path[: q + 1]
                 acting[i] = inputs[past + sample, i]

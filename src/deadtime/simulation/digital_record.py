@@ -1,12 +1,12 @@
-"""A digital run as it is kept: enough to evaluate it exactly at any time.
+"""The record of a digital run, which evaluates it exactly at any time.
 
-No matrix exponential leads through periods in which the plant slid along a boundary (`Slides`), so
-they are kept part by part, and gone through again where the state between samples is asked for.
+No matrix exponential describes a period in which the plant slides along a boundary (`Slides`): such
+periods are stored part by part, and integrated again to evaluate the state between samples.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -23,12 +23,12 @@ from deadtime.plant.pieces import PieceTable, gramian_up_to, gramians
 from deadtime.simulation.record_kernel import form_integral, states_at
 from deadtime.switching.rules.motion import Leg, Motion
 
-_NODES = 10
+_NODES = 10  # of Gauss quadrature on a part that is shorter than 1/‖A‖
 _JOINED = 1e-6  # of a step: slides that close are one
 
 
 class SlidePart(NamedTuple):
-    """A part of a step in one motion: seconds from the step's start, the motion, what acts."""
+    """A part of a step in one motion: seconds from the step's start, the motion, its inputs."""
 
     begin: float
     end: float
@@ -73,22 +73,18 @@ class Slides:
 
     def slides(self, step: float, end: float) -> list[Slide]:
         """The sliding motions that begin before `end`."""
-        return join(self._each(step, end), _JOINED * step)
-
-    def _each(self, step: float, end: float) -> Iterator[Slide]:
+        found = []
         for k in sorted(self.steps):
             for begin, until, leg, _ in self.steps[k]:
                 if leg.beside is not None and k * step + begin < end:
-                    modes = (
-                        self.motion.mode_of(leg.place),
-                        self.motion.mode_of(leg.beside.place),
-                    )
+                    modes = [self.motion.mode_of(p) for p in (leg.place, leg.beside.place)]
                     pair = min(modes), max(modes)
-                    yield Slide(k * step + begin, min(k * step + until, end), pair)
+                    found.append(Slide(k * step + begin, min(k * step + until, end), pair))
+        return join(found, _JOINED * step)
 
 
 def join(slides: Iterable[Slide], tolerance: float) -> list[Slide]:
-    """Sliding motions in order, those that go on within a tolerance made one."""
+    """Sliding motions in order, those that continue within a tolerance joined."""
     joined: list[Slide] = []
     for slide in slides:
         last = joined[-1] if joined else None
@@ -121,7 +117,7 @@ def slides_in_words(slides: list[Slide]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class DigitalRecord(Frozen):
-    """One digital run: the plant, how its time was cut, and the states and inputs on the grid.
+    """One digital run: the plant, the pieces of its time, and the states and inputs on the grid.
 
     Attributes
     ----------
@@ -185,7 +181,7 @@ class DigitalRecord(Frozen):
     def driving_inputs(self) -> tuple[np.ndarray, np.ndarray]:
         """B (modes, n, q) and what acts through it, u and the forces, (pieces, q)."""
         B, pieces = self.plant.B, self.path.shape[0]
-        # The last piece may have begun only: it acts on nothing where an input is missing.
+        # The path may end at the start of a piece whose inputs are not all known: 0 stands there.
         sample = self.past + self.table.sample[:pieces]
         known = np.minimum(sample, self.inputs.shape[0] - 1)
         acting = np.where(sample == known, self.inputs[known, np.arange(B.shape[2])], 0.0)
@@ -220,35 +216,21 @@ class DigitalRecord(Frozen):
     def ahead_of(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         """x a delay after any times from 0 to the end of the run."""
         if self._at_samples(times):
-            return self.path[self._arrivals[: times.size]]
+            # A delay after sample k the input u_k begins to act, so a piece starts there.
+            arrivals = np.searchsorted(self.table.sample[:, 0], np.arange(times.size))
+            return self.path[arrivals]
         return self._propagate(times + self.sampled.window.delay)
-
-    @cached_property
-    def _arrivals(self) -> np.ndarray:
-        """The pieces in which the inputs of the run's samples begin to act."""
-        sample = self.table.sample[:, 0]
-        return read_only(np.searchsorted(sample, np.arange(self.samples)))
 
     def _at_samples(self, times: np.ndarray) -> bool:
         """Whether the times are the run's first samples, which are stored."""
-        return times.size <= self.samples and np.array_equal(
-            times, np.arange(times.size) * self.step
-        )
+        samples = np.arange(times.size) * self.step
+        return times.size <= self.samples and np.array_equal(times, samples)
 
     def _propagate(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         step, offset = self.locate(times)
-        B, acting = self.driving_inputs
-        result = states_at(
-            self.plant.A,
-            B,
-            self.table,
-            self.cuts.offset,
-            self.cuts.mode,
-            step,
-            offset,
-            self.path,
-            acting,
-        )
+        (B, acting), cuts = self.driving_inputs, self.cuts
+        given = self.plant.A, B, self.table, cuts.offset, cuts.mode
+        result = states_at(*given, step, offset, self.path, acting)
         if self.slides is not None:
             for i in np.flatnonzero(np.isin(step, list(self.slides.steps))):
                 result[i] = self.slides.state_at(int(step[i]), float(offset[i]))
@@ -273,10 +255,6 @@ class DigitalRecord(Frozen):
             states += self._within_step(int(step), float(rest), Q)
         return states, inputs
 
-    def _pieces(self, k: int) -> slice:
-        """The pieces of a period."""
-        return slice(self.table.first[k], self.table.first[k + 1])
-
     def _whole_steps(self, steps: int, Q: np.ndarray) -> float:
         """∫xᵀQx over the steps 0, …, steps − 1."""
         table, (B, acting) = self.table, self.driving_inputs
@@ -288,24 +266,24 @@ class DigitalRecord(Frozen):
         if self.slides is None:
             return form_integral(M, table.entry, pieces, self.path, acting)
         slid = [k for k in self.slides.steps if k < steps]
-        # Nothing moves in these steps as far as the quadratic forms go.
+        # With z = 0 in the pieces of these steps the quadratic forms add nothing there.
         path, acting = self.path.copy(), acting.copy()
         for k in slid:
-            path[self._pieces(k)] = acting[self._pieces(k)] = 0.0
+            own = slice(table.first[k], table.first[k + 1])
+            path[own] = acting[own] = 0.0
         still = read_only(path), read_only(acting)
         forms = float(form_integral(M, table.entry, pieces, *still))
-        return forms + sum(self._within_slide(k, self.step, Q) for k in slid)
+        return forms + sum(self.slides.form_integral(k, self.step, self._rate, Q) for k in slid)
 
-    def _within_slide(self, k: int, end: float, Q: np.ndarray) -> float:
-        """`_within_step`, of a step that slides."""
-        assert self.slides is not None
-        rate = float(np.abs(self.plant.A).sum(axis=2).max())
-        return self.slides.form_integral(k, end, rate, Q)
+    @property
+    def _rate(self) -> float:
+        """The largest row sum of |A|, 1/s."""
+        return float(np.abs(self.plant.A).sum(axis=2).max())
 
     def _within_step(self, k: int, end: float, Q: np.ndarray) -> float:
         """∫xᵀQx over [t_k, t_k + end], end < h."""
         if self.slides is not None and k in self.slides.steps:
-            return self._within_slide(k, end, Q)
+            return self.slides.form_integral(k, end, self._rate, Q)
         table, cuts, (B, acting) = self.table, self.cuts, self.driving_inputs
         total = 0.0
         for q in range(table.first[k], table.first[k + 1]):

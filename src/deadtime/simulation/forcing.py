@@ -22,18 +22,18 @@ from deadtime.plant.discretisation import Cuts
 from deadtime.plant.pieces import PieceTable
 
 Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and their streams
-_SINGULAR = 1e-8  # of a piece
+_SINGULAR = 1e-8  # of a piece: Γ_I with a smaller eigenvalue is not inverted
 
 
 class Forcing:
     """The draws of a run's disturbances, read along the plant's modes.
 
-    `through` (modes, n, f) is how what acts does so on dx/dt: d by itself, and behind it, for each
-    disturbance whose force depends on the mode, that force, times whether it acts.
+    `through` (modes, n, f) multiplies the forces in dx/dt: first the identity, for d, then a column
+    for each disturbance whose force depends on the mode, which is multiplied by 1 while it acts.
 
-    They are drawn for the stretches of a period, which are the same time in all modes (the plant is
+    Draws belong to the stretches of a period, which have the same times in all modes (the plant is
     `SampledPlant.cut_alike`). A switch to a mode that reads its inputs with other delays cuts a
-    stretch into pieces: the force that adds as much as was drawn is held over all of them.
+    stretch into pieces: the force that adds the ξ drawn is held over all of them.
     """
 
     def __init__(
@@ -62,14 +62,13 @@ class Forcing:
         ]
 
     @cached_property
-    def _of_held(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """The maps of modes held."""
+    def _maps_of_held(self) -> tuple[list[np.ndarray], np.ndarray]:
         return self._maps(self._held)
 
     def along(
         self, table: PieceTable, cuts: Cuts
     ) -> tuple[Float[np.ndarray, "piece n"], Float[np.ndarray, "piece f"]]:
-        """ξ and what acts, d and whether forces by the mode do, over the pieces of a signal."""
+        """ξ and the forces, d and the activity of forces by mode, over the pieces of a signal."""
         shift = np.zeros((table.entry.size, self._plant.states))
         period, entry = table.period, table.entry
         place = np.searchsorted(self._starts, table.start[entry], "right") - 1
@@ -102,12 +101,10 @@ class Forcing:
 
     def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " f"]:
         """The force over a stretch that starts in a mode; a switch within it leaves d as it is."""
-        (spreads, inverse), entry = self._of_held, self._first[mode] + piece
-        pairs = zip(spreads, self._draws, strict=True)
+        (spreads, inverse), entry = self._maps_of_held, self._first[mode] + piece
         shift = np.zeros(self._plant.states)
-        shift = np.sum(
-            [shift, *(spread[entry] @ draws[k, piece] for spread, draws in pairs)], axis=0
-        )
+        for spread, draws in zip(spreads, self._draws, strict=True):
+            shift += spread[entry] @ draws[k, piece]
         active = [draws[k, piece] for _, draws in self._offsets]
         return np.concatenate((inverse[entry] @ shift, *active))
 
@@ -120,9 +117,9 @@ class Forcing:
 
 
 def lengths_of(sampled: SampledPlant) -> tuple[float, ...]:
-    """How long the stretches of a period are for which disturbances draw.
+    """Lengths of the stretches of a period, seconds, for which disturbances draw.
 
-    Of two at least, the other one of length 0: a seed draws the same numbers for every delay.
+    At least two, the second of length 0 if need be: a seed draws the same numbers for every delay.
     """
     lengths = [part.stop - part.start for part in sampled.stretches(0)]
     return tuple([*lengths, 0.0][: max(2, len(lengths))])
@@ -159,7 +156,8 @@ def force_over(
 ) -> Float[np.ndarray, "count n n"]:
     """Γ_I⁻¹ over many stretches, from ξ to d, 0 where one takes no time; the others as above."""
     Gamma, total = pushed_over(A, mode, tau), tau.sum(axis=1)
-    # In units of one matrix |Γ_I/τ − I| ≤ (e^s − 1)/s − 1 < 1 for s = |A|τ ≤ 1.
+    # No eigenvalues are needed for short pieces: in balanced units |Γ_I/τ − I| ≤ (e^s − 1)/s − 1
+    # < 1 for s = |A|τ ≤ 1, so that Γ_I is regular.
     if rates(np.abs(A).sum(axis=0)[None])[0] * total.max() > 1.0:
         size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
         if not (size[total > 0.0] > _SINGULAR * total[total > 0.0]).all():

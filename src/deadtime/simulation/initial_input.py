@@ -14,13 +14,13 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.numerics.polynomials import Nodes, gauss
 
-_TOLERANCE = 1e-12
-_MOST_PIECES = 2000
+_TOLERANCE = 1e-12  # of the largest value of a piece, to which its polynomial must fit
+_MOST_PIECES = 2000  # of a bisection: beyond, the function is noise
 
 
 @dataclass(frozen=True, eq=False)
 class InputHistory(Frozen):
-    """Inputs before time 0 as a function (T,) → (T, m) and the times at which it is not smooth."""
+    """Inputs before time 0: a function (T,) → (T, m), and the times at which it is not smooth."""
 
     function: Callable[[np.ndarray], np.ndarray]
     jumps: Float[np.ndarray, " jump"]
@@ -64,7 +64,12 @@ def input_function(u0: InitialInput, m: int, delay: float) -> InputHistory:
         raise ArgumentError(f"u0 must hold (m, N) = ({m}, N) samples, got {held.shape}.")
     count = held.shape[1]
     jumps = -delay * np.arange(1, count + 1) / count
-    return InputHistory(lambda s: held.T[_piece(s, delay, count)], jumps)
+
+    def sample_and_hold(times: np.ndarray) -> np.ndarray:
+        sample = np.floor((1.0 + times / delay) * count)
+        return held.T[np.clip(sample, 0, count - 1).astype(int)]
+
+    return InputHistory(sample_and_hold, jumps)
 
 
 def held_samples(
@@ -73,11 +78,8 @@ def held_samples(
     """`simulate`'s u0 for the digital loop: the `past` inputs before time 0, oldest first."""
     if callable(u0):
         instants = np.maximum(-step * np.arange(past, 0, -1), -delay)
-        return (
-            u0.function(instants)
-            if isinstance(u0, InputHistory)
-            else _check_values(u0, m)(instants)
-        )
+        function = u0.function if isinstance(u0, InputHistory) else _check_values(u0, m)
+        return function(instants)
     constant, held = _constant_or_held(u0, m)
     if held is None:
         return np.tile(constant, (past, 1))
@@ -107,10 +109,6 @@ def _constant_or_held(u0: ArrayLike | None, m: int) -> tuple[np.ndarray, np.ndar
     return constant, None
 
 
-def _piece(times: np.ndarray, delay: float, count: int) -> np.ndarray:
-    return np.clip(np.floor((1.0 + times / delay) * count), 0, count - 1).astype(int)
-
-
 def _check_values(u0: Callable[[float], ArrayLike], m: int) -> Callable[[np.ndarray], np.ndarray]:
     def function(times: np.ndarray) -> np.ndarray:
         values = [
@@ -122,7 +120,7 @@ def _check_values(u0: Callable[[float], ArrayLike], m: int) -> Callable[[np.ndar
 
 
 def _rough_places(function: Callable[[np.ndarray], np.ndarray], delay: float) -> np.ndarray:
-    """Ends of intervals on each of which a polynomial represents the function."""
+    """Ends of intervals on each of which one polynomial represents the function."""
     points, check = gauss(10).points, (np.arange(7) + 0.5) / 7.0
     to_check = refit(points, check)
     places: list[float] = []

@@ -1,7 +1,7 @@
-"""Arrays that the digital loop reads and fills.
+"""Arrays that the digital loop reads and fills; everything random is drawn before.
 
-Its delay line, the rows of its law or the pieces that a law with a preview predicts over, and what
-imperfections make of measurements, modes and inputs, all that is random drawn.
+The delay line; the rows of the law, or the pieces over which a law with a preview predicts; and the
+instants, noise and limits that imperfections cause.
 """
 
 from __future__ import annotations
@@ -35,12 +35,17 @@ class Rows(NamedTuple):
 
 
 class DelayLine(NamedTuple):
-    """The inputs of the delay line, (past + samples, m), u_k in row past + k, and their sources.
+    """Inputs of the delay line, and the signals of the law at every sample.
 
-    The law asks for `asked`, the plant is given `inputs`, and the law reads `known_inputs`: all
-    three are one array where what is asked for is applied. What is `measured` (samples, n or p) is
-    what reaches the law, and a law with a memory makes `estimates` (samples, z) of it, and one on a
-    belief `beliefs` (samples, modes).
+    inputs : (past + samples, m), applied to the plant; `asked`: commanded by the law;
+        `known_inputs`: read by the law as its past inputs. All three are one array where every
+        command is applied.
+    measured : (samples, n or p), received by the law, NaN where nothing arrives
+    estimates : (samples, z), of a law with an observer;  beliefs : (samples, modes), with a belief
+
+        row        0 …  past − 1 | past      past + 1   …  past + samples − 1
+        content    u_{−past} … u_{−1} | u_0       u_1        …
+                   history            | filled by the run
     """
 
     past: int
@@ -65,12 +70,9 @@ class DelayLine(NamedTuple):
         limited = drawn is not None and drawn.limits.relative.size
         asked = inputs.copy() if limited else inputs
         known_inputs = asked if drawn is not None and drawn.commanded else inputs
-        sizes = (
-            (samples, measured),
-            (samples if memory_size else 0, memory_size),
-            (samples, believed),
-        )
-        return cls(grid.past, inputs, asked, known_inputs, *map(np.empty, sizes))
+        estimates = np.empty((samples if memory_size else 0, memory_size))
+        own = np.empty((samples, measured)), estimates, np.empty((samples, believed))
+        return cls(grid.past, inputs, asked, known_inputs, *own)
 
 
 class MeasurementInstants(NamedTuple):
@@ -78,9 +80,9 @@ class MeasurementInstants(NamedTuple):
 
     piece : (samples,), the piece in which x is measured; −1 where nothing is received
     step : (samples,), the period of that piece
-    way : (samples,), how x follows from the start of the piece; −1 where it is measured there
-    Phi : (ways, n, n), Gamma : (ways, n, q), from x and what acts to x; q = m, or m + f with
-        the forces of the pieces behind the inputs
+    way : (samples,), the map from the start of the piece to the instant; −1 at the start itself
+    Phi : (ways, n, n), Gamma : (ways, n, q), the maps of x and of the inputs; q = m, or m + f with
+        the forces of the piece behind the inputs
     force : (pieces, f) or (pieces, 0)
     noise : (samples, p) or (0, 0), what is added
     C : (modes, p, n), or (1, 0, n) where x is measured itself
@@ -146,9 +148,11 @@ def _within(
     way, inside = np.full(step.size, -1), np.flatnonzero(offset > 0.0)
     first, stop = table.first[step[inside]], table.first[step[inside] + 1]
     for more in range(1, int((stop - first).max(initial=0))):
+        # Piece by piece, for all samples at once: periods have two or three pieces.
         q = np.minimum(first + more, stop - 1)
         begun = table.start[table.entry[q]] <= offset[inside]
         piece[inside] = np.where(begun, q, piece[inside])
+    # An entry and an offset in one complex number: `unique` of rows is many times slower.
     pairs = table.entry[piece[inside]] + 1j * offset[inside]
     distinct, way[inside] = np.unique(pairs, return_inverse=True)
     entry, at = distinct.real.astype(np.int64), distinct.imag.copy()
@@ -156,12 +160,12 @@ def _within(
 
 
 class PreviewLaw(NamedTuple):
-    """A law that knows the signal, and its stacks, for `answer_with_preview`.
+    """A law that knows the signal, for `answer_with_preview`.
 
-    move : (entries, n (n + m)), Φ and Γ side by side, of the model's pieces along the signal
-    piece : (pieces, 1 + m), the entry of each, and the k of the u_k that acts in it
+    move : (entries, n (n + m)), [Φ Γ] of the model's pieces along the signal
+    piece : (pieces, 1 + m), the entry of each, and for each input the k of the u_k that acts in it
     window : (samples, 2), the first piece from t_k on, and the first in which u_k acts
-    tails : (modes, m (n + m)), K and L side by side
+    tails : (modes, m (n + m)), [K L]
     mode : (samples,), that at t_k + D
     stacks : PreviewState
     """

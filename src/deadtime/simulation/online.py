@@ -1,10 +1,9 @@
-"""The digital loop period by period, where a rule switches the plant or something must be called.
+"""The digital loop period by period: a rule switches the plant, or Python must be called.
 
-That is a law without a table, or a sensor or actuator that is a function of a user's own: an
-`ImperfectLaw` senses and acts through these. A rule's switches are noted as they come and handed on
-as the switching signal that they turned out to be; while the plant slides along a boundary, the
-mode is the one that it came from. A plant that chatters has no trajectory from there on: the run
-ends, and for the mismatch before its end alone the mode is held.
+That is a law without a table, or a sensor or actuator written by the user: an `ImperfectLaw` senses
+and acts through these. A rule's switches are recorded as they occur and make the run's switching
+signal; while the plant slides along a boundary, the mode is the one before. A plant that chatters
+has no trajectory from there on: the run ends, and the mode is held only for the mismatch before.
 """
 
 from __future__ import annotations
@@ -36,21 +35,19 @@ from deadtime.simulation.truth import Truth
 class ImperfectLaw:
     """An `Update` that senses and acts through imperfections.
 
-    Where nothing usable arrives and the law has no answer, its last input is asked for again.
-    Before any mode is known the first is assumed. The law's past inputs are those applied, or with
-    predict = "commanded" those asked for. A law that measures outputs receives y = C_σ x, `outputs`
-    being the C of every mode.
+    Where nothing usable arrives and the law returns no number, the last command is held. Mode 0 is
+    assumed until a mode is reported. The law's past inputs are those applied, or with
+    predict = "commanded" its commands. A law on outputs receives y = C_σ x, C = `outputs`.
 
     Attributes
     ----------
     update : Update
         The law.
     lags : MeasurementLags or None
-        How long before each sample its state is to be measured.
+        How long before each sample its state is measured.
     measured : (samples, n) or (samples, p)
-        The measurements of x or y that the law received, NaN where nothing arrived.
+        x or y as received, NaN where nothing arrived.
     commanded : (samples, m)
-        What it asked for.
     """
 
     def __init__(
@@ -81,40 +78,32 @@ class ImperfectLaw:
         seen = Seen(x if self._outputs is None else self._outputs[mode] @ x, mode)
         for sense in self._sensors:
             seen = sense(seen)
-        self._follow(seen.mode, age)
+        # The age first: it is counted from the mode of the sample before.
+        self._age = age if self._mode < 0 else age_after(self._mode, self._age, seen.mode)
+        self._mode = self._mode if seen.mode < 0 else seen.mode
         if self._line is None:
             self._line = past.copy()
-        asked = self._ask_law(seen.x, self._line if self._tells_commands else past)
-        # Before the actuators: with predict = "commanded" the law reads what it asked for.
+        known = self._line if self._tells_commands else past
+        u = require_input(self.update(seen.x, known, max(self._mode, 0), self._age), past.shape[1])
+        if is_held(seen.x, u):
+            u = self.commanded[-1] if self.commanded else known[-1].copy()
+        # Before the actuators: with predict = "commanded" the law reads its own commands.
         self._line[:-1] = self._line[1:]
-        self._line[-1] = asked
+        self._line[-1] = u
         self.measured.append(seen.x)
-        self.commanded.append(asked)
+        self.commanded.append(u)
         for act in self._actuators:
-            asked = act(asked, past[-1])
-        return asked
-
-    def _follow(self, mode: int, age: int) -> None:
-        """The sampled mode as the law sees it, and its age."""
-        # The age before the mode: it is counted from the mode of the sample before.
-        self._age = age if self._mode < 0 else age_after(self._mode, self._age, mode)
-        self._mode = self._mode if mode < 0 else mode
+            u = act(u, past[-1])
+        return u
 
     def record(self, kept: int) -> LawSignals:
-        """The measurements and answers of a law at the first samples."""
+        """The measurements and commands at the first `kept` samples."""
         estimates = self.update.estimates if isinstance(self.update, UpdateWithEstimates) else None
         return LawSignals(
             np.array(self.measured[:kept]),
             np.array(self.commanded[:kept]),
             None if estimates is None else np.array(estimates[:kept]),
         )
-
-    def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
-        asked = self.update(x, past, max(self._mode, 0), self._age)
-        asked = require_input(asked, past.shape[1])
-        if is_held(x, asked):
-            return self.commanded[-1] if self.commanded else past[-1].copy()
-        return asked
 
 
 class _Stop(NamedTuple):
@@ -126,24 +115,29 @@ class _Stop(NamedTuple):
 
 
 def run_online(update: Update, truth: Truth, x0: np.ndarray, horizon: float) -> RunOutcome:
-    """Run a law, or what imperfections make of it, along a signal or under a rule, by periods."""
+    """Run a law, or an `ImperfectLaw` around it, along a signal or under a rule, by periods."""
     imperfect = update if isinstance(update, ImperfectLaw) else None
+    law = update if imperfect is None else imperfect.update
     sampled, step = truth.grid.sampled, truth.grid.sampled.step
     with np.errstate(over="ignore", invalid="ignore"):
         kept, path, stop = _run(
             truth, update, None if imperfect is None else imperfect.lags, x0, horizon
         )
-    # Up to where no input is missing, in any mode.
+    # The signal is known as long as no mode reads an input that is missing.
     known = (kept + sampled.windows[0].count - 1) * step + sampled.windows[0].phase
-    if truth.chatter is not None:
-        known = truth.chatter.time
     record = truth.record(np.array(path), kept)
     end, diverged, note = (None, False, "") if stop is None else stop
     if record.slides is not None:
         slid = slides_in_words(record.slides.slides(step, horizon if end is None else end))
         note = f"{note} {slid}".strip()
     if truth.chatter is not None:
-        note = _join(note, truth, end)
+        known, _, reason = truth.chatter
+        chattering = f"chattering at t = {known:.12g} s: {reason}"
+        if known == end:
+            note = f"{chattering}; the run ends there."
+        else:
+            after = f"from there on the mismatch takes mode {truth.mode} to last."
+            note = f"{note} {chattering}; {after}".strip()
     return RunOutcome(
         record,
         truth.signal(known),
@@ -151,13 +145,8 @@ def run_online(update: Update, truth: Truth, x0: np.ndarray, horizon: float) -> 
         diverged,
         note,
         None if imperfect is None else imperfect.record(kept),
-        _belief(update if imperfect is None else imperfect.update, kept),
+        np.array(law.beliefs[:kept]) if isinstance(law, UpdateWithBelief) else None,
     )
-
-
-def _belief(update: Update, kept: int) -> np.ndarray | None:
-    """The probability of each mode in a law with a mode belief, (samples, modes)."""
-    return np.array(update.beliefs[:kept]) if isinstance(update, UpdateWithBelief) else None
 
 
 def _run(
@@ -167,7 +156,11 @@ def _run(
     x0: np.ndarray,
     horizon: float,
 ) -> tuple[int, list[np.ndarray], _Stop | None]:
-    """Run over the samples and on until an input is missing, as `kernel.closed_loop` does."""
+    """Run over the samples and on until an input is missing, as `closed_loop` does.
+
+    It calls Python at every sample, so that there is nothing to compile, and steps of `loop/` run
+    within `update`.
+    """
     grid, age = truth.grid, truth.age
     h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
     path, first = [x0], [0]
@@ -183,6 +176,8 @@ def _run(
             if k - acting.min() >= kept:
                 return kept, path, stop
             path.append(truth.move(k, piece, path[-1], grid.acting(k, acting)))
+            # After the first piece, in which this sample's input does not act, as D > 0: a rule may
+            # switch within 1e-9 of a period after the sample, which counts as at the sample.
             if piece == 0 and k < kept:
                 age = age_after(-1 if last is None else last, age, truth.mode)
                 last = truth.mode
@@ -206,13 +201,3 @@ def _run(
             kept = min(kept, int(snap(truth.chatter.time / h)) + 1)
             stop = _Stop(truth.chatter.time, False, "")
     return kept, path, stop
-
-
-def _join(note: str, truth: Truth, end: float | None) -> str:
-    """Join the note on a plant that chatters to a note that there is already."""
-    time, _, reason = truth.chatter or (0.0, (), "")
-    chattering = f"chattering at t = {time:.12g} s: {reason}"
-    if time == end:
-        return f"{chattering}; the run ends there."
-    after = f"{chattering}; from there on the mismatch takes mode {truth.mode} to last."
-    return f"{note} {after}".strip()

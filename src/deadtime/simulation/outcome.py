@@ -1,11 +1,11 @@
 """How a run ends: it falls, settles elsewhere, stays bounded, grows, or diverges.
 
-A loop is judged by what becomes of its start. Where nothing pushes it that is x itself. Under a
-reference, a disturbance or noise it is the difference from a second run, with the same signal,
-forces and random numbers, that starts elsewhere: in a linear loop what pushes both cancels, and
-the difference is the loop's own motion. A loop that decays under a constant push comes to rest, but
-not at 0: settling is asked about where it does. It is at rest once its own motion has decayed, too:
-a slow loop hardly moves for a while, and yet falls.
+A loop is judged by its free motion. Without a reference, disturbance or noise that is x itself.
+With one, it is the difference from a second run with the same signal, forces and random numbers and
+another x0: in a linear loop the forces cancel in the difference. A loop that decays under a
+constant force comes to rest, but not at 0, and its settling time refers to that point. A run counts
+as at rest only when its free motion has decayed, too: a slow loop hardly moves for a while, and yet
+falls.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from deadtime.imperfections import (
     StepDisturbance,
     WhiteDisturbance,
 )
-from deadtime.simulation.trajectory import Trajectory
+from deadtime.simulation.tracking import SETTLED
+from deadtime.simulation.trajectory import Trajectory, settling_time
 
-SETTLED = 0.02  # of the largest distance from where a run comes to rest
-_TAIL = 0.1  # of a run: within it a run at rest stays settled
-_NEARER = 0.9  # times the largest distance of the quarter before
-_MORE = 1.001  # times the largest distance of the quarter before: less is no growth
+_TAIL = 0.1  # the last share of a run, in which a run at rest stays settled
+_NEARER = 0.9  # times the largest distance of the quarter before: less is a fall
+_MORE = 1.001  # times the largest distance of the quarter before: more is growth
 
 Kind = Literal["falls", "settles", "bounded", "grows", "diverged", "ends early"]
 
@@ -47,17 +47,16 @@ class Outcome:
     ----------
     kind : str
         "falls": |x| ends no larger than it started, and no force or reference has brought it there;
-        "settles": x comes to rest elsewhere than at 0; "bounded": neither, but the loop does not
-        grow; "grows"; "diverged"; "ends early".
+        "settles": x comes to rest at a point other than 0; "bounded": neither, but the loop does
+        not grow; "grows"; "diverged"; "ends early".
     start, final, peak : float
         |x| at time 0, at the end, and its maximum over the samples.
     rest : (n,) or None
-        Where x comes to rest: 0 unless something pushes it; None where it does not.
+        Where x comes to rest: 0 without forces; None where it does not.
     settling : float
-        Seconds, from when on x stays within 2 % of its largest distance from there; ∞ if it
-        does not.
+        Time from which x stays within 2 % of its largest distance from there, seconds; ∞ if never.
     since : float
-        When the last event before that was (`events_of`), seconds; 0 where there was none.
+        Time of the last event before that (`events_of`), seconds; 0 for none.
     """
 
     kind: Kind
@@ -75,7 +74,7 @@ class Outcome:
 
     @property
     def sentence(self) -> str:
-        """The behaviour of x in words, to follow the law's name and a colon.
+        """The behaviour of x in words, without the law's name.
 
         Examples
         --------
@@ -87,13 +86,12 @@ class Outcome:
             still = "" if self.settling < math.inf else " and has not settled when the run ends"
             return f"|x| falls from {origin} to {amount(self.final)}{still}"
         if self.kind == "settles" and self.rest is not None:
-            where = f"at |x| = {amount(_norm(self.rest))}, where a force or a reference holds it"
-            if not self.since:
-                return f"x settles in {self.settling:.3g} s {where}"
-            after = (
-                f"{self.settling - self.since:.3g} s after the last event, at {self.since:.4g} s,"
-            )
-            return f"x settles {after} {where}"
+            when = f"in {self.settling:.3g} s"
+            if self.since:
+                after = self.settling - self.since
+                when = f"{after:.3g} s after the last event, at {self.since:.4g} s,"
+            place = f"|x| = {amount(_norm(self.rest))}"
+            return f"x settles {when} at {place}, where a force or a reference holds it"
         if self.kind == "bounded":
             peak, final = amount(self.peak), amount(self.final)
             return f"x stays bounded, |x| ends at {final} after a peak of {peak}"
@@ -107,17 +105,17 @@ def is_pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
 
 
 def pushes(imperfections: Sequence[Imperfection]) -> list[Imperfection]:
-    """Those that move x whatever the loop does: forces and noise."""
+    """The imperfections that act whatever x is: forces and noise."""
     return [each for each in imperfections if isinstance(each, Disturbance | Additive)]
 
 
 def elsewhere(x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Another start, for the second run of a loop that is pushed."""
+    """Another x0, for the second run of a loop that is pushed."""
     return np.zeros(x0.size) if x0.any() else np.ones(x0.size) / math.sqrt(x0.size)
 
 
 def events_of(run: Trajectory, imperfections: Sequence[Imperfection]) -> list[float]:
-    """When something changes during a run: switches, steps of references, of disturbances.
+    """Times of the switches and of the steps of references and disturbances, seconds.
 
     Examples
     --------
@@ -150,11 +148,11 @@ def outcome_of(
     run : Trajectory
         The run.
     horizon : float
-        How long it should have been, seconds.
+        Its intended length, seconds.
     again : callable, optional
-        The same run from `elsewhere`, for a loop that is `is_pushed`; it is run only if need be.
+        Makes the same run from `elsewhere`, for a loop that `is_pushed`; called only if needed.
     imperfections : sequence of Imperfection
-        Of the run: disturbances among them that begin or end are events, and may hold x off 0.
+        Of the run: disturbances that begin or end are events, and may hold x off 0.
 
     Examples
     --------
@@ -168,7 +166,7 @@ def outcome_of(
     norm = np.linalg.norm(states, axis=1)
     start, final, peak = float(norm[0]), float(norm[-1]), float(norm.max())
     kind: Kind
-    rest, settling = None, _settling_time(time, norm)
+    rest, settling = None, settling_time(time, norm)
     if run.diverged or run.end < horizon:
         kind = "diverged" if run.diverged else "ends early"
         return Outcome(kind, start, final, peak, rest, settling)
@@ -183,22 +181,25 @@ def outcome_of(
         kind, (rest, until) = "bounded", _rest(time, states)
         if own is not None and not _stays(time, own):
             rest = None
-            if final <= start and 0.5 * final < own[-1]:  # what is left is mostly the start's
+            if final <= start and 0.5 * final < own[-1]:  # x is mostly free motion at the end
                 kind, until = "falls", settling
         elif rest is not None and _norm(rest) <= SETTLED * peak:
             kind = "falls"
-        elif rest is not None and _may_hold(run, imperfections):
-            kind = "settles"
+        elif rest is not None:
+            # Noise has the mean 0, so that it holds x nowhere else.
+            random = WhiteDisturbance | ColouredDisturbance | Noise
+            forced = any(not isinstance(each, random) for each in pushes(imperfections))
+            kind = "settles" if forced or run.followed is not None else kind
         settling = math.inf if kind == "bounded" else until
     events = [t for t in events_of(run, imperfections) if t < settling < math.inf]
     return Outcome(kind, start, final, peak, rest, settling, max(events, default=0.0))
 
 
 def keeps_up(run: Trajectory, perfect: Trajectory) -> bool:
-    """Whether a run ends as that of a perfect loop does.
+    """Whether a run ends like that of a perfect loop.
 
-    Where the perfect run comes to rest the other has come to rest there, too. Where it does not,
-    the other stays, over its last quarter, as near to it as it moves itself.
+    Where the perfect run comes to rest, the run must have come to rest at the same point. Where it
+    does not, the run must differ from it, over the last quarter, by less than it moves itself.
 
     Examples
     --------
@@ -220,11 +221,11 @@ def keeps_up(run: Trajectory, perfect: Trajectory) -> bool:
 def still_falls(
     run: Trajectory, other: Trajectory, perfect: Trajectory, perfect_other: Trajectory
 ) -> bool:
-    """Whether only motion that decays keeps a run of a linear loop from the perfect one.
+    """Whether only decaying free motion separates a run of a linear loop from the perfect one.
 
-    Of both, the others start elsewhere, and the difference is the loop's own motion. That of the
-    run falls by a tenth from one quarter to the next; at the end both together are at least half of
-    what the run is off.
+    The differences from the other runs, which start elsewhere, are the free motions. That of the
+    run must fall by a tenth from each quarter to the next; at the end the two free motions together
+    must be at least half of the distance between the runs.
 
     Examples
     --------
@@ -254,7 +255,7 @@ def at_rest(run: Trajectory) -> Float[np.ndarray, " n"] | None:
 
 
 def why_untested(run: Trajectory, outcome: Outcome) -> str:
-    """That a signal's first switch comes after settling, so that it tested nothing; or empty."""
+    """A sentence if the signal's first switch comes after x has settled; else empty."""
     switches, settled = run.signal.times[1:], outcome.settling
     if outcome.peak == 0.0 or switches.size == 0 or not settled <= switches[0] < run.end:
         return ""
@@ -266,17 +267,10 @@ def why_untested(run: Trajectory, outcome: Outcome) -> str:
 
 
 def _grows(time: np.ndarray, size: np.ndarray) -> bool:
-    """Whether something ends above where it started, and its last quarter above that before."""
+    """Whether a size ends above its start, and its last quarter exceeds the quarter before."""
     half, most = time >= 0.5 * time[-1], time >= 0.75 * time[-1]
     before = size[half & ~most].max(initial=0.0)
     return bool(size[-1] > size[0] and size[most].max() > _MORE * before)
-
-
-def _may_hold(run: Trajectory, imperfections: Sequence[Imperfection]) -> bool:
-    """Whether something may hold x elsewhere than at 0, as noise, whose mean is 0, does not."""
-    random = WhiteDisturbance | ColouredDisturbance | Noise
-    forced = any(not isinstance(each, random) for each in pushes(imperfections))
-    return forced or run.followed is not None
 
 
 def _difference(run: Trajectory, other: Trajectory, time: np.ndarray) -> np.ndarray | None:
@@ -289,10 +283,10 @@ def _difference(run: Trajectory, other: Trajectory, time: np.ndarray) -> np.ndar
 
 
 def _rest(time: np.ndarray, states: np.ndarray) -> tuple[np.ndarray | None, float]:
-    """Where x stays all through the last tenth of a run, and since when; None if it does not."""
+    """The point at which x stays over the last tenth of a run, and since when; None if it moves."""
     rest = states[_tail(time)].mean(axis=0)
     distance = np.linalg.norm(states - rest, axis=1)
-    return (rest, _settling_time(time, distance)) if _stays(time, distance) else (None, math.inf)
+    return (rest, settling_time(time, distance)) if _stays(time, distance) else (None, math.inf)
 
 
 def _stays(time: np.ndarray, distance: np.ndarray) -> bool:
@@ -306,11 +300,3 @@ def _tail(time: np.ndarray) -> np.ndarray:
 
 def _norm(x: np.ndarray) -> float:
     return float(np.linalg.norm(x))
-
-
-def _settling_time(time: np.ndarray, distance: np.ndarray) -> float:
-    """From when on a distance stays within 2 % of its largest."""
-    outside = np.flatnonzero(distance > SETTLED * distance.max())
-    if outside.size == 0:
-        return 0.0
-    return float(time[outside[-1] + 1]) if outside[-1] + 1 < time.size else math.inf

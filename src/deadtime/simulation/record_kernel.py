@@ -8,21 +8,25 @@ from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.pieces import up_to
 
-LONG = 400_000  # numbers of a run, some 14 a period, that Python's loop takes about two seconds for
+# Numbers of a run, some 14 a period, for which Python's loop takes about the two seconds that
+# compiling the kernel takes.
+LONG = 400_000
 
 
 @kernel
 def dot(a, b):
-    """Σ a_i b_i in four sums, so that it vectorises, in one order wherever it is run."""
+    """Σ a_i b_i of arrays, or uncompiled of lists, in four sums: one order wherever it is run."""
+    # Compilers keep the order of sums that is written: only of four independent ones can they make
+    # vector instructions.
     first = second = third = fourth = 0.0
-    whole = a.size - a.size % 4
+    whole = len(a) - len(a) % 4
     for i in range(0, whole, 4):
         first += a[i] * b[i]
         second += a[i + 1] * b[i + 1]
         third += a[i + 2] * b[i + 2]
         fourth += a[i + 3] * b[i + 3]
     total = (first + second) + (third + fourth)
-    for i in range(whole, a.size):
+    for i in range(whole, len(a)):
         total += a[i] * b[i]
     return total
 
@@ -45,7 +49,7 @@ def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
 def _forms_at_once(
     M: np.ndarray, entry: np.ndarray, pieces: int, path: np.ndarray, acting: np.ndarray
 ) -> float:
-    """`form_integral` by NumPy: the sums of `dot` for all pieces, then one after the other."""
+    """`form_integral` by NumPy: the four sums of `dot` for all pieces at once, to the same bits."""
     z = np.hstack((path[:pieces], acting[:pieces]))
     forms, size = M[entry[:pieces]], z.shape[1]
     whole = size - size % 4
@@ -55,12 +59,13 @@ def _forms_at_once(
     total = (sums[0] + sums[1]) + (sums[2] + sums[3])
     for i in range(whole, size):
         total += forms[:, :, i] * z[:, i, None]
+    # Not `sum`, which adds in pairs: the kernel adds piece by piece.
     return np.add.accumulate(np.append(0.0, z * total))[-1]
 
 
 @kernel(plain=_forms_at_once, large=LONG)
 def form_integral(M, entry, pieces, path, acting):
-    """The sum of the forms M of the entries over the first pieces."""
+    """Σ_q z_qᵀ M z_q over the first pieces, M (entries, n + m, n + m) that of the piece's entry."""
     n, m = path.shape[1], acting.shape[1]
     total = 0.0
     z = np.empty(n + m)

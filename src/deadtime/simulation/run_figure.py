@@ -16,7 +16,7 @@ from deadtime.base.wording import input_names, subscript
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
-_ONE_COLUMN = 6  # panels above each other
+_ONE_COLUMN = 6  # panels in one column, at most
 _PANEL, _STRIP, _SMALL = 1.0, 0.25, 8.5  # inches of height; points
 REFERENCE: dict[str, Any] = {
     "color": COLOURS[6], "drawstyle": "steps-post", "linestyle": "--", "linewidth": 1.0
@@ -24,7 +24,10 @@ REFERENCE: dict[str, Any] = {
 
 
 class PlottedRun(Protocol):
-    """The attributes of a `Trajectory` that the figure reads."""
+    """The attributes of a `Trajectory` that the figure reads.
+
+    Not `Trajectory` itself, whose `plot` imports this file.
+    """
 
     @property
     def time(self) -> np.ndarray: ...
@@ -57,7 +60,7 @@ def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[s
 
 
 def belief_strip(axes: Axes, time: np.ndarray, belief: np.ndarray, names: Sequence[str]) -> None:
-    """How likely each mode is from sample to sample, the darker the likelier."""
+    """The probability of each mode over time, in shades of grey."""
     edges = np.arange(len(names) + 1) - 0.5
     grey = {"cmap": "Greys", "vmin": 0.0, "vmax": 1.0, "rasterized": True}
     axes.pcolormesh(time, edges, belief[:, : time.size - 1], **grey)
@@ -81,10 +84,10 @@ def plot_run(
     inputs: Sequence[str] | None = None,
     width: Width | None = None,
 ) -> Figure:
-    """A panel for each state and input of a run over time, its mode, and what it believed of it.
+    """A panel for each state and input of a run over time, strips of its mode and mode belief.
 
-    Names head the panels, with the units that they state; of many states and inputs two panels
-    stand side by side. The width is "column", "page" or inches; by default as the panels need.
+    Names, with their units, head the panels; more than six panels form two columns. The width is
+    "column", "page" or inches; by default as the panels need.
     """
     n, m, count = run.states.shape[0], run.inputs.shape[0], run.plant.modes
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
@@ -123,7 +126,10 @@ def plot_run(
 def references(
     run: PlottedRun,
 ) -> tuple[dict[int, np.ndarray], list[tuple[int, np.ndarray, np.ndarray]]]:
-    """References by the state that follows them; and of other outputs number, output, reference."""
+    """References by the state that follows them; and (number, output, reference) of other outputs.
+
+    A state carries one reference: further outputs that equal it have panels of their own.
+    """
     beside, others = {}, []
     if run.followed is None or run.reference is None or run.tracked is None:
         return beside, others
@@ -139,7 +145,7 @@ def references(
 def _panels(
     curves: int, modes: int, strips: int, width: Width | None
 ) -> tuple[Figure, list[Axes], list[Axes]]:
-    """A panel a curve, in two columns where there are many, above strips of the full width."""
+    """A panel for each curve, in two columns if there are many, above strips of the full width."""
     columns = 1 if curves <= _ONE_COLUMN else 2
     rows, strip = -(-curves // columns), _STRIP + 0.17 * modes
     cells = [[min(columns * i + j, curves - 1) for j in range(columns)] for i in range(rows)]

@@ -63,12 +63,12 @@ def simulate(
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
+        The true plant. The law has its own model, `law.plant`; delay and matrices may differ.
     law : Law
         The feedback law.
     signal : SwitchingSignal, HalfSpace, Polyhedra, QuadraticRegions or callable
-        The plant's switching signal; or the rule by which the state decides the mode, a function
-        from a state of shape (n,) to a mode included. What a rule decided is `run.signal`.
+        The plant's switching signal; or the rule by which the state decides the mode, which may be
+        a function from a state of shape (n,) to a mode. `run.signal` is the resulting signal.
     x0 : array_like, shape (n,)
         State at time 0.
     horizon : float
@@ -86,22 +86,22 @@ def simulate(
     imperfections : sequence of Imperfection
         Disturbances of the plant, and what sensors and actuators do, in this order
         (`deadtime.imperfections`); digital loop only. With sensors or actuators among them,
-        `run.inputs` are the inputs applied, `run.commanded` those asked for and `run.measured`
-        the measurements of x that the law received. A law on outputs gets those, with or without
-        imperfections, and `run.estimates` is what it makes of them. Of a `BeliefPredictor`
-        `run.belief` is how likely it took each mode to be.
+        `run.inputs` are the inputs applied, `run.commanded` the commands of the law and
+        `run.measured` the measurements that it received. A law on outputs has these with or without
+        imperfections, and `run.estimates`, its estimates of the state. A `BeliefPredictor` has
+        `run.belief`, the probability of each mode.
     seed : int
-        At least 0, of all that is random in them.
+        At least 0; of everything random in the imperfections.
     predict : "applied" or "commanded"
         Which past inputs the law receives, where the actuator changes them.
 
     Returns
     -------
     Trajectory
-        A loop that diverges is a result: `run.diverged`, and `run.message` says when. Along a
-        boundary at which both modes point the plant slides, and `run.message` says how long. Where
-        a rule is a function, which does not say along what, or its switches pile up, the run ends,
-        and `run.message` says that it was chattering.
+        A loop that diverges is a result: `run.diverged` is true and `run.message` says when. Where
+        the vector fields of both modes point at a boundary, the plant slides along it, and
+        `run.message` says how long. Where the rule is a function, which gives no boundary to slide
+        along, or switches accumulate, the run ends, and `run.message` says that it was chattering.
 
     Raises
     ------
@@ -121,7 +121,8 @@ def simulate(
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    law = law.drawn(count("seed", seed, 0))
+    seed = count("seed", seed, 0)
+    law = law.drawn(seed)
     if isinstance(signal, (list, tuple, np.ndarray)):
         raise ArgumentError(
             f"signal must be a SwitchingSignal or a rule, got a {type(signal).__name__}: modes "
@@ -131,9 +132,18 @@ def simulate(
         switching = signal.require_modes(plant.modes)
     else:
         switching = as_rule("signal", signal).require(plant)
-    x0 = _initial_state(x0, plant.states)
+    x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
+    # Within |x| ≤ 1e100, where a run counts as diverged, whatever the norm of that many states is.
+    if np.abs(x0).max() > 1e100 / x0.size:
+        raise ArgumentError(
+            f"x0 must be below 1e100, where a run counts as diverged, got {np.abs(x0).max():g}."
+        )
     asked = None if times is None else _check_times(times, horizon)
-    disturbances, others = _split_disturbances(imperfections, seed)
+    pairs = list(zip(imperfections, streams(imperfections, seed), strict=True))
+    # An imperfection of two parts, a force and a sensor, is among both.
+    disturbances = [(each, rng) for each, rng in pairs if isinstance(each, Disturbance)]
+    at_samples = SensorImperfection, TimingImperfection, ActuatorImperfection
+    others = [(each, rng) for each, rng in pairs if isinstance(each, at_samples)]
     if step is None:
         if imperfections:
             raise ArgumentError(
@@ -146,40 +156,20 @@ def simulate(
         grid = Grid.of(plant, law, horizon, step, u0)
         outcome = _digital(plant, law, switching, x0, horizon, grid, others, predict, disturbances)
     end = horizon if outcome.end is None else outcome.end
-    run = trajectory_of(
-        outcome.record,
-        plant,
-        outcome.signal,
-        law.gains,
-        end,
-        asked,
-        outcome.diverged,
-        _message(outcome, end, horizon),
+    message = _message(outcome, end, horizon)
+    given = plant, outcome.signal, law.gains, end, asked, outcome.diverged, message
+    run = trajectory_of(outcome.record, *given)
+    measured, commanded, estimates = (
+        None if values is None else values.T for values in outcome.law_signals or (None,) * 3
     )
-    if outcome.belief is not None:
-        run = replace(run, belief=belief_at(run, outcome.belief))
-    if (followed := Followed.of(law)) is not None:
-        run = replace(run, followed=followed)
-    if outcome.known_inputs is None:
-        return run
-    measured, commanded, estimates = outcome.known_inputs
     return replace(
         run,
-        measured=measured.T,
-        commanded=commanded.T,
-        estimates=None if estimates is None else estimates.T,
+        measured=measured,
+        commanded=commanded,
+        estimates=estimates,
+        belief=None if outcome.belief is None else belief_at(run, outcome.belief),
+        followed=Followed.of(law),
     )
-
-
-def _split_disturbances(
-    imperfections: Sequence[Imperfection], seed: int
-) -> tuple[Drawn, list[tuple[Imperfection, np.random.Generator]]]:
-    """Disturbances and the others, each with its stream; one of two parts is among both."""
-    generators = streams(imperfections, count("seed", seed, 0))
-    pairs = list(zip(imperfections, generators, strict=True))
-    forces = [(each, rng) for each, rng in pairs if isinstance(each, Disturbance)]
-    others = SensorImperfection, TimingImperfection, ActuatorImperfection
-    return forces, [(each, rng) for each, rng in pairs if isinstance(each, others)]
 
 
 def _ideal(
@@ -216,7 +206,10 @@ def _digital(
     predict: str,
     disturbances: Drawn,
 ) -> RunOutcome:
-    """The digital run: at once for a law with tables on a known signal, else period by period."""
+    """The digital run: one kernel for a law with tables on a known signal, else period by period.
+
+    A rule of the state and a law, sensor or actuator in Python have to be called at every sample.
+    """
     measured = plant.states if law.outputs is None else law.outputs.shape[1]
     sizes = Sizes(plant.modes, measured, plant.inputs, grid.sampled.step)
     if disturbances or not isinstance(switching, SwitchingSignal):
@@ -240,10 +233,7 @@ def _digital(
 
 
 def require_steps(horizon: float, delay: float, step: float) -> None:
-    """Refuse a step that the horizon, or a delay, holds too often, and a horizon that holds none.
-
-    A horizon within round-off of the start, by the measure of a step, is no time at all.
-    """
+    """Refuse steps of which the horizon or a delay holds too many, and horizons that hold none."""
     if horizon < TOLERANCE * step:
         raise ArgumentError(
             f"horizon must hold at least {TOLERANCE:.0e} of a step, got horizon = {horizon:g} s "
@@ -254,16 +244,6 @@ def require_steps(horizon: float, delay: float, step: float) -> None:
             f"step = {step:g} s is too short: horizon and delay must hold at most "
             f"{_MOST_SAMPLES:.0e} steps; lengthen it or shorten the horizon."
         )
-
-
-def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
-    """x0 with its size checked, within the limit at which a run counts as diverged."""
-    state = require_shape("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
-    if np.abs(state).max() > 1e100 / n:
-        raise ArgumentError(
-            f"x0 must be below 1e100, where a run counts as diverged, got {np.abs(state).max():g}."
-        )
-    return state
 
 
 def _check_times(times: ArrayLike, horizon: float) -> np.ndarray:

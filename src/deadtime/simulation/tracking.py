@@ -1,9 +1,9 @@
-"""The reference that a run is to follow, its outputs beside it, and figures of its steps.
+"""References, the outputs that follow them, and figures of their steps.
 
-The figures are those of python-control's `step_info`, and integrals of the error. Of a step from
-what the output is, y₀, to r they go by the share of the way, f = (y − y₀)/(r − y₀), at the samples:
-nothing is interpolated, so that times may be late by less than a period, as in python-control. The
-integral of the error alone takes y as straight between samples, and r as held.
+The figures are those of python-control's `step_info`, and integrals of the error. For a step from
+the output y₀ to r they use f = (y − y₀)/(r − y₀) at the samples, without interpolation, so that
+times may be late by less than a period, as in python-control. Only the integral of the error takes
+y as straight between samples; r is held.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from deadtime.numerics.kernels import kernel
 from deadtime.plant.discretisation import TOLERANCE
 
 SETTLED, RISE = 0.02, (0.1, 0.9)  # of a step, as in python-control
-_STEP = 1e-9  # of the output: what is less is no step
+_STEP = 1e-9  # of the output: a smaller change of the reference is no step
 
-OF_STEPS = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot")  # NaN where there is none
+OF_STEPS = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot")  # NaN without a step
+TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs together: the metric iae
 
 # Figure: (unit, long name).
 TRACKING = {
@@ -49,9 +50,9 @@ def step_info(
     settling: float = SETTLED,
     rise: tuple[float, float] = RISE,
 ) -> dict[str, Float[np.ndarray, "*runs"]]:
-    """The figures of `TRACKING`, of outputs that start at y₀ = y[…, 0] and are to be at r[−1].
+    """The figures of `TRACKING` for outputs that start at y₀ = y[…, 0], with the target r[−1].
 
-    NaN for those of a step that is none; times count from time[0].
+    Those of `OF_STEPS` are NaN where y₀ is the target; times count from time[0].
 
     Examples
     --------
@@ -78,7 +79,7 @@ def step_info_of(
 ) -> dict[str, Float[np.ndarray, " run"]]:
     """The figures of `step_info` for y = row · x from sample `first` on, in runs side by side.
 
-    Of the n numbers of a sample x is the first.
+    x lies at the begin of the n numbers of a sample; `row` has as many entries as x.
     """
     found, given = np.empty((len(TRACKING), runs)), map(np.array, (row, time, r))  # one type
     with np.errstate(all="ignore"):  # of runs that are lost
@@ -87,7 +88,7 @@ def step_info_of(
 
 
 def _by_numpy(states, first, row, time, r, settling, low, high, found):
-    """As `fill_step_info`."""
+    """`fill_step_info` by NumPy, over all runs at once."""
     T = time.size
     x = states[:, first : first + T]
     y = row[0] * x[:, :, 0]
@@ -115,12 +116,12 @@ def _by_numpy(states, first, row, time, r, settling, low, high, found):
     total = a + b
     crossed = np.divide(a * a + b * b, total, out=np.zeros(total.shape), where=total > 0.0)
     area = 0.5 * np.diff(time) * np.where(before * behind < 0.0, crossed, total)
-    # One after the other, as loops add.
+    # Not `sum`, which adds in pairs: the kernel adds one after the other.
     found[8] = 0.0 if T == 1 else np.cumsum(area, axis=1)[:, -1]
 
 
 def _first(there: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """The first time at which something is so, ∞ if never."""
+    """The first time at which a condition holds, ∞ if never."""
     return np.where(there.any(axis=1), time[np.argmax(there, axis=1)], np.inf)
 
 
@@ -165,7 +166,7 @@ def fill_step_info(states, first, row, time, r, settling, low, high, found):
                 end = k
             if abs(share - 1.0) >= settling:
                 outside = k
-            # What is no number stays.
+            # NaN is kept, as NumPy's maximum keeps it.
             if share > highest or share != share:
                 highest = share
             if share < lowest or share != share:
@@ -185,9 +186,6 @@ def fill_step_info(states, first, row, time, r, settling, low, high, found):
         found[6, run], found[7, run], found[8, run] = y, target - y, total
 
 
-TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs together: the metric iae
-
-
 @dataclass(frozen=True, eq=False)
 class Followed(Frozen):
     """The tracked outputs H C_σ x, and the reference (immutable).
@@ -204,7 +202,7 @@ class Followed(Frozen):
 
     @classmethod
     def of(cls, law: Law) -> Followed | None:
-        """That of a law, where it tracks anything."""
+        """The tracked outputs of a law, None without a servo."""
         if law.servo is None or law.reference is None:
             return None
         C = law.observer.C[:, :, : law.servo.base.states]
@@ -212,7 +210,7 @@ class Followed(Frozen):
 
     @property
     def is_same_in_modes(self) -> bool:
-        """Whether the mode does not matter to what follows."""
+        """Whether the tracked outputs are the same in all modes."""
         return bool((self.rows == self.rows[0]).all())
 
     @property
@@ -241,7 +239,7 @@ class Followed(Frozen):
         return np.einsum("tri,it->rt", self.rows[mode], states)
 
     def changes(self, end: float, output: int = 0) -> list[float]:
-        """When an output's reference steps before an end: at 0, and where its schedule changes."""
+        """Times of the steps of an output's reference before an end: 0, and its schedule's."""
         schedule, found = self.reference.schedule, [0.0]
         if schedule is None:
             return found
@@ -249,7 +247,7 @@ class Followed(Frozen):
         return found + times[(times > 0.0) & (times < end)].tolist()
 
     def steps_at(self, since: float, end: float, output: int = 0) -> bool:
-        """Whether an output's reference may step at a time; one that is a function always may."""
+        """Whether an output's reference may step at a time; a reference function always may."""
         if self.reference.schedule is None:
             return True
         slack = TOLERANCE * max(1.0, end)
@@ -262,10 +260,9 @@ class Followed(Frozen):
         since: float | None = None,
         until: float | None = None,
     ) -> tuple[slice, Float[np.ndarray, " W"]]:
-        """The samples from a step of an output's reference, its last, to its next; and r there.
+        """The samples from a step of an output's reference (None: its last) to the next; and r.
 
-        The sample at the next step still answers to this one, and has its r; so does that at
-        `until`, where it ends earlier.
+        The last sample, at the next step or at `until`, still belongs to this step and has its r.
         """
         changes = self.changes(float(time[-1]), output)
         begin = changes[-1] if since is None else since
@@ -286,16 +283,16 @@ class Followed(Frozen):
     def absolute_error(
         self, time: Float[np.ndarray, " T"], y: Float[np.ndarray, "*runs tracked T"]
     ) -> Float[np.ndarray, "*runs"]:
-        """∫|r − y| over all of the time, summed over the tracked outputs."""
+        """∫|r − y| over the whole time, summed over the tracked outputs."""
         along = self.reference.along(time).T
         errors = [step_info(time, y[..., i, :], r)["IAE"] for i, r in enumerate(along)]
         return np.asarray(np.sum(errors, axis=0))
 
 
 def measure_of(followed: Iterable[Followed | None]) -> str:
-    """The metric that ranks runs, by what each follows: iae where all do, and else the cost.
+    """The metric that ranks runs: iae if all follow a reference, else the cost.
 
-    At rest on its reference a run goes on costing ∫|x|² + |u|², which says nothing of the law.
+    At rest on a reference other than 0 the cost ∫|x|² + |u|² grows without end, under any law.
 
     Examples
     --------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 def numbered_columns(
     signals: Mapping[str, Float[np.ndarray, "signal T"] | None],
 ) -> dict[str, Float[np.ndarray, " T"]]:
-    """A column for each row of signals that are there, called by their letter and a number.
+    """A column for each row of the signals that are not None, named by letter and number.
 
     Examples
     --------
@@ -57,11 +58,11 @@ def write_csv(
     columns: Mapping[str, np.ndarray],
     names: Mapping[str, Sequence[str]],
 ) -> None:
-    """Columns as CSV, full precision, with the names of signals by their letter behind a colon.
+    """Write columns as CSV in full precision, names of signals behind a colon: "x[0]: position".
 
-    What is called as it would be without a name keeps its column.
+    A signal whose name is only its letter and number keeps its column's heading.
     """
-    known_inputs = {
+    headings = {
         f"{letter}[{i}]": f"{letter}[{i}]: {one_line(name)}"
         for letter, given in names.items()
         for i, name in enumerate(given)
@@ -70,11 +71,19 @@ def write_csv(
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     with replacing(path) as place, place.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([known_inputs.get(name, name) for name in columns])
+        writer.writerow([headings.get(name, name) for name in columns])
         writer.writerows(rows)
 
 
-LATE = 11  # instants of the second half, at least, whose |x| the decay rate is fitted to
+LATE = 11  # instants in the second half of a run, at least, to which the decay rate is fitted
+
+
+def settling_time(time: Float[np.ndarray, " T"], distance: Float[np.ndarray, " T"]) -> float:
+    """The time from which a distance stays within 2 % of its maximum, ∞ if never."""
+    outside = np.flatnonzero(distance > SETTLED * distance.max())
+    if outside.size == 0:
+        return 0.0
+    return float(time[outside[-1] + 1]) if outside[-1] + 1 < time.size else math.inf
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,29 +99,29 @@ class Trajectory(Frozen):
     states : (n, T)
         x.
     inputs : (m, T)
-        u as the law computed it; the plant sees it a delay later.
+        u, as applied; it acts on the plant a delay later.
     mode : (T,)
         :math:`\sigma`.
     mismatch : (m, T) or None
         :math:`w = u - K_{\sigma(t+D)} x(t + D)`, with the true plant and its true future; None for
-        a law without a gain per mode. Of several delays t + D is when the plant first reads what is
-        sent at t, input by input; the last of these may lie beyond what the run knows: NaN.
+        a law without a gain per mode. With several delays t + D is, input by input, the time at
+        which the plant first reads the input sent at t; NaN where that lies beyond the run.
     diverged : bool
         :math:`|x|` left 1e100; the run ends at the last sample before that.
     message : str
-        What is worth knowing: when and why the run diverged or was chattering, how long it slid
-        along a boundary, that its signal was continued. Often empty.
+        When and why the run diverged or chattered, how long it slid along a boundary, whether its
+        signal was continued. Often empty.
     measured : (n, samples) or (p, samples) or None
         The x or outputs that the law received, NaN where nothing arrived; of runs with
         imperfections and of laws that measure outputs.
     commanded : (m, samples) or None
-        What the law asked for, `inputs` being what was applied; of the same runs.
+        Commands of the law, where `inputs` are those applied; of the same runs.
     estimates : (states of the law's model, samples) or None
-        What a law that measures outputs took the state of its model to be.
+        State estimates of a law on outputs.
     belief : (modes, T) or None
-        The probability of each mode in a law that does not receive the mode, as of the last sample.
+        Probability of each mode at the last sample, of a law to which the mode is not reported.
     tracked, reference : (tracked, T) or None
-        What follows a reference, :math:`H C_\sigma x`, and :math:`r`; of a law with a servo.
+        The tracked outputs :math:`H C_\sigma x` and :math:`r`, of a law with a servo.
     """
 
     time: Float[np.ndarray, " T"]
@@ -156,12 +165,12 @@ class Trajectory(Frozen):
         return self.record.history(self.end)
 
     def metrics(self, weight: Weight | None = None) -> dict[str, float]:
-        r"""Figures of the whole run, whatever `times` were asked for.
+        r"""Figures of the whole run, whatever `times` are reported.
 
         Parameters
         ----------
         weight : Weight, optional
-            Of the cost; the identity by default.
+            Weight of the cost; the identity by default.
 
         Returns
         -------
@@ -180,23 +189,22 @@ class Trajectory(Frozen):
         parts = costs(lambda one: record.integrals(end, one), weight)
         time = record.grid(end)
         norm = np.linalg.norm(record.states_at(time), axis=1)
-        peak = float(norm.max())
-        outside = np.flatnonzero(norm > 0.02 * peak)
-        settled = outside.size == 0 or outside[-1] + 1 < time.size
-        settling = (0.0 if outside.size == 0 else time[outside[-1] + 1]) if settled else np.inf
-        what = self.followed
-        following = {} if what is None else {"iae": float(what.absolute_error(*self._outputs()))}
-        return {
+        found = {
             **parts,
-            "peak": peak,
-            "settling_time": float(settling),
+            "peak": float(norm.max()),
+            "settling_time": settling_time(time, norm),
             "decay_rate": self._decay_rate(time, norm),
             "final_norm": float(norm[-1]),
-            **following,
         }
+        if self.followed is not None:
+            found["iae"] = float(self.followed.absolute_error(*self._outputs()))
+        return found
 
     def _outputs(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "tracked T"]]:
-        """The sample times and the tracked outputs there, without a horizon within a period."""
+        """Sample times and tracked outputs; a horizon within a period, which is no sample, is out.
+
+        The reference steps at samples, so that a last short period would shift its last step.
+        """
         assert self.followed is not None
         time = self.record.grid(self.end)
         if time.size > 2 and np.diff(time[-2:]) < (1.0 - TOLERANCE) * time[1]:
@@ -217,14 +225,14 @@ class Trajectory(Frozen):
         Parameters
         ----------
         output : int
-            Which of the tracked outputs.
+            Index of the tracked output.
         since : float, optional
-            When the step is, seconds: the window is from there to the next step of this output's
-            reference; by default its last one in the run, of `followed.changes(end, output)`.
+            Time of the step, seconds: the window reaches from there to the next step of this
+            output's reference; by default the last of `followed.changes(end, output)`.
         until : float, optional
-            When the window ends, if earlier: at a switch or a disturbance, which is no settling.
+            An earlier end of the window, at a switch or a disturbance, seconds.
         settling, rise : float, pair of float
-            Of the step: what counts as settled, and between which shares it rises.
+            Shares of the step: the settling band, and the begin and end of the rise.
 
         Returns
         -------
@@ -232,14 +240,13 @@ class Trajectory(Frozen):
             RiseTime, SettlingTime (s, ∞ if never), Overshoot, Undershoot (% of the step), Peak,
             PeakTime, SteadyStateValue, SteadyStateError (reference minus output, at the end of the
             window) and IAE, the integral of :math:`|\text{reference} - \text{output}|`. Times are
-            of samples, counted from the step. The first four are NaN where the reference is where
-            the output was already, and where it does not step at `since`, as when that of another
-            output does.
+            those of samples, counted from the step. The first four are NaN where the output is on
+            the reference already, and where this output's reference does not step at `since`.
 
         Raises
         ------
         ArgumentError
-            If the run tracks nothing, or there is no such output or time.
+            If the run has no reference, or there is no such output or time.
 
         Examples
         --------
@@ -268,7 +275,7 @@ class Trajectory(Frozen):
         return {name: float(value) for name, value in found.items()}
 
     def _decay_rate(self, time: np.ndarray, norm: np.ndarray) -> float:
-        """Minus the slope of log|x| over the second half, from |x| on the grid or finer."""
+        """Minus the slope of log|x| over the second half, at the samples or at `LATE` instants."""
         late = time >= 0.5 * self.end
         if late.sum() < LATE:
             time = np.linspace(0.5 * self.end, self.end, LATE)
@@ -277,7 +284,7 @@ class Trajectory(Frozen):
         time, norm = time[late], norm[late]
         if self.end == 0.0 or norm.size < 2:
             return -np.inf if self.diverged else np.inf
-        # Of the end's share, so that the shortest run has a slope too.
+        # Time in units of the end: squares of the shortest run's times would underflow.
         with np.errstate(over="ignore"):
             return float(-np.polyfit(time / self.end, np.log(norm), 1)[0] / np.float64(self.end))
 
@@ -335,18 +342,18 @@ class Trajectory(Frozen):
         """A dataset with variables x (state, time), u (input, time), mode, w, belief, y and r."""
         import xarray as xr
 
-        variables: dict[str, Any] = {
-            "x": (("state", "time"), self.states.copy()),
-            "u": (("input", "time"), self.inputs.copy()),
-            "mode": (("time",), self.mode.copy()),
+        signals = {
+            "x": (("state", "time"), self.states),
+            "u": (("input", "time"), self.inputs),
+            "mode": (("time",), self.mode),
+            "w": (("input", "time"), self.mismatch),
+            "belief": (("candidate", "time"), self.belief),
+            "y": (("output", "time"), self.tracked),
+            "r": (("output", "time"), self.reference),
         }
-        if self.mismatch is not None:
-            variables["w"] = (("input", "time"), self.mismatch.copy())
-        if self.belief is not None:
-            variables["belief"] = (("candidate", "time"), self.belief.copy())
-        if self.tracked is not None and self.reference is not None:
-            variables["y"] = (("output", "time"), self.tracked.copy())
-            variables["r"] = (("output", "time"), self.reference.copy())
+        variables: dict[str, Any] = {
+            name: (axes, rows.copy()) for name, (axes, rows) in signals.items() if rows is not None
+        }
         time = xr.Variable("time", self.time.copy(), {"units": "s"})
         attributes = {"diverged": int(self.diverged), "message": self.message}
         return xr.Dataset(variables, coords={"time": time}, attrs=attributes)
@@ -367,17 +374,16 @@ class Trajectory(Frozen):
         )
 
     def __repr__(self) -> str:
-        final = (
-            f"|x| = {np.linalg.norm(self.states[:, -1]):.3g}" if self.time.size else "ended early"
-        )
-        state = "diverged" if self.diverged else final
+        state = "diverged" if self.diverged else "ended early"
+        if self.time.size and not self.diverged:
+            state = f"|x| = {np.linalg.norm(self.states[:, -1]):.3g}"
         return f"Trajectory(end={self.end:g} s, samples={self.time.size}, {state})"
 
 
 def belief_at(
     run: Trajectory, belief: Float[np.ndarray, "samples modes"]
 ) -> Float[np.ndarray, "modes T"]:
-    """The belief of the samples at the times of a run: held from sample to sample."""
+    """The belief at the times of a run, held from sample to sample."""
     assert isinstance(run.record, DigitalRecord)
     step, _ = run.record.locate(run.time)
     return read_only(belief[np.minimum(step, len(belief) - 1)].T)
@@ -416,7 +422,7 @@ def _exact_feedback(
     gains: np.ndarray,
     time: np.ndarray,
 ) -> np.ndarray:
-    """K x (times, m) of the instants at which what is sent at these times is first read."""
+    """K x (times, m), at the instants at which the inputs of these times are first read."""
     if plant.has_one_delay:
         K, ahead = gains[signal(time + plant.delay + record.slack)], record.ahead_of(time)
         with np.errstate(over="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""The plant of a run that goes step by step: along a known signal, or switched by its state."""
+"""The plant of a digital run: along a known signal, or switched by its state."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from deadtime.switching.grid import cuts_of, modes_at
 from deadtime.switching.rules.motion import Beside, Chatter, Leg
 
 _SAME = 1e-10  # of a step: switches that close are one
-_FAR = 1e200  # a diverged run is only moved on, whatever the rule says
+_FAR = 1e200  # of |x|: a diverged run is moved on in one mode, without looking for switches
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +57,11 @@ class Grid:
 
     @property
     def periods(self) -> int:
-        """How many periods the plant is moved: on until nothing that is in flight is left."""
+        """Periods over which the plant is moved: on until no input is in flight."""
         return self.samples + self.sampled.longest_lag
 
     def acting(self, k: int, lag: np.ndarray) -> np.ndarray:
-        """The inputs that act in period k, as many samples old as their lags say.
+        """The inputs that act in period k, of these lags in samples.
 
         Lags (m,), or those of several modes side by side (`deadtime.plant.sampled_plant`).
         """
@@ -77,7 +77,7 @@ class Grid:
         slides: Slides | None = None,
         through: np.ndarray | None = None,
     ) -> DigitalRecord:
-        """The run of the first samples along these pieces."""
+        """The record of the first `kept` samples along these pieces."""
         inputs = read_only(self.inputs[: self.past + kept])
         run = self.sampled, cuts, table, read_only(path), inputs, self.past, kept
         return DigitalRecord(*run, forces, slides, through)
@@ -90,15 +90,15 @@ class Truth(ABC):
     ----------
     grid : Grid
     age : int
-        How old its first mode is at time 0, in samples.
+        Age of its first mode at time 0, samples.
     mode : int
         σ(t_k), once the first piece of period k is run.
     chatter : Chatter or None
-        When the plant began to chatter; from there on its mode is held.
+        The time at which the plant began to chatter; from there on its mode is held.
     slides : Slides or None
         The periods in which the plant slid along a boundary.
     through : (modes, n, f) or None
-        How disturbances act on dx/dt in every mode.
+        Multiplies the forces of disturbances in dx/dt, mode by mode.
     """
 
     grid: Grid
@@ -110,8 +110,8 @@ class Truth(ABC):
 
     @abstractmethod
     def lags(self, k: int) -> list[np.ndarray]:
-        """The lags of the inputs that act in the pieces of period k, in order: (m,), or those of
-        all modes side by side where the mode is not known beforehand.
+        """The lags of the inputs in each piece of period k: (m,), or of all modes side by side if
+        the mode is not known beforehand.
         """
 
     @abstractmethod
@@ -128,7 +128,7 @@ class Truth(ABC):
 
     @abstractmethod
     def record(self, path: np.ndarray, kept: int) -> DigitalRecord:
-        """The run of the first samples, from x at the start of every piece moved over."""
+        """The record of the first `kept` samples, from x at the start of every piece run."""
 
 
 class KnownTruth(Truth):
@@ -140,11 +140,11 @@ class KnownTruth(Truth):
     cuts, table : Cuts, PieceTable
         Its switches on the grid, and the pieces of all periods.
     modes : (periods,)
-        Those at the samples.
+        σ(t_k).
     shift : (pieces, n), or (0, n) without disturbances
-        What they add to x over each piece.
+        Their effect on x over each piece.
     forces : (pieces, f) or None
-        What they hold over each.
+        Their force over each piece, constant.
     """
 
     def __init__(self, grid: Grid, signal: SwitchingSignal, disturbances: Drawn = ()) -> None:
@@ -173,7 +173,7 @@ class KnownTruth(Truth):
 
     @property
     def driven(self) -> tuple[np.ndarray, np.ndarray]:
-        """A, and B with what forces act through beside it."""
+        """A, and B with `through` beside it."""
         plant = self.grid.sampled.plant
         if self.through is None:
             return plant.A, plant.B
@@ -201,8 +201,9 @@ class KnownTruth(Truth):
 class RuleTruth(Truth):
     """A plant that switches by a rule.
 
-    It is moved over the stretches of a period, which are the same time in all modes, under what
-    every mode reads: a switch to a mode of other delays cuts a stretch into pieces afterwards.
+    It moves over the stretches of a period, which have the same times in all modes, under the
+    inputs that each mode reads: a switch to a mode of other delays cuts a stretch into pieces when
+    the record is made.
     """
 
     def __init__(
@@ -258,7 +259,7 @@ class RuleTruth(Truth):
             self._offsets.append(offset if offset < h else 0.0)
             self._modes.append(mode)
             self._crossings[k, offset] = leg.x
-            # A switch within 1e-9 h after a sample counts as at it.
+            # As in `Cuts`: within 1e-9 h after a sample a switch is at the sample.
             if piece == 0 and offset <= TOLERANCE * h:
                 self.mode = mode
         if move.chatter is not None:
@@ -270,7 +271,7 @@ class RuleTruth(Truth):
         return move.x
 
     def _keep(self, k: int, piece: int, legs: list[Leg], u: np.ndarray) -> None:
-        """Keep the parts of a period if it slides in one of them."""
+        """Record the parts of a period; if the plant slides in one of them, all are kept."""
         begin, stop, _ = self._stretches[piece]
         ends = [leg.time for leg in legs[1:]] + [stop - begin]
         self._parts += [
@@ -300,6 +301,7 @@ class RuleTruth(Truth):
         forces = None if self._forces is None else self._forces[stretch]
         pieces = int(np.searchsorted(stretch, len(path) - 1))
         states = path[np.append(stretch[:pieces], len(path) - 1)]
+        # Pieces that begin at a switch within a stretch: x there was found by the rule's motion.
         for q in np.flatnonzero(begin[:pieces] != starts[place[:pieces]]):
             states[q] = self._crossings[int(table.period[q]), float(begin[q])]
         slides = self.slides if self.slides and self.slides.steps else None
@@ -311,6 +313,7 @@ class RuleTruth(Truth):
         for k, offset, mode in zip(self._steps, self._offsets, self._modes[1:], strict=True):
             time = k * h + offset
             if time - times[-1] <= _SAME * h:
+                # Two switches at one instant are one, or none where they lead back.
                 modes[-1] = mode
                 if modes[-1] in modes[-2:-1]:
                     del times[-1], modes[-1]

@@ -1,9 +1,9 @@
 """Parameters and laws that a sweep knows by name.
 
-Every parameter is a way to write a value into a problem file, which is here what its TOML says, as
-nested dictionaries and lists. Whatever has no name of its own is reached by its path:
-``plant.delay``, ``run.x0.1``, ``law.averaged.low_pass``, ``imperfection.noise.std``. Families of
-sojourn times compare: all are at least τ_d, all have the mean 2 τ_d.
+A parameter writes its value into a problem file, here nested dictionaries and lists as TOML has
+them. Entries without a parameter are reached by their paths: ``plant.delay``, ``run.x0.1``,
+``law.averaged.low_pass``, ``imperfection.noise.std``. Families of sojourn times are comparable: all
+are at least τ_d, all have the mean 2 τ_d.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from deadtime.problems.law_registry import LAWS, LEVELS, LawSetting, NamedLaw
 
 TAIL = 2.5  # the Lomax distribution's shape: finite variance, infinite third moment
 
-# Name: (what to say of it, how a problem file writes it for τ_d), in the order of maps.
+# Name: (description, section of a problem file for τ_d), in the order of maps.
 FAMILIES: Mapping[str, tuple[str, Callable[[float], Any]]] = {
     "exponential": (
         "τ_d plus an exponential time of mean τ_d",
@@ -50,7 +50,7 @@ FAMILIES: Mapping[str, tuple[str, Callable[[float], Any]]] = {
 
 
 def sojourn_section(family: str, dwell_time: float) -> Any:
-    """The sojourn times of a family at a dwell time, as [switching] of a problem file has them.
+    """The sojourn times of a family at a dwell time, as in [switching] of a problem file.
 
     Examples
     --------
@@ -64,12 +64,12 @@ def sojourn_section(family: str, dwell_time: float) -> Any:
 
 ORACLE, AWARE = "oracle", ", dwell-aware"
 COARSE = 20  # sampling periods per delay at which minimax laws are sought
-INPUT_WEIGHT = 1e-3  # of ∫|u|² beside ∫|x|² in what the optimal law minimises
+INPUT_WEIGHT = 1e-3  # of ∫|u|² beside ∫|x|² in the optimal law's cost
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A law of the registry, of one of the modes if there is one for each."""
+    """A law of the registry, for one mode if there is a law per mode."""
 
     known: NamedLaw
     mode: int | None = None
@@ -80,13 +80,13 @@ class Kind:
         return self.known.named.knows
 
     def make(self, setting: LawSetting, dwell_time: float | None = None) -> Law:
-        """The law for one cell; τ_d for those that are given it."""
+        """The law for one cell; τ_d for dwell-aware laws."""
         if self.known.takes_dwell_time and dwell_time is None:
             raise ArgumentError("a dwell-aware law needs τ_d: give grid.dwell_time.")
         return self.known.build(setting, self.mode, dwell_time)
 
 
-# Signals of a study are drawn: no rule decides the mode. The less a law knows, the earlier.
+# Signals of a study are drawn: no rule decides the mode. Laws that know less come first.
 KINDS: Mapping[str, Kind] = {
     known.named.name: Kind(known)
     for known in sorted(LAWS.values(), key=lambda known: LEVELS.index(known.named.knows))
@@ -96,7 +96,7 @@ DEFAULT = tuple(name for name, kind in KINDS.items() if kind.known.named.in_stud
 
 
 def kinds_of(modes: int) -> dict[str, Kind]:
-    """The laws by name for a plant with so many modes, the single-mode ones among them.
+    """The laws by name for a plant of `modes`, single-mode laws included.
 
     Examples
     --------
@@ -113,7 +113,7 @@ def kinds_of(modes: int) -> dict[str, Kind]:
 
 
 def within(laws: Sequence[str], knows: str) -> list[str]:
-    """Those of the named laws that know no more than one of `LEVELS`, in their order.
+    """The named laws that know at most one of `LEVELS`, in their order.
 
     Examples
     --------
@@ -125,7 +125,7 @@ def within(laws: Sequence[str], knows: str) -> list[str]:
 
 
 def knowledge_of(law: str) -> str:
-    """The knowledge of the switching that a named law has, one of `LEVELS`."""
+    """A named law's knowledge of the switching, one of `LEVELS`."""
     return KINDS[law].knows if law in KINDS else "nothing"
 
 
@@ -135,7 +135,7 @@ Write = Callable[[Draft, Any], None]
 
 @dataclass(frozen=True)
 class Axis:
-    """A parameter: its name in files and data, what it is for readers, and how it is written."""
+    """A parameter: its name in files and data, its label and unit, and the function to write it."""
 
     name: str
     label: str
@@ -158,7 +158,7 @@ class Axis:
 
 
 def write_path(draft: Draft, path: str, value: Any) -> None:
-    """Put a value where a dotted path leads; items of lists go by number, name or kind.
+    """Write a value at a dotted path; items of lists are named by number, name or kind.
 
     Examples
     --------
@@ -184,7 +184,7 @@ def write_path(draft: Draft, path: str, value: Any) -> None:
 
 
 def _item(items: list, part: str, path: str) -> int:
-    """The place in a list that a part of a path names."""
+    """The index of the item that a part of a path names."""
     if part.isdigit() and int(part) < len(items):
         return int(part)
     tables = [(i, item) for i, item in enumerate(items) if isinstance(item, dict)]
@@ -220,7 +220,7 @@ def _delay(draft: Draft, value: float) -> None:
 
 
 def _delay_of(number: str) -> Write:
-    """The delay of an input, in all modes, whichever form the file gives delays in."""
+    """The delay of an input in all modes, for every form of delays in the file."""
 
     def write(draft: Draft, value: float) -> None:
         plant = draft["plant"]
@@ -234,13 +234,13 @@ def _delay_of(number: str) -> Write:
 
 
 def _delay_error(draft: Draft, error: float) -> None:
-    """The true delays are (1 + e) times those which laws assume."""
+    """The true delays are (1 + e) times those that laws assume."""
     delays = (1.0 + error) * np.asarray(draft["plant"]["delay"])
     draft.setdefault("truth", {})["delay"] = delays.tolist()
 
 
 def _gain_error(draft: Draft, error: float) -> None:
-    """The true B is (1 + e) times that which laws assume."""
+    """The true B is (1 + e) times the B that laws assume."""
     B = np.array(draft["plant"]["B"], dtype=float)
     draft.setdefault("truth", {})["B"] = ((1.0 + error) * B).tolist()
 
@@ -274,7 +274,7 @@ def _imperfect(swept: Swept) -> Write:
 
 
 def _dwell_time(draft: Draft, dwell_time: float) -> None:
-    """τ_d of the signals, and of laws that are given one in the file."""
+    """τ_d of the signals, and of the file's laws that have one."""
     for law in draft.get("law", []):
         if law.get("dwell_time") is not None:
             law["dwell_time"] = dwell_time
@@ -285,11 +285,11 @@ def _dwell_time(draft: Draft, dwell_time: float) -> None:
 
 
 def no_write(draft: Draft, value: Any) -> None:
-    """Of an axis that is in no problem file."""
+    """Write nothing, for an axis outside of problem files."""
 
 
 def _by_name(*axes: Axis) -> dict[str, Axis]:
-    """The axes by their names, no two of which may be the same."""
+    """The axes by their names; an error if two imperfections share a name."""
     named: dict[str, Axis] = {}
     for axis in axes:
         if axis.name in named:
@@ -298,7 +298,7 @@ def _by_name(*axes: Axis) -> dict[str, Axis]:
     return named
 
 
-# In the order in which they are written: what reads the plant comes after what changes it.
+# In the order in which they are written: axes that read the plant come after those that change it.
 AXES: Mapping[str, Axis] = _by_name(
     Axis("distance", "mode distance α", "", _distance),
     Axis("delay", "delay", "s", _delay),
@@ -318,7 +318,7 @@ AXES: Mapping[str, Axis] = _by_name(
 )
 
 
-# Paths of the problem file that an axis replaces, whatever stood there.
+# Paths of the problem file that an axis overwrites.
 OVERWRITES: Mapping[str, tuple[str, ...]] = {
     "delay": ("plant.delay",),
     "step": ("run.step",),
@@ -330,7 +330,7 @@ OVERWRITES: Mapping[str, tuple[str, ...]] = {
 
 
 def path_of(name: str) -> str:
-    """Where in a problem file the path of an axis leads.
+    """The path of an axis in a problem file.
 
     Examples
     --------
@@ -341,7 +341,7 @@ def path_of(name: str) -> str:
 
 
 def axis_of(name: str) -> Axis:
-    """A named parameter, or the one at a dotted path; `delay.1` is that of input 1 in all modes.
+    """A named parameter, or one at a dotted path; `delay.1` is the delay of input 1 in all modes.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Blocks of cells, the pieces of work and of storage: their costs, and a store's words on them."""
+"""Blocks of cells, the pieces of work and of storage: their costs, and their entries in a store."""
 
 from __future__ import annotations
 
@@ -26,20 +26,22 @@ from deadtime.scenarios.dataset import METRICS
 from deadtime.scenarios.sweeps.study import Loop, Study, require_axis
 from deadtime.switching import SwitchingSignal
 
-# Seconds on one core of the machine of benchmarks/README.md: a period of a scenario under one law …
-_FACTORED = 3e-9  # … whose row is factorised,
-_TAP = 1.5e-10  # … for every past input of a dense row,
-_PREVIEWED = 1.2e-8  # … of a law that knows the signal,
-_RECEIVED = 2e-8  # … where sensors are imperfect,
-_FELT = 5e-8  # … for each disturbance,
-_KEPT = 3e-8  # … of a law that remembers,
-_SEEN = 1e-7  # … where measurements lie within periods,
-_ALONE = 2e-6  # … run by `simulate`,
-_CALLED = 2.5e-5  # … sample by sample.
+# Measured seconds on one core of the machine of benchmarks/README.md, of a period of a scenario
+# under one law, times n m / 2 for the first three:
+_FACTORED = 3e-9  # with factorised rows
+_TAP = 1.5e-10  # for every past input of a dense row
+_PREVIEWED = 1.2e-8  # of a law that knows the signal
+_RECEIVED = 2e-8  # with imperfect sensors
+_FELT = 5e-8  # for each disturbance
+_KEPT = 3e-8  # of a law with an observer or a filter
+_SEEN = 1e-7  # with measurements within periods
+_ALONE = 2e-6  # by `simulate`
+_CALLED = 2.5e-5  # by `simulate`, a call of Python at each sample
 _CELL = 0.01  # plant, laws and tables of a cell
-_SHORTEST, _LONGEST, _PIECES = 1.0, 20.0, 20_000  # seconds of a block, and how many there should be
+_SHORTEST, _LONGEST = 1.0, 20.0  # seconds of a block: longer than its overhead, short to repeat
+_PIECES = 20_000  # blocks, at most, unless they were longer than 20 s
 _BYTES = 2.0**26  # of a chunk
-_LOOKED_AT = 64  # cells whose cost is estimated; the others follow from their places
+_LOOKED_AT = 64  # cells whose cost is estimated; those of other cells are products
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class BlockLayout:
         return math.prod(self.counts)
 
     def slices(self, number: int) -> tuple[slice, ...]:
-        """Which cells a block holds, along each axis."""
+        """The cells of a block, along each axis."""
         where = np.unravel_index(number, self.counts) if self.counts else ()
         return tuple(
             slice(int(i) * width, min((int(i) + 1) * width, size))
@@ -84,8 +86,8 @@ class BlockLayout:
 def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> BlockLayout:
     """Blocks of about a second of work: the same for every number of workers.
 
-    Where that would make more than some 20,000, blocks are larger, up to 20 s. The last axes are
-    filled first, so that a block's cells are neighbours in the arrays.
+    If there would be more than some 20,000, blocks are larger, up to 20 s. The last axes are filled
+    first, so that a block's cells are neighbours in the arrays.
 
     Examples
     --------
@@ -105,10 +107,10 @@ def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> BlockLayout:
 
 @lru_cache(4)
 def costs_of(study: Study) -> Float[np.ndarray, ...]:
-    """Estimated seconds of every cell on one core, estimated once for a study.
+    """Estimated seconds of every cell on one core; computed once for a study.
 
-    Of a large grid some cells are looked at, along each axis by itself, and the others' costs are
-    products of what the axes do; NaN nowhere: a cell that cannot be built costs next to nothing.
+    In a large grid costs are estimated along lines through its middle, one per axis, and a cell's
+    cost is the product of the factors of its places. A cell that cannot be built costs `_CELL`.
     """
     if study.size <= _LOOKED_AT:
         found = [_cost(study, index) for index in np.ndindex(study.shape)]
@@ -167,25 +169,23 @@ def example_loop(study: Study, tries: int = 20) -> Loop | None:
 
 
 def facts_of(study: Study) -> dict[str, Any]:
-    """The store's attributes about loops: the oracle's name, |x(0)|, and the cost."""
+    """The store's attributes of loops: the oracle's name, |x(0)|, and the cost's formula."""
     loop = example_loop(study)
     if loop is None:
         return {"oracle": "", "start": float("nan")}
     oracles = [name for name in study.laws if name in loop.laws and loop.laws[name].needs_preview]
-    start = float(np.linalg.norm(loop.x0))
-    return {"oracle": oracles[0] if oracles else "", "start": start, **_cost_of(study, loop)}
-
-
-def _cost_of(study: Study, first: Loop) -> dict[str, str]:
-    """The formula of the cost where it is not the usual one: cells may weigh differently."""
+    facts = {"oracle": oracles[0] if oracles else "", "start": float(np.linalg.norm(loop.x0))}
+    # The last cell beside the first: an axis may change the weight.
     try:
         last = study.loop(study.cell(tuple(size - 1 for size in study.shape)))
     except DeadtimeError:
-        last = first
-    texts = {text_of(loop.weight) for loop in (first, last)}
+        last = loop
+    texts = {text_of(each.weight) for each in (loop, last)}
     if len(texts) > 1:
-        return {"cost": "∫xᵀQx + uᵀRu, Q and R by cell"}
-    return {} if texts == {PLAIN} else {"cost": texts.pop()}
+        facts["cost"] = "∫xᵀQx + uᵀRu, Q and R by cell"
+    elif texts != {PLAIN}:
+        facts["cost"] = texts.pop()
+    return facts
 
 
 MOST = 10**8  # cells of a grid, and scenarios
@@ -194,7 +194,7 @@ Strings = Annotated[list[str], Field(min_length=1)]
 
 
 class _Definition(BaseModel):
-    """The part of a study's definition that reading needs; further entries are allowed."""
+    """The entries of a study's definition that reading needs; others are allowed."""
 
     model_config = ConfigDict(extra="allow", strict=True)
 
@@ -214,7 +214,7 @@ class _StoreAttributes(BaseModel):
 
 
 def read_description(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], BlockLayout]:
-    """The definition of a store's study, and how its grid is cut.
+    """The definition of a store's study, and the layout of its blocks.
 
     Raises
     ------

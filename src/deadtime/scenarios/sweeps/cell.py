@@ -1,10 +1,9 @@
-"""One cell of a study: its laws on its signals, and what becomes of every one."""
+"""One cell of a study: its laws on its signals, and the result or failure of each law."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +19,7 @@ from deadtime.switching import SignalBatch, SwitchingSignal
 if TYPE_CHECKING:
     import xarray as xr
 
-_FEW = 20_000  # signals that are drawn all at once, to run equal ones only once
+_FEW = 20_000  # signals that are drawn at once, so that equal ones run only once
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +32,7 @@ class CellOutcome:
         From a metric to an array (law, scenario); NaN in the rows of laws that failed.
     diverged : (law, scenario) array
     reasons : tuple of str
-        Law by law what went wrong, empty where nothing did.
+        The fault of each law, empty without one.
     """
 
     metrics: Mapping[str, Float[np.ndarray, "law scenario"]]
@@ -42,7 +41,7 @@ class CellOutcome:
 
 
 def run_cell(study: Study, cell: Cell) -> CellOutcome:
-    """Run every law of a study in one cell; whatever fails there is a result with a reason."""
+    """Run every law of a study in one cell; a failure is a result with a reason."""
     shape = (len(study.laws), study.scenarios)
     metrics = {name: np.full(shape, np.nan) for name in study.metrics}
     diverged = np.zeros(shape, dtype=bool)
@@ -61,7 +60,7 @@ def run_cell(study: Study, cell: Cell) -> CellOutcome:
     except MemoryError:
         raise
     except Exception as error:
-        # Whatever a cell's function or a library makes of odd values, the other cells go on.
+        # A cell's function or a library may raise anything for odd values: other cells go on.
         reasons = dict.fromkeys(study.laws, f"failed: {type(error).__name__}: {error}")
     for law, lost in zip(study.laws, diverged, strict=True):
         if lost.any():
@@ -70,7 +69,7 @@ def run_cell(study: Study, cell: Cell) -> CellOutcome:
 
 
 def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
-    """The laws whose tables can be filled; why the others cannot goes to `reasons`."""
+    """The laws whose tables can be filled; the faults of the others are added to `reasons`."""
     reasons |= loop.reasons
     strange = [name for name in loop.laws if name not in reasons]
     if strange:
@@ -94,25 +93,24 @@ def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
 
 def _measure(loop: Loop, laws: Mapping[str, Law], scenarios: int, seed: int) -> xr.Dataset:
     """The metrics of every law on every signal, on one thread: cells run beside each other."""
-    run = partial(
-        monte_carlo,
-        loop.plant,
-        laws,
-        x0=loop.x0,
-        horizon=loop.horizon,
-        step=loop.step,
-        weight=loop.weight,
-    )
+    given, weight = (loop.x0, loop.horizon, loop.step), loop.weight
+    # Imperfections draw anew in every scenario: equal signals do not make equal runs.
     if loop.imperfections or scenarios > _FEW:
-        chance = loop.imperfections  # equal signals do not make equal runs
-        return run(loop.model, scenarios=scenarios, seed=seed, imperfections=chance, threads=1)
+        return monte_carlo(
+            loop.plant, laws, loop.model, *given, scenarios, seed,
+            imperfections=loop.imperfections, threads=1, weight=weight,
+        )  # fmt: skip
     reach = max(loop.plant.longest_delay, *(law.plant.longest_delay for law in laws.values()))
     signals, which = _distinct(draw_signals(loop.model, loop.horizon + reach, seed, 0, scenarios))
-    return run(signals, threads=1).isel(scenario=which)
+    data = monte_carlo(loop.plant, laws, signals, *given, threads=1, weight=weight)
+    return data.isel(scenario=which)
 
 
 def _distinct(signals: SignalBatch) -> tuple[SignalBatch, np.ndarray]:
-    """The different signals of a batch, and which of them every signal is."""
+    """The distinct signals of a batch, and the index of every signal among them.
+
+    Signals of fixed sojourns, or of short horizons, are often equal.
+    """
     times, modes, first = signals.times.tobytes(), signals.modes.tobytes(), 8 * signals.first
     others = np.stack((signals.end, signals.initial_age), axis=1).tobytes()
     places: dict[tuple[bytes, bytes, bytes], int] = {}

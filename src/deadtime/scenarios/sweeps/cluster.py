@@ -1,4 +1,4 @@
-"""The cluster that a sweep runs on: one made here, or any that has a scheduler's address."""
+"""The cluster that a sweep runs on: one on this machine, or one at a scheduler's address."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from deadtime.base.version import __version__
 if TYPE_CHECKING:
     from distributed import Client
 
-# Of workers here. Dask's own also has the allocator hand all memory back at once, which doubles the
-# time of cells that ask for some megabytes again and again.
+# Of workers here, instead of Dask's: its MALLOC_TRIM_THRESHOLD_ returns memory to the system at
+# once, which doubles the time of cells that allocate some megabytes again and again.
 _ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 _SETTINGS = {
     "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
@@ -68,7 +68,7 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 @contextmanager
 def _remote(scheduler: str) -> Iterator[Client]:
-    """A client of a cluster that is there, with workers of this version."""
+    """A client of an existing cluster, with workers of this version."""
     import distributed
 
     try:
@@ -97,7 +97,7 @@ def _remote(scheduler: str) -> Iterator[Client]:
 
 @contextmanager
 def _reachable(client: Client, scheduler: str) -> Iterator[None]:
-    """Say that the scheduler was lost where that is why something failed."""
+    """Turn failures that a lost scheduler causes into an error that says so."""
     try:
         yield
     except DeadtimeError:
@@ -113,7 +113,7 @@ def _reachable(client: Client, scheduler: str) -> Iterator[None]:
 
 @contextmanager
 def _unlogged() -> Iterator[None]:
-    """Without Dask's own report of a scheduler that is lost, which an error reports already."""
+    """Without Dask's own report of a lost scheduler, which an error reports already."""
     log = logging.getLogger("distributed.client")
     level = log.level
     log.setLevel(logging.CRITICAL)
@@ -128,7 +128,7 @@ def _version() -> str:
 
 
 def _prepare_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal's processes one ends the sweep
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all: the first process ends them
     asyncio.get_running_loop().set_exception_handler(_report)
 
 
@@ -141,10 +141,10 @@ def _hushed(client: Client) -> Client:
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Print what went wrong in Dask's loop, but for its own waits that the loop's end cuts off.
+    """Print errors of Dask's event loop, except time-outs of its own waits.
 
-    A connection waits a few milliseconds at a time for something to send. Where that time runs out
-    in the loop's last turn, nobody is left to ask, and asyncio would print a TimeoutError.
+    A connection waits a few milliseconds at a time for data to send. If that wait ends in the
+    loop's last turn, nothing awaits it, and asyncio would print a TimeoutError.
     """
     if not isinstance(context.get("exception"), TimeoutError):
         loop.default_exception_handler(context)

@@ -38,14 +38,14 @@ class FileStudy(Study):
     Attributes
     ----------
     problem : mapping
-        The problem file, what the study says otherwise written into it.
+        The problem file with the study's changes.
     path : Path
-        Where it lies: its relative paths start there.
+        Its place, from which relative paths start.
     poles : tuple of complex, or None
-        Where the gains of every cell's modes, and of their mean, are placed, for the laws of
+        Closed-loop poles of every cell's modes, and of their mean, for the laws of
         `deadtime.scenarios.sweeps.axes`; None: the problem's own gains and laws run.
     files : mapping
-        From the logs that the problem reads to a digest of each.
+        From the logs that the problem reads to their digests.
     """
 
     problem: Mapping[str, Any]
@@ -82,7 +82,7 @@ class FileStudy(Study):
         """The problem file of a cell."""
         draft = deepcopy(dict(self.problem))
         ordered = [name for name in AXES if name in cell.values]
-        # Paths first: what has a name acts on the plant as the paths leave it.
+        # Paths first: named axes change the plant that paths have set.
         for name in [*(name for name in cell.values if name not in AXES), *ordered]:
             axis_of(name).write(draft, cell.values[name])
         return draft
@@ -120,7 +120,7 @@ class FileStudy(Study):
         model: SwitchingModel,
         dwell_time: float | None,
     ) -> tuple[dict[str, Law], dict[str, str]]:
-        """The study's laws for gains placed at its poles; and why others could not be built."""
+        """The study's laws for gains placed at its poles; and the faults of other laws."""
         plant = problem.model or problem.plant
         poles = as_numbers(file.gains.poles or [])
         mean_gain = place(plant.mean(), poles)[0]
@@ -144,7 +144,7 @@ class FileStudy(Study):
 
 
 def without_signal(file: schema.ProblemFile) -> schema.ProblemFile:
-    """The file with a signal that costs nothing to make: those that run are drawn."""
+    """The file with a constant signal, which costs nothing: runs draw their own."""
     signal = schema.ConstantSignal(kind="constant", mode=0)
     return file.model_copy(update={"signal": signal})
 

@@ -1,12 +1,11 @@
 """Studies in Python: a function makes the plant, laws and model of every cell.
 
-A store says of its study what the function and the values that it reads hold, as JSON: equal where
-results are. Values are described by what they hold and never by where they lie: numbers and texts
-as they are, arrays by their entries, other objects by what `pickle` would keep of them, without
-what they only compute once (`functools.cached_property`). A function is its source, its defaults
-and what its code reads by name: the values around it, the globals of its module, and what it reads
-of other modules by their names. Functions, classes and modules of the standard library and of
-installed packages are told apart by their names.
+A store describes its study, the function and the values that it reads, as JSON: equal descriptions
+have equal results. Values are described by content: numbers and texts, arrays by their entries,
+other objects by the state that `pickle` would store, without `functools.cached_property`. A
+function is its source, its defaults and all that its code reads by name: the values around it, the
+globals of its module, and attributes of other modules. Functions, classes and modules of the
+standard library and of installed packages are identified by their names.
 """
 
 from __future__ import annotations
@@ -38,21 +37,21 @@ from deadtime.scenarios.source import SignalSampler
 from deadtime.scenarios.sweeps.axes import Axis, no_write
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study, require_axis
 
-_LISTED = 64  # entries of an array that are written out; larger ones are told by a digest
+_LISTED = 64  # entries of an array that are listed; larger arrays have a digest
 _DRAWS = ("Generator", "RandomState", "Random", "SystemRandom")
-# What `dataclass` writes into a class, from what its body defines.
+# Methods that `dataclass` generates from the body of a class.
 _GENERATED = ("init", "repr", "eq", "lt", "le", "gt", "ge", "hash", "setattr", "delattr", "replace")
 _GENERATED = tuple(f"__{name}__" for name in _GENERATED)
-# Beside cached properties: the state of a distribution's draws, tables that laws keep.
+# Beside cached properties: the random state of a distribution, tables that laws cache.
 _MADE = ("_random_state", "_table", "_kept")
 _LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF")
 _HERE = "make it in the function, from numbers, texts and arrays"
 
 
 def source_of(function: Callable[..., Any]) -> str:
-    """The source text; of a function that has none of its own, its name and a digest of its code.
+    """The source text; for a function without one, its name and a digest of its code.
 
-    Several lambdas may share a line of source, so that they have the digest, too.
+    Lambdas have the digest, too, as several may share a line of source.
     """
     code = function.__code__
     try:
@@ -63,18 +62,18 @@ def source_of(function: Callable[..., Any]) -> str:
 
 
 def values_of(function: types.FunctionType) -> dict[str, Any]:
-    """Its defaults, and all that its code reads by name from around it, as JSON.
+    """The defaults of a function, and all that its code reads by name, as JSON.
 
     Raises
     ------
     ArgumentError
-        If one of these cannot be compared; the message says which.
+        If one of these cannot be compared.
     """
     return _Description().values(function, "")
 
 
 class _Description:
-    """Describes values; what is met twice is described once, and what holds itself ends there."""
+    """Describes values, each once; a value within itself is described by its level there."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[Any, Any]] = {}
@@ -157,7 +156,7 @@ class _Description:
         return {"(function)": source_of(function), **self.values(function, path)}
 
     def _class(self, own: type, path: str) -> Any:
-        """A class: by name, or by its bases and everything that its body defines."""
+        """A class: by name, or by its bases and all definitions of its body."""
         found: dict[str, Any] = {"(class)": f"{own.__module__}.{own.__qualname__}"}
         if _is_library(own.__module__):
             return found
@@ -173,7 +172,7 @@ class _Description:
         return found
 
     def _object(self, value: Any, path: str) -> Any:
-        """Any other object: what it would be made from again."""
+        """Any other object, by the parts from which `pickle` would make it again."""
         module = getattr(value, "__module__", None) or type(value).__module__
         if type(value).__name__ in _DRAWS:
             _refuse(value, path, "make it in the function, from a seed")
@@ -184,7 +183,7 @@ class _Description:
         try:
             reduce = copyreg.dispatch_table.get(type(value))
             parts = value.__reduce_ex__(2) if reduce is None else reduce(value)
-        except Exception:  # what an object raises that is not to be copied is its own choice
+        except Exception:  # an object that cannot be copied may raise anything
             _refuse(value, path, _HERE)
         if isinstance(parts, str):
             if not _is_library(module):
@@ -230,7 +229,7 @@ def _reads_of(
 ) -> Iterator[tuple[str, Any]]:
     """The attributes of a module that code, and functions within it, read under the module's name.
 
-    Of a module within the module that is what it reads of that.
+    For a module within the module these are the attributes read of the inner one.
     """
     for one in _with_inner(code):
         steps = list(dis.get_instructions(one))
@@ -246,7 +245,7 @@ def _reads_of(
 
 
 def _require_no_imports(function: types.FunctionType, path: str) -> None:
-    """Refuse imports within a function of modules that are neither Python's nor installed."""
+    """Refuse a function that imports modules which are neither Python's nor installed."""
     for code in _with_inner(function.__code__):
         steps = list(dis.get_instructions(code))
         for place, step in enumerate(steps):
@@ -290,7 +289,7 @@ def _is_own(value: Any) -> bool:
 
 
 def _is_made(value: Any, name: str) -> bool:
-    """Whether an entry of an object's state follows from the others, or says nothing of it."""
+    """Whether an entry of an object's state follows from the others, or is documentation."""
     kept = inspect.getattr_static(type(value), name, None)
     ours = any(_is_library(base.__module__) for base in type(value).__mro__ if base is not object)
     return (
@@ -323,9 +322,9 @@ class FunctionStudy(Study):
     Attributes
     ----------
     function : callable
-        From a cell's values to a mapping of what `monte_carlo` takes.
+        From a cell's values to a mapping of arguments of `monte_carlo`.
     values : mapping
-        All that the function reads beside them.
+        Everything else that the function reads.
     """
 
     function: Callable[..., Mapping[str, Any]]
@@ -365,22 +364,22 @@ def function_study(
         ``plant``, ``laws`` (named alike in every cell), ``model``, ``x0``, ``horizon``, ``step``
         and perhaps ``imperfections`` and ``weight``, as `monte_carlo` takes them. It
         runs on the workers. Its source text, its defaults, the values around it and the globals
-        that it reads tell studies apart: arrays, plants, laws, helpers and nested mappings by what
-        they hold, libraries by name.
+        that it reads identify the study: arrays, plants, laws, helpers and nested mappings by
+        content, libraries by name.
     grid : mapping
-        From names to values, numbers or texts. ``seed`` stands for that of the signals.
+        From names to values, numbers or texts. ``seed`` is the seed of the signals.
     scenarios, seed : int
         Signals per cell, and their seed.
     metrics : sequence of str
-        Those of `monte_carlo` to keep.
+        Metrics of `monte_carlo` to store.
     title : str
 
     Raises
     ------
     ArgumentError
-        If the grid is empty somewhere or holds a value twice, the function does not make a loop
-        of the grid's first cell, or it reads something that cannot be compared with what another
-        run reads, such as an open file or a random generator.
+        If an axis is empty or holds a value twice, the function does not make a loop of the grid's
+        first cell, or it reads a value that cannot be compared between runs, such as an open file
+        or a random generator.
 
     Examples
     --------

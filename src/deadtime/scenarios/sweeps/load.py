@@ -37,7 +37,7 @@ from deadtime.scenarios.sweeps.study import require_axis
 
 
 class _Base(NamedTuple):
-    """The problem of a study: its file as dictionaries, where that lies, and what it is."""
+    """The problem of a study: its file as dictionaries, the file's path, and the problem."""
 
     draft: Draft
     path: Path
@@ -56,7 +56,7 @@ def load_study(path: str | PathLike[str]) -> FileStudy:
     ------
     StudyFileError
         If the file is missing, is not TOML, has unknown keys or names, or its plant, poles and
-        grid do not hold together. The message is one line.
+        grid contradict each other. The message is one line.
     """
     source = Path(path)
     file, text = read_toml(source, StudyFile, StudyFileError)
@@ -71,6 +71,7 @@ def _build(file: StudyFile, source: Path, text: str) -> FileStudy:
     base = _base(file, source)
     grid = _grid(tomllib.loads(text)["grid"], file, base.draft)
     _require(file, base, grid)
+    logs = base.draft.get("switching", {}).get("logs", [])
     study = FileStudy(
         title=file.title or source.stem,
         source=base.problem.source or base.problem.title,
@@ -83,13 +84,15 @@ def _build(file: StudyFile, source: Path, text: str) -> FileStudy:
         problem=base.draft,
         path=base.path,
         poles=poles,
-        files=_digests(base),
+        files={
+            log: hashlib.sha256((base.path.parent / log).read_bytes()).hexdigest() for log in logs
+        },
     )
     return replace(study, laws=_laws(file.laws, study, base.problem.plant.modes))
 
 
 def _base(file: StudyFile, source: Path) -> _Base:
-    """The problem file that cells are made from, what the study says otherwise written into it."""
+    """The problem file that cells are made from, with the study's changes."""
     before = 0  # imperfections of the problem, which stand before the study's
     try:
         draft, path = _problem_file(file.problem, source)
@@ -98,7 +101,7 @@ def _base(file: StudyFile, source: Path) -> _Base:
             if (value := getattr(file, name)) is not None:
                 draft["run"][name] = value
         if file.poles is not None:
-            # The laws are the study's own: one that costs nothing stands for the problem's.
+            # The laws are the study's own: one that costs nothing replaces the problem's.
             draft["gains"], draft["law"] = {"poles": file.poles}, [{"kind": "delayed"}]
         if file.cost is not None:
             draft["cost"] = file.cost.model_dump(exclude_unset=True)
@@ -193,7 +196,7 @@ def _require(file: StudyFile, base: _Base, grid: Mapping[str, tuple]) -> None:
 
 
 def _poles(given: list | None) -> tuple[complex, ...] | None:
-    """The poles, if they are stable; whether gains place them is seen where these are made."""
+    """The poles, checked for stability; whether gains can place them shows in the cells."""
     if given is None:
         return None
     try:
@@ -206,7 +209,7 @@ def _poles(given: list | None) -> tuple[complex, ...] | None:
 
 
 def _laws(names: list[str] | None, study: FileStudy, modes: int) -> tuple[str, ...]:
-    """The laws in their order; with poles the oracle is the last: regret is measured against it."""
+    """The laws in their order; with poles the oracle is the last, the reference of regret."""
     placed = study.poles is not None
     try:
         able = tuple(kinds_of(modes)) if placed else study.own_laws
@@ -243,7 +246,7 @@ def _grid(raw: Draft, file: StudyFile, draft: Draft) -> dict[str, tuple]:
 
 
 def _require_no_overlap(grid: Mapping[str, tuple], draft: Draft) -> None:
-    """Refuse axes that overwrite what another one writes, and paths that change nothing."""
+    """Refuse paths that another axis overwrites, and paths that change nothing."""
     for path in (name for name in grid if name not in AXES):
         parts, where = path_of(path).split("."), ("grid", *path.split("."))
         vain = parts[0] in ("title", "source") or path == "run.seed"
@@ -266,7 +269,7 @@ def _flat(name: str, given: Any) -> list[tuple[str, Any]]:
 
 
 def _values(path: str, given: Any, draft: Draft) -> tuple:
-    """The values of an axis that is a path into the problem file, each of them checked there."""
+    """The values of an axis that is a path into the problem file, each checked in the file."""
     where = ("grid", *path.split("."))
     if "." not in path:
         known_paths = [leaf for leaf in _leaves(draft) if "." in leaf]
@@ -281,19 +284,15 @@ def _values(path: str, given: Any, draft: Draft) -> tuple:
     except ValueError as error:
         raise SectionError(f"{path}: {error}.", where) from None
     for value in values:
-        trial = {**draft, **_copy_section(draft, path)}
+        # A copy of the section that the path leads into: the others are not written.
+        head = path_of(path).split(".")[0]
+        trial = draft | ({head: deepcopy(draft[head])} if head in draft else {})
         try:
             axis_of(path).write(trial, value)
             require_valid(schema.ProblemFile, trial)
         except ArgumentError as error:
             raise SectionError(str(error), where) from None
     return tuple(values)
-
-
-def _copy_section(draft: Draft, path: str) -> Draft:
-    """A copy of the section that a path leads into."""
-    head = path_of(path).split(".")[0]
-    return {head: deepcopy(draft[head])} if head in draft else {}
 
 
 def _leaves(draft: Any, path: str = "") -> list[str]:
@@ -305,9 +304,3 @@ def _leaves(draft: Any, path: str = "") -> list[str]:
         for key, value in draft.items()
         for leaf in _leaves(value, f"{path}.{key}" if path else key)
     ]
-
-
-def _digests(base: _Base) -> dict[str, str]:
-    """The digests of the problem's logs."""
-    logs = base.draft.get("switching", {}).get("logs", [])
-    return {log: hashlib.sha256((base.path.parent / log).read_bytes()).hexdigest() for log in logs}

@@ -1,6 +1,6 @@
-"""The plan of a sweep: what it would do, or has done so far, and how long that takes.
+"""The plan of a sweep: its cells, those that are done, and the time that the others take.
 
-Nothing of the sweep is computed; some cells run on a few signals, and are scaled up.
+No result is computed; some cells run on a few signals, and their times are scaled up.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from deadtime.scenarios.sweeps.store import exists, open_store, place_of
 from deadtime.scenarios.sweeps.study import Cell, Study
 
 _FEWEST, _MOST = 12, 64  # cells to time
-_ENOUGH, _AT_MOST = 2.0, 10.0  # seconds of runs after which the fewest, or fewer, will do
-_FIRST, _MORE = 32, 8  # signals of a first run, and times as many in the next one
-_SEEN, _SHARE = 0.1, 0.3  # seconds by which a longer run must differ, and share of the first one's
+_ENOUGH, _AT_MOST = 2.0, 10.0  # seconds of runs after which `_FEWEST` cells, or fewer, suffice
+_FIRST, _MORE = 32, 8  # signals of a first run, and the factor to the next
+_SEEN, _SHARE = 0.1, 0.3  # difference to the first run that suffices: seconds, and share of it
+_FLAGS = 3  # objects of a block beside one per metric: diverged, reason, done
 
 
 class Timed(NamedTuple):
-    """The time that cells were found to take.
+    """Measured time of cells.
 
-    seconds : of one core of this machine, for all that were asked about
+    seconds : of one core of this machine, for all missing cells
     cells : how many of them were run
     """
 
@@ -38,11 +39,11 @@ class Timed(NamedTuple):
 def time_cells(
     study: Study, costs: Float[np.ndarray, ...], missing: Bool[np.ndarray, ...]
 ) -> Timed:
-    """How long the missing cells take, from runs of some of them.
+    """The time of the missing cells, estimated from runs of some of them.
 
     Cells are drawn with probabilities in proportion to `costs`, one from each of `_MOST` equal
-    shares of their sum. The mean of seconds over cost, times that sum, is then without bias
-    whatever the costs are, and varies the less the better they are.
+    shares of their sum (importance sampling, stratified). The mean of seconds over cost, times that
+    sum, is without bias for any costs, and varies less the better the costs are.
     """
     places, rng = np.argwhere(missing), np.random.default_rng(0)
     if not missing.any():
@@ -62,9 +63,9 @@ def time_cells(
 
 
 def _seconds(study: Study, cell: Cell) -> tuple[float, float]:
-    """Seconds of a cell, from runs on ever more signals, and seconds of these runs.
+    """Seconds of a cell, from runs on more and more signals, and seconds of these runs.
 
-    The time of this process counts, so that others on the machine do not. A run before compiles.
+    Processor time, so that other processes do not count. A first run compiles and is not counted.
     """
 
     def run(signals: int) -> float:
@@ -83,9 +84,6 @@ def _seconds(study: Study, cell: Cell) -> tuple[float, float]:
     if signals == whole:
         return took, spent
     return took + (took - least) / (signals - first) * (whole - signals), spent
-
-
-_FLAGS = 3  # objects of a block beside one per metric: diverged, reason, done
 
 
 @dataclass(frozen=True)

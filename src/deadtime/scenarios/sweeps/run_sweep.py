@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError, WorkerError
-from deadtime.scenarios.sweeps.blocks import BlockLayout, costs_of, facts_of, layout_of
+from deadtime.scenarios.sweeps.blocks import costs_of, facts_of, layout_of
 from deadtime.scenarios.sweeps.cell import run_cell
 from deadtime.scenarios.sweeps.cluster import cluster
 from deadtime.scenarios.sweeps.load import load_study
@@ -33,29 +33,29 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-_AHEAD = 3  # blocks that are handed over for every thread of the cluster
+_AHEAD = 3  # blocks submitted per thread of the cluster, so that none waits for this process
 _LARGEST = 2.0**30  # bytes of a variable in a cell
-_LOOK = 2.0  # seconds between looks at how many threads there are
+_LOOK = 2.0  # seconds between counts of the cluster's threads
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a sweep is.
+    """The progress of a sweep.
 
     Attributes
     ----------
     done, total : int
-        Cells that are whole in the store, and all there are.
+        Cells that are complete in the store, and all cells.
     computed : int
-        Cells of this run.
+        Cells computed by this run.
     seconds : float
-        Since the first block was handed over.
+        Time since the first block was submitted.
     busy : float
-        That workers spent on blocks, summed over them.
+        Time of workers on blocks, summed.
     threads : int
-        That the cluster has.
+        Threads of the cluster.
     cost, whole_cost : float
-        Estimated cost of what this run has done, and of all that it has to do, seconds of one core.
+        Estimated cost of the finished blocks of this run, and of all of them, seconds of one core.
     """
 
     done: int
@@ -81,16 +81,16 @@ def sweep(
 ) -> xr.Dataset:
     """Run every cell of a study's grid by `monte_carlo`, into one Zarr store.
 
-    Only cells that the store lacks are computed: after an interruption, whatever was its reason,
-    the same call goes on. The store does not depend on the cluster, on the number of workers or on
-    interruptions, to the last bit.
+    Only cells that the store lacks are computed: after an interruption the same call continues. The
+    store does not depend on the cluster, on the number of workers or on interruptions, to the last
+    bit.
 
     Parameters
     ----------
     study : Study or path
         From `load_study` or `function_study`; or a study file.
     store : path
-        A folder that all workers reach under this name, or a URL that fsspec knows.
+        A folder that all workers reach by this name, or a URL of fsspec.
     scheduler : str, optional
         Address of a Dask scheduler, such as "tcp://host:8786"; without it a cluster of processes on
         this machine. A script that calls this with several workers must do so under
@@ -116,7 +116,7 @@ def sweep(
     ClusterError
         If the scheduler cannot be reached, or has no workers of this version.
     WorkerError
-        If some cells made their workers die, again and again; all others are stored.
+        If some cells ended their workers repeatedly; all others are stored.
 
     Examples
     --------
@@ -145,7 +145,7 @@ def sweep(
     if scheduler is not None and workers is not None:
         raise ArgumentError("workers are those of the scheduler: give one of the two.")
     url = place_of(store)
-    # A new store is made when there is something to compute it with.
+    # A new store is made only when a cluster is available.
     target = prepare(study, url) if exists(url) else None
     if target is None or target.missing():
         with cluster(scheduler, workers) as client:
@@ -155,7 +155,7 @@ def sweep(
 
 
 def prepare(study: Study, url: str) -> Store:
-    """The study's store: the one that is there, or a new one."""
+    """The study's store, existing or new."""
     if exists(url):
         target = open_store(url)
         target.require(study)
@@ -171,14 +171,8 @@ def prepare(study: Study, url: str) -> Store:
     return target
 
 
-def block_costs(study: Study, layout: BlockLayout) -> np.ndarray:
-    """Estimated seconds of every block."""
-    costs = costs_of(study)
-    return np.array([costs[layout.slices(number)].sum() for number in range(layout.size)])
-
-
 def run_block(study: Study, url: str, key: str, number: int) -> tuple[int, float]:
-    """Compute a block's cells and store them: what a worker does. Its cells, and its seconds."""
+    """Compute a block's cells and store them, on a worker; the number of cells, and seconds."""
     began = time.perf_counter()
     store = cached_store(url, key)
     outcomes = [run_cell(study, study.cell(index)) for index in store.layout.cells(number)]
@@ -187,11 +181,15 @@ def run_block(study: Study, url: str, key: str, number: int) -> tuple[int, float
 
 
 def _compute(study: Study, target: Store, client: Client, report: Report) -> None:
-    """Hand over the missing blocks, dear ones first, a few for each thread at a time."""
+    """Submit the missing blocks, most expensive first, a few per thread at a time.
+
+    So the last blocks are short, and workers finish together.
+    """
     from distributed import KilledWorker, as_completed
 
     missing, run = target.missing(), uuid4().hex
-    costs = block_costs(study, target.layout)
+    layout, of_cells = target.layout, costs_of(study)
+    costs = np.array([of_cells[layout.slices(number)].sum() for number in range(layout.size)])
     total, whole = study.size, float(costs[list(missing)].sum())
     waiting = [(-costs[number], number) for number in missing]
     heapq.heapify(waiting)
@@ -202,7 +200,8 @@ def _compute(study: Study, target: Store, client: Client, report: Report) -> Non
     numbers: dict[str, int] = {}
     try:
         while waiting or numbers:
-            for number in _next(waiting, _AHEAD * threads.now() - len(numbers)):
+            while waiting and len(numbers) < _AHEAD * threads.now():
+                number = heapq.heappop(waiting)[1]
                 key, what = f"block-{number}-{run}", (study, target.url, target.key, number)
                 future = client.submit(run_block, *what, key=key, pure=False)
                 numbers[key] = number
@@ -212,7 +211,7 @@ def _compute(study: Study, target: Store, client: Client, report: Report) -> Non
             try:
                 cells, took = future.result()
             except KilledWorker:
-                continue  # it is missing at the end
+                continue  # it is reported below as missing
             computed, busy = computed + cells, busy + took
             spent += float(costs[number])
             now = done + computed, total, computed, time.monotonic() - began, busy
@@ -228,25 +227,16 @@ def _compute(study: Study, target: Store, client: Client, report: Report) -> Non
         )
 
 
-def _next(waiting: list[tuple[float, int]], room: int) -> Iterator[int]:
-    while waiting and room > 0:
-        yield heapq.heappop(waiting)[1]
-        room -= 1
-
-
 class Threads:
-    """How many threads the cluster has, asked for now and then: workers come and go."""
+    """The number of threads of the cluster, counted now and then: workers come and go."""
 
     def __init__(self, client: Client) -> None:
         self._client, self._known, self._asked = client, 1, -_LOOK
 
     def now(self) -> int:
-        """At least 1: what is handed over waits for workers."""
+        """At least 1, so that blocks are submitted before workers arrive."""
         if time.monotonic() - self._asked >= _LOOK:
-            self._known = max(1, _count(self._client.nthreads()))
+            threads: Any = self._client.nthreads()
+            self._known = max(1, sum(threads.values()))
             self._asked = time.monotonic()
         return self._known
-
-
-def _count(threads: Any) -> int:
-    return sum(threads.values())

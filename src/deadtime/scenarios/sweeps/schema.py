@@ -67,7 +67,7 @@ Metrics = Annotated[list[Annotated[str, AfterValidator(_metric)]], *List]
 
 
 class _PlainAxes(Section):
-    """Axes that are no imperfections."""
+    """Axes other than imperfections."""
 
     model_config = ConfigDict(extra="allow", strict=False, title=None)
 
@@ -80,17 +80,17 @@ class _PlainAxes(Section):
     horizon: Positives | None = Field(None, description="Length of a run, seconds.")
     start: Positives | None = Field(None, description="x(0) is the problem's times this.")
     delay_error: Errors | None = Field(
-        None, description="The true delay is 1 + this times that which laws believe."
+        None, description="The true delay is 1 + this times the delay that laws assume."
     )
     gain_error: Errors | None = Field(
-        None, description="The true B is 1 + this times that which laws believe."
+        None, description="The true B is 1 + this times the B that laws assume."
     )
     sojourn: Families | None = Field(None, description="Families of sojourns, of mean 2 τ_d.")
     dwell_time: Positives | None = Field(None, description="τ_d: no sojourn is shorter, seconds.")
 
 
 def _axis(axis: ImperfectionAxis) -> tuple[Any, Any]:
-    """The field of an imperfection: its type and what editors show."""
+    """The field of an imperfection: its type, and the description that editors show."""
     values: Any = Annotated[list[axis.values], *List]
     return values | None, Field(None, description=axis.description)
 

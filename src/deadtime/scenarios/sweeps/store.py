@@ -1,10 +1,9 @@
-"""The Zarr store of a sweep: a cell is either whole in it or absent.
+"""The Zarr store of a sweep: a cell is either complete in it or absent.
 
-Every variable is one array over (axes of the grid …, law, scenario), one chunk to a block of cells;
-each chunk is an object of its own that is written at once and carries a checksum. `done` says which
-cells are whole: a block's flags are written after everything else of the block, so that whatever is
-killed in between counts as absent, and is computed again. A store is read as a dataset, loaded as
-far as it is used.
+Every variable is one array over (axes of the grid …, law, scenario), with one chunk per block of
+cells; each chunk is an object with a checksum, written at once. `done` marks complete cells: a
+block's flags are written after all its other data, so that an interrupted block counts as absent,
+and is computed again. A store is read as a dataset, loaded as far as it is used.
 """
 
 from __future__ import annotations
@@ -66,14 +65,14 @@ class Store:
         self.key = hashlib.sha256(whole.encode()).hexdigest()
 
     def array(self, name: str) -> Any:
-        """A variable or coordinate, a Zarr array that stores every chunk: none is left out."""
+        """A variable or coordinate, as a Zarr array that stores empty chunks, too."""
         import zarr
 
         with zarr.config.set({"array.write_empty_chunks": True}):
             return self.group[name]
 
     def _require_arrays(self) -> None:
-        """Refuse a store that lacks a variable, or has one of another shape than it says."""
+        """Refuse a store whose arrays do not match its definition."""
         from zarr import Array
 
         shape, block = self.layout.shape, self.layout.block
@@ -113,7 +112,7 @@ class Store:
             )
 
     def whole_cells(self) -> np.ndarray:
-        """Which cells are whole; those whose flags cannot be read are not."""
+        """The complete cells; those whose flags cannot be read are not."""
         done = np.zeros(self.layout.shape, dtype=bool)
         array = self.array("done")
         try:
@@ -126,7 +125,7 @@ class Store:
         return done
 
     def missing(self) -> list[int]:
-        """The blocks that are not whole."""
+        """The blocks that are not complete."""
         done = self.whole_cells()
         return [
             number
@@ -152,7 +151,7 @@ class Store:
         self.array(name)[place] = np.stack(parts).reshape((*shape, *parts[0].shape))
 
     def forget(self, number: int) -> None:
-        """Count a block's cells as absent."""
+        """Mark a block's cells as absent."""
         place = self.layout.slices(number)
         with writing(self.url):
             self.array("done")[place] = np.zeros([s.stop - s.start for s in place], dtype=bool)
@@ -175,7 +174,7 @@ class Store:
         return values.astype(object) if name == "reason" else values
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """Whole blocks of which something cannot be read or is gone, and what that is."""
+        """Complete blocks with chunks that cannot be read or are gone, and the fault."""
         done, names = self.whole_cells(), [*self.definition["metrics"], "diverged", "reason"]
         for number in range(self.layout.size):
             if not done[self.layout.slices(number)].all():
@@ -187,7 +186,7 @@ class Store:
                 yield number, str(error)
 
     def restore_coordinates(self) -> list[str]:
-        """Write coordinates anew that are not what the definition says; their names."""
+        """Rewrite coordinates that differ from the definition; their names."""
         wrong = []
         for name, values in coordinates_of(self.definition).items():
             try:
@@ -201,7 +200,7 @@ class Store:
         return wrong
 
     def chunk(self, name: str, number: int) -> str:
-        """The object that holds a block of a variable, as its place in the store."""
+        """The path in the store of the object that holds a block of a variable."""
         counts, array = self.layout.counts, self.array(name)
         where = [int(i) for i in np.unravel_index(number, counts)] if counts else []
         places = (*where, *[0] * (array.ndim - len(counts)))
@@ -209,7 +208,7 @@ class Store:
 
 
 def place_of(store: str | PathLike[str]) -> str:
-    """The name of a store that is the same everywhere: a whole path, or the URL itself."""
+    """The name of a store for all workers: an absolute path, or the URL itself."""
     name = fspath(store)
     return name if "://" in name else str(Path(name).absolute())
 
@@ -235,7 +234,7 @@ def _group(url: str) -> zarr.Group:
                 f"store {url!r} is there, but is no Zarr store: choose another name."
             ) from None
         raise ArgumentError(f"store {url!r} does not exist: run the sweep first.") from None
-    except Exception as error:  # what Zarr raises of metadata that are none is anything
+    except Exception as error:  # Zarr may raise anything for malformed metadata
         why = " ".join(str(error).split())
         raise StoreError(
             f"store {url!r} cannot be opened ({why:.300}): choose another store, or delete "
@@ -245,7 +244,7 @@ def _group(url: str) -> zarr.Group:
 
 @lru_cache(maxsize=8)
 def cached_store(url: str, key: str) -> Store:
-    """The store at a place if it has this key, kept open for the many blocks of one process."""
+    """The store at a URL if it has this key, cached for the many blocks of one process."""
     store = open_store(url)
     if store.key != key:
         raise StoreError(f"store {url!r} was replaced by another one meanwhile: open it again.")
@@ -268,9 +267,9 @@ def exists(url: str) -> bool:
 
 
 def create(url: str, study: Study, layout: BlockLayout, facts: Mapping[str, Any]) -> Store:
-    """A new store of absent cells; it appears whole or not at all where names can be changed.
+    """A new store of absent cells, made under another name and renamed where that is possible.
 
-    Where another sweep makes one at the same time, it is the one that is there first.
+    If another sweep makes one at the same time, the first one remains.
     """
     if "://" in url:
         _fill(url, study, layout, facts)
@@ -369,7 +368,7 @@ def _plain(values: Sequence[Any]) -> np.ndarray:
 
 @contextmanager
 def writing(url: str) -> Iterator[None]:
-    """Say what is wrong with a store that cannot be written."""
+    """Turn errors of writing into a `StoreError` with advice."""
     try:
         yield
     except OSError as error:
@@ -390,13 +389,13 @@ def writing(url: str) -> Iterator[None]:
 def open_sweep(store: str | PathLike[str]) -> xr.Dataset:
     """The dataset of a sweep's store, loaded as far as it is used.
 
-    Plain ``xarray.open_zarr(store)`` reads it, too; this names a damaged chunk, and leaves out what
-    was written of cells that are not whole.
+    Plain ``xarray.open_zarr(store)`` reads it, too; this function names damaged chunks, and leaves
+    out cells that are not complete.
 
     Parameters
     ----------
     store : path or URL
-        Where `sweep` wrote, or is writing.
+        The store of a `sweep`, finished or running.
 
     Returns
     -------
@@ -409,7 +408,7 @@ def open_sweep(store: str | PathLike[str]) -> xr.Dataset:
     ArgumentError
         If there is no store, or it is not one of a sweep.
     StoreError
-        If it cannot be opened; or, when its data are used, if a chunk of it is damaged.
+        If it cannot be opened; or, when its data are used, if a chunk is damaged.
 
     Examples
     --------
@@ -448,7 +447,7 @@ def _lazy(target: Store, name: str) -> dask.array.Array:
 
 
 def _read(url: str, key: str, name: str, block_id: tuple[int, ...]) -> np.ndarray:
-    """A block of a variable, as if its cells that are not whole were absent."""
+    """A block of a variable; in an incomplete block all cells count as absent."""
     target = cached_store(url, key)
     layout = target.layout
     where = block_id[: len(layout.shape)]

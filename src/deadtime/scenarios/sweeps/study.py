@@ -23,7 +23,7 @@ from deadtime.scenarios.sweeps.axes import Axis, axis_of
 
 @dataclass(frozen=True)
 class Cell:
-    """One point of the grid: its place along every axis, and the values there by name."""
+    """One point of the grid: its index along every axis, and its values by name."""
 
     index: tuple[int, ...]
     values: Mapping[str, Any]
@@ -44,7 +44,7 @@ class Loop:
     plant, laws, model, x0, horizon, step, imperfections, weight
         As `monte_carlo` takes them, laws by name.
     reasons : mapping
-        From the names of laws that could not be built to why.
+        From the names of laws that could not be built to the faults.
     """
 
     plant: SwitchedSystem
@@ -71,11 +71,11 @@ class Study(ABC):
     scenarios, seed : int
         Signals per cell, and their seed; an axis ``seed`` has precedence.
     metrics : tuple of str
-        Those of `monte_carlo` that are kept.
+        Metrics of `monte_carlo` that are stored.
     title, source : str
-        A heading, and where the plant comes from.
+        A heading, and the origin of the plant.
     text : str
-        The file behind it.
+        The content of its file.
     """
 
     grid: Mapping[str, tuple[Any, ...]]
@@ -89,7 +89,7 @@ class Study(ABC):
 
     @abstractmethod
     def loop(self, cell: Cell) -> Loop:
-        """The loop that runs in a cell: plant, laws, model of the switching and what else it needs.
+        """The loop of a cell: plant, laws, switching model and the other arguments.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class Study(ABC):
 
     @abstractmethod
     def particulars(self) -> dict[str, Any]:
-        """All that results depend on and that is not in the attributes, for JSON."""
+        """Everything else on which results depend, for JSON."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -112,21 +112,21 @@ class Study(ABC):
         return int(np.prod(self.shape))
 
     def cells(self) -> Iterator[Cell]:
-        """Every cell, neighbours on the last axis after each other."""
+        """Every cell, the last axis fastest."""
         return map(self.cell, itertools.product(*map(range, self.shape)))
 
     def cell(self, index: tuple[int, ...]) -> Cell:
-        """The cell at a place."""
+        """The cell at an index."""
         axes = zip(self.grid.items(), index, strict=True)
         values = {name: values[i] for (name, values), i in axes}
         return Cell(index, values, {name: self.axis(name) for name in values})
 
     def axis(self, name: str) -> Axis:
-        """How an axis is called and drawn: its words, symbol and unit."""
+        """The label and unit of an axis."""
         return axis_of(name)
 
     def definition(self) -> dict[str, Any]:
-        """All that the results depend on: two studies with equal ones have equal results."""
+        """Everything on which results depend: studies with equal definitions have equal results."""
         whole = {
             "version": __version__,
             "grid": {name: list(values) for name, values in self.grid.items()},
@@ -140,7 +140,7 @@ class Study(ABC):
 
 
 def differences(old: Any, new: Any, name: str = "") -> list[str]:
-    """The differences between two definitions, a phrase for each entry.
+    """The differences between two definitions, a phrase per entry.
 
     Examples
     --------

@@ -1,24 +1,21 @@
-"""The march under a law that is a `Forecast`: along the signals of its branches.
+"""The ideal loop under a law that is a `Forecast`, along the signals of its branches.
 
 On a segment x is solved first, as in `collocation`. At each of its Gauss nodes t the prediction
-of every branch is a functional of x(t) and of the inputs in flight, carried backwards from where an
-input is first read: over an interval in which the branch stays in a system, and every input is
-either in flight or under its own feedback,
+of every branch is a functional of x(t) and of the inputs in flight. It is integrated backwards from
+the instant at which an input is first read. Over an interval in which the branch stays in one
+system and every input is either in flight or under its own feedback,
 
     R(s) = R e^{S (s₁ − s)},   S = A + Σ b_l K_l over the inputs l under their own feedback,
 
 adds ∫ R(s) b_l u_l(s − D_l) ds for every input l in flight: Gauss sums over the segments that were
-sent. What lies within the segment itself is not known yet, and u at its nodes solves a linear
-system.
+sent. Inputs of the segment itself are unknown, and u at its nodes solves a linear system.
 
-Predictions that read again what they have predicted themselves are a delay equation. A branch that
-switches, within its prediction from t, to a system with a longer delay reads a sample that is still
-to be sent a second time. What that sample is is known by then, K x̂ of where it was first read, so
-the prediction is marched by the method of steps: pieces that end wherever what is read bends, on
-each of which x̂ solves a collocation system under what was sent before t, what is first read (its
-own feedback) and what is read again. Of what is sent on the segment of t the values at the nodes
-are still sought, so that x̂ is kept as a function of these: arrays (…, 1 + p m), the known part
-first.
+A prediction that reads its own inputs again is a delay equation: a branch that switches to a system
+with a longer delay reads inputs after t a second time. Their values, K x̂ at the first reading, are
+known by then, so the prediction is solved by the method of steps. Its pieces end wherever an input
+that is read bends. On each, x̂ solves a collocation system under the inputs sent before t, those
+first read (feedback of x̂ itself) and those read again. Inputs on the segment of t are unknown at
+the nodes, so x̂ is an affine function of them: arrays (…, 1 + p m), the known part first.
 """
 
 from __future__ import annotations
@@ -47,10 +44,10 @@ _MOST_PIECES = 10_000
 
 
 class FirstRead(NamedTuple):
-    """The input to be sent from `begin` to `end`, by where it is first read.
+    """The input to be sent from `begin` to `end`, by the instant at which it is first read.
 
     gain : (n,), K of the system that reads it
-    later : seconds after it is sent; None where it is overdue at a switch and `held` is its value
+    later : seconds from sending to reading; None if overdue at a switch, with the value `held`
     """
 
     begin: float
@@ -144,7 +141,7 @@ def feedback_through_rereading(
 def _bends(
     line, g: int, t: float, delays: np.ndarray, sent: list[list[FirstRead]], path: Predicted
 ) -> list[np.ndarray]:
-    """Where what a system reads bends: it is cut there."""
+    """Instants at which an input that a system reads is not smooth."""
     before = np.append(line.edges[: g + 1], t)
     bends = []
     for delay, own in zip(delays, sent, strict=True):
@@ -183,7 +180,7 @@ _FEW, _SHORT = 4, 0.125  # nodes that do on a panel so much shorter than the lon
 
 
 class ReadsAgain(Exception):
-    """A prediction reads again what it has predicted, on segments cut for none that does."""
+    """A prediction reads its own inputs again, and the segments are not cut for that."""
 
 
 class Branch(NamedTuple):
@@ -199,10 +196,12 @@ class Branch(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """The maps over whole segments, by branch, system and inputs under their own feedback.
+    """The maps over whole segments, computed once: many nodes predict over the same segment.
 
-    done : (places, segments), whether it is known;  passed : (places, segments, n, n)
-    moved : (places, segments, m, n)
+    place = (branch · systems + system) · 2^m + Σ 2^j over the inputs j under their own feedback.
+
+    done : (places, segments), whether computed
+    passed : (places, segments, n, n), e^{S length};  moved : (places, segments, m, n), of inputs
     """
 
     done: np.ndarray
@@ -223,7 +222,7 @@ class Intervals(NamedTuple):
 
     edges : (intervals + 1,);  system : (intervals,)
     flying : (intervals, m), 1 for inputs in flight, 0 for those under their own feedback
-    read : (m,), the interval at whose start each input is first read;  reader : (m,), by whom
+    read : (m,), the interval at whose start each input is first read;  reader : (m,), the system
     """
 
     edges: np.ndarray
@@ -292,7 +291,7 @@ def _share(c, points, scale, share):
 
 @kernel(eager=True)
 def _receive(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, matrix, right):
-    """Add R e^{S (end − s)} b u_j over what was sent in a part of segment q, for R's rows."""
+    """Add ∫ R e^{S (end − s)} b u_j ds over a part of segment q, for each row of R."""
     edges, p, count, (m, n) = line.edges, nodes.points.size, panel.points.size, R.shape
     for k in range(count):
         c = (begin + panel.points[k] * length - edges[q]) / (edges[q + 1] - edges[q])
@@ -365,9 +364,9 @@ def _carry(rows, flows, q, moved):
 
 @kernel(eager=True)
 def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, matrix, right):
-    """Add a branch at node t of segment g, rows `row` on, to matrix u = right; whether it can.
+    """Add a branch at node t of segment g to the rows from `row` on of matrix u = right.
 
-    Of `kept`, the places of the branch begin with `first`.
+    False where it reads its own inputs again; `first` is the branch's first place in `kept`.
     """
     edges, p, (m, n) = line.edges, nodes.points.size, branch.K.shape[1:]
     count = _divide(t, branch, into)
@@ -438,7 +437,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
 def _add_segment(
     line, g, times, branch, states, nodes, few, short, into, kept, first, use, matrix, right, able
 ):
-    """Add a branch at all nodes of segment g, x there `states`; `able` says at which it can."""
+    """Add a branch at all nodes of segment g, with x `states`; `able` gets `_add`'s answers."""
     m = branch.K.shape[1]
     for k in range(times.size):
         able[k] = _add(
@@ -450,9 +449,9 @@ def _add_segment(
 def march_branches(
     plant, line, law: Forecast, x0: np.ndarray, nodes: Nodes, rereads: bool
 ) -> tuple[np.ndarray, int]:
-    """Solve the segments from `begin` on; arguments and answer as of `march_windows`.
+    """Solve the segments from `begin` on; arguments and result as of `march_windows`.
 
-    `rereads`: whether segments end where a prediction stops to read something again.
+    `rereads`: whether segments end where a prediction stops to read its own inputs again.
     """
     edges, (branches, _, m, n) = line.edges, law.gains.shape
     segments, p = edges.size - 1, nodes.points.size
@@ -461,8 +460,14 @@ def march_branches(
     few, short = gauss(_FEW), _SHORT * longest
     ends = refit(nodes.points, np.array([0.0, 1.0]))
     A, B, delays, gains = map(read_only, (law.A, law.B, law.delays, law.gains))
-    kept, use = _kept(law, segments), _use(nodes, n)
-    places, able = kept.done.shape[0] // branches, np.empty(p, np.int8)
+    places, able = law.A.shape[0] * 2**m, np.empty(p, np.int8)
+    kept = Kept(
+        np.zeros((branches * places, segments), np.int8),
+        np.empty((branches * places, segments, n, n)),
+        np.empty((branches * places, segments, m, n)),
+    )
+    apart = nodes.points[:, None] - nodes.points + np.eye(p)
+    use = Use(1.0 / apart.prod(axis=1), np.empty(p), np.empty(n))
     for g in range(line.begin, segments):
         length, i = edges[g + 1] - edges[g], line.mode[g]
         times = edges[g] + length * nodes.points
@@ -471,7 +476,11 @@ def march_branches(
         if g < line.stop:
             matrix, right = np.eye(p * m), np.zeros(p * m)
             starts, systems = law.signals(edges[g] + length / 2.0)
-            into = _room(starts.shape[1], m)
+            # A prediction has an interval per part of its signal and arriving input, at most.
+            most = starts.shape[1] * (m + 1) + 1
+            whole = np.empty(most, np.int64), np.empty((most, m), np.int64)
+            first = np.empty(m, np.int64), np.empty(m, np.int64)
+            into = Intervals(np.empty(most + 1), *whole, *first)
             for b in range(branches):
                 signal = read_only(starts[b]), read_only(systems[b])
                 branch = Branch(A, B, delays, gains[b], law.weights[b], *signal)
@@ -493,27 +502,3 @@ def march_branches(
         if not np.abs(x).max() <= LIMIT:
             return states, g
     return states, segments
-
-
-def _room(parts: int, m: int) -> Intervals:
-    """Room for the intervals of a prediction along a signal of so many parts."""
-    most = parts * (m + 1) + 1
-    whole = np.empty(most, np.int64), np.empty((most, m), np.int64)
-    return Intervals(np.empty(most + 1), *whole, np.empty(m, np.int64), np.empty(m, np.int64))
-
-
-def _kept(law: Forecast, segments: int) -> Kept:
-    """Room for what whole segments bring about."""
-    branches, systems, m, n = law.gains.shape
-    places = branches * systems * 2**m
-    return Kept(
-        np.zeros((places, segments), np.int8),
-        np.empty((places, segments, n, n)),
-        np.empty((places, segments, m, n)),
-    )
-
-
-def _use(nodes: Nodes, n: int) -> Use:
-    """The scratch of `_receive`."""
-    apart = nodes.points[:, None] - nodes.points + np.eye(nodes.points.size)
-    return Use(1.0 / apart.prod(axis=1), np.empty(nodes.points.size), np.empty(n))

@@ -1,16 +1,16 @@
-"""The ideal loop by collocation, segment by segment, and the march under a `Functional`.
+"""The ideal loop by collocation, segment by segment, under a law that is a `Functional`.
 
 Time is cut into segments on which everything is analytic. On a segment [a, b] in mode σ
 
     dx/dt = A_σ x + B_σ u(t − D),
 
-whose input lies in the past (of every input its own delay in mode σ), and what a law predicts obeys
-such an equation, too. They are solved by variation of constants,
+whose input lies in the past (each input has its own delay in mode σ); predictions obey such an
+equation, too. Both are solved by variation of constants,
 
     y(t) = e^{A(t−a)} (y(a) + ∫_a^t e^{−A(θ−a)} f(θ) dθ),
 
-the integral from a to each Gauss node by collocation; a segment is so short that e^{−A(θ−a)} is
-far from losing digits. What is sought is u at the nodes, which solves a linear system.
+with the integral from a to each Gauss node by collocation; segments are so short that e^{−A(θ−a)}
+loses no digits. The unknowns are u at the nodes, which solve a linear system.
 
 A law that is a `Functional` has windows on the past inputs,
 
@@ -22,8 +22,8 @@ segment to segment, and then
 
     dy_p/dt = S_p y_p + R_p u(t − α_p) − e^{S_p (β_p − α_p)} R_p u(t − β_p).
 
-The last two inputs are known, segments being shorter than α_p > 0; where α_p = 0 the first is what
-is sought, and u at the nodes solves a linear system.
+The last two inputs are known, as segments are shorter than α_p > 0; where α_p = 0 the first one is
+u at the nodes, the unknown.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from deadtime.numerics.exponential import discretise, product
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.loop_arrays import LIMIT
 
-_SAME = 1e-15  # of the run: lengths of segments so close are one
+_SAME = 1e-15  # of the run's length: segments whose lengths differ by less share their flows
 
 
 @kernel(eager=True)
@@ -110,10 +110,10 @@ def add_product(M, x, result):
 
 @kernel(eager=True)
 def flows(A, length, points, forward, backward):
-    """e^{A c length} at the points c of a segment, in units of it, and at 1: (points + 1, n, n).
+    """e^{A c length} into `forward` (points + 1, n, n), at the points c ∈ [0, 1] and at 1.
 
-    `backward` (points, n, n) takes e^{−A c length}; none is wanted where it is empty. On a short
-    segment one Taylor series serves all points and both signs.
+    `backward` (points, n, n) gets e^{−A c length}, unless it is empty. On a short segment one
+    Taylor series serves all points and both signs.
     """
     n, p, back = A.shape[0], points.size, backward.shape[0]
     size = 0.0
@@ -286,7 +286,7 @@ def end_branch(forward, backward, B, start, shift, length, nodes, u, last):
 
 @kernel(eager=True)
 def hand_on(last, x):
-    """The last state of a segment, into x; whether it is within the limit."""
+    """Copy the last state of a segment into x; whether it is within the limit."""
     inside = True
     for j in range(x.size):
         x[j] = last[j]
@@ -395,11 +395,11 @@ def _solve_input(law, F, C, states, starts, shifts, forward, backward, length, n
 
 @kernel(eager=True)
 def march_windows(plant, line, law, x0, nodes):
-    """Solve the segments from `begin` on; u is sought before segment `stop`, x on all.
+    """Solve x on the segments from `begin` on, and u on those before segment `stop`.
 
-    `plant` and `line` are those of `deadtime.simulation.ideal.ideal_run`, `nodes` those of
-    `collocation`. line.inputs (segments, p + 2, m) holds the history and receives u. Returns x
-    (segments, p + 2, n) and the number of segments done before |x| left the limit.
+    `plant` and `line` are `SegmentPlant` and `Segments` of `ideal_run`, `nodes` Gauss's.
+    line.inputs (segments, p + 2, m) holds the history and receives u. Returns x
+    (segments, p + 2, n) and the number of segments solved before |x| left the limit.
     """
     edges, points, n, q = line.edges, nodes.points, x0.size, law.S.shape[1]
     segments, p, windows = edges.size - 1, points.size, law.near.size
@@ -440,7 +440,7 @@ def march_windows(plant, line, law, x0, nodes):
 
 
 def windows_of(law: Functional, middles: np.ndarray) -> Windows:
-    """A `Functional` on the segments around these times, as the march takes it."""
+    """A `Functional` on the segments around these times, as `march_windows` takes it."""
     sought = np.where(law.near[:, None, None] == 0.0, law.R, 0.0)
     row = law.row(np.maximum(middles, 0.0))
     own = law.F, law.C, law.S, law.R, law.near, law.far

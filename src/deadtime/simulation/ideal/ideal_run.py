@@ -38,7 +38,7 @@ class IdealRecord:
 
     @property
     def last(self) -> float:
-        """Up to when x is known, seconds."""
+        """The last time at which x is known, seconds."""
         return float(self.states.edges[-1])
 
     @property
@@ -47,7 +47,7 @@ class IdealRecord:
         return self.states.slack
 
     def grid(self, end: float) -> Float[np.ndarray, " T"]:
-        """The instants that a run reports unless asked for others: 1001, uniform."""
+        """The instants that a run reports by default: 1001, uniform."""
         return np.linspace(0.0, end, _SAMPLES)
 
     def states_at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
@@ -104,7 +104,7 @@ def run_ideal(
     horizon: float,
     history: InputHistory,
 ) -> tuple[IdealRecord, float | None]:
-    """Solve the loop on [0, horizon]; return the record, and where it ended if it diverged."""
+    """Solve the loop on [0, horizon]; return the record, and the time of its end if it diverged."""
     from deadtime.simulation.ideal.branch_march import ReadsAgain
 
     require_finite_gains(law.settled.F)

@@ -1,20 +1,20 @@
 """The ideal loop under a rule: exact prediction where the state switches the plant.
 
-With the plant as its model the law predicts x exactly, so that it sends to input j the K_i,j x of
-where it is first read, by the mode i of that instant: with one delay x' = (A_σ + B_σ K_σ) x from D
-on, σ = r(x). Where delays differ between modes it is a delay equation. A mode with a longer delay
-than the one before reads once more what was read already, and one with a shorter delay finds
-samples that are overdue: they are K_i,j x of where it is entered. So x is marched by the method of
-steps. On a piece every mode i either reads input j anew, as K_i,j x, or reads what is known by now,
-a polynomial v of time,
+With the plant as its model the law predicts x exactly: it sends to input j the K_i,j x of the
+instant at which the input is first read, in the mode i of that instant. With one delay that is
+x' = (A_σ + B_σ K_σ) x from D on, σ = r(x). Delays that differ between modes make a delay equation:
+a mode with a longer delay than the one before reads inputs a second time, and for one with a
+shorter delay inputs are overdue, and are set to K_i,j x of the instant of the switch. So x is
+solved by the method of steps. On a piece every mode i reads input j either for the first time, as
+K_i,j x, or again, as a known polynomial v of time,
 
     x' = (A_i + Σ_{j anew} b_i,j K_i,j) x + Σ_{j known} b_i,j v_j(t − D_i,j),
 
-and a polynomial solves w₀' = w₁, w₁' = w₂, …, w₀ = v: with these as further states, which the rule
-does not see, the plant is one under no input, and a `Motion` finds where it crosses and slides.
-Pieces end where what any mode reads bends, and wherever the mode changes; a piece that is shorter
-than the motion's is cut off it. Along a boundary that x slides along both modes read; the mode and
-the input that are reported there are those of the mode it came from.
+A polynomial solves w₀' = w₁, w₁' = w₂, …, w₀ = v. With these as further states, of which the rule
+is independent, the plant is autonomous, and a `Motion` finds its crossings and slides. Pieces end
+where an input that some mode reads is not smooth, and where the mode changes; a shorter piece is
+the begin of a motion's. Both modes read while x slides along their boundary; the mode and the input
+reported there are those of the mode before.
 """
 
 from __future__ import annotations
@@ -35,22 +35,23 @@ from deadtime.simulation.ideal.ideal_run import NODES, IdealRecord
 from deadtime.simulation.ideal.rule_parts import RulePart, Sent, no_loop, outcome_of, with_edge
 from deadtime.simulation.ideal.segments import Piecewise, side_by_side
 from deadtime.simulation.initial_input import InitialInput, input_function
+from deadtime.simulation.loop_arrays import LIMIT
 from deadtime.switching import Rule
 from deadtime.switching.rules.motion import Beside, Leg, Motion, Move
 
 _PIECE = 1.0  # longest, times the fastest rate; half of it where polynomials are read again
-_LINE = 4.0  # longest piece of what is in the delay line, likewise
+_LINE = 4.0  # longest piece of the inputs before time 0, likewise
 _STRETCH = 4.0  # w_k = v⁽ᵏ⁾ (length/4)ᵏ, so that none is large
-_NEAR = 1e-13  # of the time
+_NEAR = 1e-13  # of the time: instants that are closer are one
 _MOST_TURNS = 20  # of the mode, at one instant
 MOST_PIECES = 100_000
-_ROUGH = 4  # nodes for what modes would read that are not in force
+_ROUGH = 4  # nodes for the inputs of modes that are not in force
 _SHORTEST = 40  # halvings of the longest piece
 _FINEST = 64  # parts of the longest piece: no shorter for modes that are not in force
 
 
 class _Known(NamedTuple):
-    """A known part of input j as modes read it, `delay` seconds late; `size` of the w it takes."""
+    """A known part of input j, read `delay` seconds late; `size` is its number of states w."""
 
     j: int
     delay: float
@@ -60,8 +61,8 @@ class _Known(NamedTuple):
 class _Readings(NamedTuple):
     """The readings of a piece.
 
-    anew : (modes, m), whether a mode reads what no mode has read before
-    reader : (m,), the mode in force that does, −1 where none does
+    anew : (modes, m), whether a mode reads an input for the first time
+    reader : (m,), the mode in force that does, −1 for none
     """
 
     anew: np.ndarray
@@ -81,7 +82,11 @@ def run_ideal_rule(
     rate = _rate(np.abs(plant.A) + np.abs(plant.B) @ np.abs(gains))
     alike = plant.modes_share_delays
     longest = (_PIECE if alike else _PIECE / 2.0) / rate
-    _require_room(plant, horizon, longest)
+    if horizon + plant.longest_delay > longest * MOST_PIECES:
+        raise ArgumentError(
+            f"horizon = {horizon:g} s is too long for the ideal loop, more than "
+            f"{MOST_PIECES:.0e} pieces of {longest:.1e} s: shorten it, or give a step."
+        )
     line = _line(plant, u0, rate)
     march = _RuleMarch(plant, gains, rule, x0, horizon, line, longest)
     while not march.stop and min(each.newest for each in march.sent) < horizon:
@@ -94,15 +99,6 @@ def run_ideal_rule(
     inputs = side_by_side([each.until(end) for each in march.sent])
     record = IdealRecord(plant, with_edge(states, end), inputs)
     return outcome_of(record, march.parts, end, march.stop)
-
-
-def _require_room(plant: SwitchedSystem, horizon: float, piece: float) -> None:
-    """Refuse a horizon that takes too many pieces."""
-    if horizon + plant.longest_delay > piece * MOST_PIECES:
-        raise ArgumentError(
-            f"horizon = {horizon:g} s is too long for the ideal loop, more than "
-            f"{MOST_PIECES:.0e} pieces of {piece:.1e} s: shorten it, or give a step."
-        )
 
 
 def _exact_gains(plant: SwitchedSystem, law: Law, rule: Rule) -> np.ndarray:
@@ -141,7 +137,7 @@ def _rate(A: np.ndarray) -> float:
 
 
 def _line(plant: SwitchedSystem, u0: InitialInput, rate: float) -> Float[np.ndarray, "piece m"]:
-    """The content of the delay line at time 0, over equal pieces, oldest first."""
+    """The inputs before time 0, over equal pieces, oldest first."""
     if callable(u0):
         raise ArgumentError(
             "u0 must be None, a number, (m,) or held samples (m, N), oldest first, where the ideal "
@@ -156,7 +152,7 @@ def _line(plant: SwitchedSystem, u0: InitialInput, rate: float) -> Float[np.ndar
 
 
 class _RuleMarch:
-    """A run on its way: x at t and where it is, what has been sent, and what there is to report."""
+    """An ideal run under a rule up to t: x there, its place, the inputs sent, and the record."""
 
     def __init__(
         self,
@@ -180,7 +176,7 @@ class _RuleMarch:
         self._go(self._places.place_of(x0), None)
 
     def _go(self, place: int, beside: Beside | None) -> None:
-        """Go on from t in a place; what is sent from there on bends."""
+        """Continue from t in a place; the inputs sent are not smooth there."""
         here = [place] if beside is None else [place, beside.place]
         self.place, self.beside, self._order = place, beside, 1
         self._modes = [self._places.mode_of(each) for each in here]
@@ -190,7 +186,7 @@ class _RuleMarch:
         return _NEAR * (1.0 + self.t)
 
     def read(self) -> None:
-        """Let the modes in force read what is overdue: it is K x of now."""
+        """Let the modes in force read overdue inputs, which are K x(t)."""
         for i in self._modes:
             for j, sent in enumerate(self.sent):
                 until = self.t - self.plant.delays[i, j]
@@ -201,7 +197,7 @@ class _RuleMarch:
                     self._reader[j] = -1
 
     def _readings(self) -> _Readings:
-        """Who reads what from t on, for as long as the mode stays what it is."""
+        """The readings from t on, while the mode does not change."""
         delays = self.plant.delays
         newest = np.array([sent.newest for sent in self.sent]) - self._near
         first = delays[self._modes].argmin(axis=0)
@@ -211,7 +207,7 @@ class _RuleMarch:
         return _Readings(anew, np.where(moves, np.array(self._modes)[first], -1))
 
     def _until(self, readings: _Readings) -> tuple[float, int | None]:
-        """Where the piece from t on ends at the latest, and which derivative of x jumps there."""
+        """The latest end of the piece from t on, and the derivative of x that jumps there."""
         cuts: list[tuple[float, int | None]] = [(self.t + self.longest, None), (self.horizon, None)]
         for j, sent in enumerate(self.sent):
             i = readings.reader[j]
@@ -253,16 +249,16 @@ class _RuleMarch:
         self._take(motion, move, readings, end, order)
 
     def _delays_of_known(self, readings: _Readings, j: int, modes: list[int]) -> list[float]:
-        """How late some modes read of input j what is known."""
+        """The delays with which some modes read known parts of input j, seconds."""
         own = self.plant.delays[modes, j]
         return np.unique(own[~readings.anew[modes, j]]).tolist()
 
     def _known(self, readings: _Readings, end: float) -> list[_Known]:
         """The known inputs that modes read up to `end`.
 
-        What others than those in force would read says on which side of a boundary they lead, no
-        more: when they are in force the piece begins anew. Where their delays hardly differ it is
-        the newest that is known.
+        Readings of modes that are not in force only decide to which side of a boundary those modes
+        lead: a new piece begins when they are in force. Inputs after the newest known instant have
+        its value.
         """
         known = []
         for j, sent in enumerate(self.sent):
@@ -275,7 +271,7 @@ class _RuleMarch:
         return known
 
     def _derivatives(self, known: _Known, end: float, length: float) -> np.ndarray:
-        """The w of what is read, at t."""
+        """The states w of a known input, at t."""
         points, size = gauss(known.size).points, end - self.t
         sent, times = self.sent[known.j], self.t + size * points - known.delay
         values = sent.at(np.minimum(times, sent.newest)) / self._unit[known.j]
@@ -286,7 +282,12 @@ class _RuleMarch:
         return terms * factorials * (length / size / _STRETCH) ** order
 
     def _motion(self, readings: _Readings, known: list[_Known], length: float) -> Motion:
-        """The plant with what it reads as states of its own."""
+        """The motion of the plant with the known inputs as further states.
+
+        A of a mode:
+            x    A + Σ_anew b K |  b_j in the first column of each chain that the mode reads
+            w        0          |  shifts, 4 / length above the diagonal of each chain
+        """
         key = readings.anew.tobytes(), tuple(known), length
         if key not in self._motions:
             (modes, n, m), extra = self.plant.B.shape, sum(each.size for each in known)
@@ -311,11 +312,14 @@ class _RuleMarch:
         now = max(k for k, leg in enumerate(move.legs) if leg.time <= 0.1 * self._near)
         leg, after = move.legs[now], move.legs[now + 1 : now + 2]
         beyond = None if leg.beside is None else leg.beside.place
-        if (leg.place, beyond) != (
-            self.place,
-            None if self.beside is None else self.beside.place,
-        ):
-            self._turn(leg, n)
+        before = None if self.beside is None else self.beside.place
+        if (leg.place, beyond) != (self.place, before):
+            # The mode changes at t itself.
+            self._turns += 1
+            self.x = leg.x[:n].copy()
+            self._go(leg.place, leg.beside)
+            if self._turns > _MOST_TURNS:
+                self.stop = f"chattering at t = {self.t:.12g} s: modes change without end"
             return
         self._turns = 0
         crosses = bool(after) and after[0].time <= most
@@ -334,18 +338,8 @@ class _RuleMarch:
             if self.beside is None and self._places.mode_of(place) == self._modes[0]:
                 self.place = place
 
-    def _turn(self, leg: Leg, n: int) -> None:
-        """Change the mode at t itself."""
-        self._turns += 1
-        self.x = leg.x[:n].copy()
-        self._go(leg.place, leg.beside)
-        if self._turns > _MOST_TURNS:
-            self.stop = f"chattering at t = {self.t:.12g} s: modes change without end"
-
     def _keep(self, motion: Motion, leg: Leg, readings: _Readings, end: float) -> None:
-        """Keep what x did from t to `end`, and what inputs were sent to make it so."""
-        from deadtime.simulation.loop_arrays import LIMIT
-
+        """Record x from t to `end`, and the inputs that this part reads for the first time."""
         n, support, none = self.x.size, gauss(NODES).support, np.zeros(self.plant.inputs)
         times = (end - self.t) * support
         x = np.array([motion.along(leg, none, time)[:n] for time in times.tolist()])
@@ -363,7 +357,7 @@ class _RuleMarch:
 
 
 def _units_of_inputs(plant: SwitchedSystem, time: float) -> Float[np.ndarray, " m"]:
-    """Powers of two in which what inputs make of the states within a time is like these."""
+    """Powers of two by which inputs, within a time, change states by about the states' units."""
     from deadtime.numerics.exponential import balance
 
     units = balance(np.abs(plant.A).sum(axis=0))

@@ -1,7 +1,7 @@
-"""Parts of an ideal run under a rule, in one motion each, and what was sent to its inputs.
+"""Parts of an ideal run under a rule, one motion each, and the inputs that it was sent.
 
-Under a rule what an input is sent at t is known once the plant has read it, as K x of that instant:
-it is kept as it becomes known, as polynomials end to end, with the instants at which it bends.
+Under a rule the input sent at t is known once the plant has read it, as K x of that instant. It is
+stored as it becomes known: polynomials end to end, and the instants at which it is not smooth.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from deadtime.switching import SwitchingSignal
 from deadtime.switching.rules.motion import Leg, Motion
 
 DEPTH = 5  # a jump of a higher derivative weighs less than 1e-12 on pieces as short as these
+_SAME = 1e-12  # of the time: switches that are closer are one
 
 
 @dataclass(eq=False)
@@ -57,7 +58,7 @@ class Sent:
 
     @property
     def newest(self) -> float:
-        """Up to when it is known, seconds."""
+        """The newest instant that is known, seconds."""
         return self.edges[-1]
 
     def send(self, end: float, values: Float[np.ndarray, " node"], held: bool = False) -> None:
@@ -67,7 +68,7 @@ class Sent:
         self.held.append(held)
 
     def bend(self, order: int | None) -> None:
-        """Take note that what follows bends from what there is; None: it does not."""
+        """Note the derivative that jumps at the newest instant; None: the input is smooth there."""
         if order is not None and order <= DEPTH:
             self.bends.append((self.newest, order))
 
@@ -90,7 +91,7 @@ class Sent:
         return all(self.held[inside]) and len({v[0] for v in self.values[inside]}) == 1
 
     def until(self, end: float) -> Piecewise:
-        """It as a function, up to `end`."""
+        """The input as a function, up to `end`."""
         whole = with_edge(Piecewise(np.array(self.edges), np.array(self.values)[..., None]), end)
         edges = whole.edges[whole.edges <= end + whole.slack]
         return Piecewise(edges, whole.values[: edges.size - 1])
@@ -112,9 +113,6 @@ def with_edge(function: Piecewise, time: float) -> Piecewise:
         np.concatenate((edges[: q + 1], [time], edges[q + 1 :])),
         np.concatenate((values[:q], parts, values[q + 1 :])),
     )
-
-
-_SAME = 1e-12  # of the time: switches that close are one
 
 
 class RulePart(NamedTuple):
@@ -140,24 +138,20 @@ def no_loop(stop: str, arrived: float) -> ArgumentError:
 
 
 def outcome_of(record: IdealRecord, parts: list[RulePart], end: float, stop: str) -> RunOutcome:
-    """The outcome of a run of these parts; `stop` says why it ended early at `end`, if so."""
+    """The outcome of a run of these parts; `stop` says why it ended early at `end`, or is empty."""
     reached = parts[-1].end
     signal = _signal(parts, reached)
-    slides = join(
-        [_slide(part, end) for part in parts if part.leg.beside and part.begin < end],
-        _SAME * max(1.0, reached),
-    )
-    diverged = stop.startswith("diverged")  # `simulate` says so itself
-    early = (
-        f"{stop}, a delay ahead: the run ends at t = {end:g} s." if stop and not diverged else ""
-    )
-    return RunOutcome(
-        record,
-        signal,
-        end if stop else None,
-        diverged,
-        " ".join(filter(None, [early, slides_in_words(slides)])),
-    )
+    found = []
+    for part in parts:
+        if part.leg.beside is not None and part.begin < end:
+            modes = [part.motion.mode_of(p) for p in (part.leg.place, part.leg.beside.place)]
+            found.append(Slide(part.begin, min(part.end, end), (min(modes), max(modes))))
+    notes = [slides_in_words(join(found, _SAME * max(1.0, reached)))]
+    diverged = stop.startswith("diverged")  # of which `simulate` makes the sentence
+    if stop and not diverged:
+        notes.insert(0, f"{stop}, a delay ahead: the run ends at t = {end:g} s.")
+    note = " ".join(filter(None, notes))
+    return RunOutcome(record, signal, end if stop else None, diverged, note)
 
 
 def _signal(parts: list[RulePart], reached: float) -> SwitchingSignal:
@@ -174,10 +168,3 @@ def _signal(parts: list[RulePart], reached: float) -> SwitchingSignal:
             times.append(part.begin)
             modes.append(part.mode)
     return SwitchingSignal(times, modes, reached)
-
-
-def _slide(part: RulePart, end: float) -> Slide:
-    """The sliding motion of a part, up to the end of the run."""
-    assert part.leg.beside is not None
-    mode, other = (part.motion.mode_of(p) for p in (part.leg.place, part.leg.beside.place))
-    return Slide(part.begin, min(part.end, end), (min(mode, other), max(mode, other)))

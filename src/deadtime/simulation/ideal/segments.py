@@ -1,8 +1,8 @@
 """The segments of an ideal run, between instants where it is not analytic, and polynomials on them.
 
-The state's slope jumps at a switch; a delay passes every jump on, one derivative smoother:
-to the times shifted by the plant's delay (through the input) and by the law's (through the
-edge of its window). A jump passed on ten times has no weight left in double precision.
+The state's slope jumps at a switch. A delay passes every jump on, one derivative smoother: to the
+times shifted by the plant's delay (through the input) and by the law's (through the edge of its
+window). A jump passed on ten times is below double precision.
 """
 
 from __future__ import annotations
@@ -22,14 +22,19 @@ from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import first_reads
 
-_SAME = 1e-12
+NODES = 10  # of a segment
+_RESOLUTION = 1.5  # longest segment times the fastest rate
+_SAME = 1e-12  # of the run's length: edges that are closer are one
+_MOST_SEGMENTS = 1e6
+_MOST_WORK = 6e10  # multiplications: a minute or so
+_FLOW = 60.0  # cost of a window's exponentials on a segment, in units of its order cubed
 
 
 class Shift(NamedTuple):
     """A delay by which jumps are passed on.
 
-    seconds; the mode in which it is read, None for any; and by how much a jump counts less one
-    derivative further up, over the order of that derivative.
+    seconds; the mode in which the input is read, None for any; and the factor by which a jump's
+    weight falls per derivative, to be divided by the order of that derivative.
     """
 
     seconds: float
@@ -58,11 +63,11 @@ def pass_on(
     high: float,
     faint: float = 1e-15,
 ) -> np.ndarray:
-    """The times and their shifts up to `high`, as long as what is passed on weighs over `faint`.
+    """The times and their shifts up to `high`, as long as jumps weigh more than `faint`.
 
-    A plant with delays of its own in every mode passes an input on by those of the mode that reads
-    it. Gauss sums of p nodes on segments of length h see a jump of the k-th derivative, of what
-    moves at a rate λ, as (λh/2p)ᵏ/k!, which is what the weights of shifts multiply to.
+    Delays that differ between modes pass an input on by those of the mode that reads it. For a
+    system of rate λ, Gauss sums of p nodes on segments of length h are off by (λh/2p)ᵏ/k! from a
+    jump of the k-th derivative: the product of the shifts' weights.
 
     Examples
     --------
@@ -135,7 +140,7 @@ class Piecewise(Frozen):
 
     @property
     def slack(self) -> float:
-        """How far before an edge a time counts as at it."""
+        """Seconds before an edge within which a time counts as at the edge."""
         return 1e-12 * max(1.0, float(self.edges[-1]))
 
     def __call__(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
@@ -163,9 +168,9 @@ class Piecewise(Frozen):
 
 
 def side_by_side(functions: list[Piecewise]) -> Piecewise:
-    """Functions as one, on the segments of all and where all are known.
+    """Several functions as one, over the time in which all are known, on the segments of all.
 
-    Those on the same segments keep their values, others are interpolated.
+    Functions on the same segments keep their values; others are interpolated.
 
     Examples
     --------
@@ -184,15 +189,8 @@ def side_by_side(functions: list[Piecewise]) -> Piecewise:
     return Piecewise(edges, joint.on(edges, gauss(first.values.shape[1] - 2)))
 
 
-NODES = 10
-_MOST_SEGMENTS = 1e6
-_MOST_WORK = 6e10  # multiplications: a minute or so
-_FLOW = 60.0  # of a window's exponentials on a segment, times the cube of its order
-_RESOLUTION = 1.5  # longest segment times the fastest rate
-
-
 def _require_no_minutes(law: Functional, time: float, shortest: float, longest: float) -> None:
-    """Refuse delays that differ by so little that windows are summed over very many segments."""
+    """Refuse delays that differ by so little that very many segments are needed."""
     count, windows, order = time / longest, law.near.size, law.S.shape[1]
     summed = float((law.far - law.near).sum()) / longest
     if count * (summed * order**2 + _FLOW * windows * order**3) > _MOST_WORK:
