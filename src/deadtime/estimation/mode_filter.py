@@ -177,8 +177,8 @@ class ModeFilter(BeliefFilter):
     Raises
     ------
     ArgumentError
-        If two modes cannot be distinguished, an argument is malformed, or the model cannot be sampled
-        at the step.
+        If two modes cannot be distinguished, an argument is malformed, or the model cannot be
+        sampled at the step.
 
     References
     ----------
@@ -309,7 +309,7 @@ class ModeFilter(BeliefFilter):
         Returns
         -------
         (modes, modes) array
-            Entry (i, j): the predictions of i and j, scaled by the noise of mode i; 0 on the diagonal.
+            Entry (i, j): between the predictions of i and j, scaled by the noise of mode i.
 
         Examples
         --------

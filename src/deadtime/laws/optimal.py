@@ -1,4 +1,4 @@
-"""The best causal law for a stochastic model of switching: a yardstick for every other."""
+"""The best causal law for a stochastic model of switching: the lower bound for every other."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ class OptimalPredictor(TableLaw):
     R : array_like, shape (m, m)
         Input weight, symmetric, positive definite.
     ages : int, optional
-        The most ages (samples) that the table tells apart, where age matters; older modes count as
-        that old. By default as many as matter to the model.
+        The largest number of ages (samples) that the table distinguishes, if age matters; older
+        modes count as the oldest. By default as many as matter to the model.
 
     Raises
     ------
@@ -170,7 +170,7 @@ class OptimalPredictor(TableLaw):
         return float(x0 @ self._solution(step)[1][mode] @ x0)
 
     def _solution(self, step: float) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:
-        """The table at a period, and the cost of x(0) in each mode just entered; the last kept."""
+        """The table at a period, and the cost of x(0) in each mode just entered (cached)."""
         kept = vars(self).get("_kept")
         if kept is None or kept[0].step != step:
             kept = vars(self)["_kept"] = self._solve(self.sampled_plant(step))
@@ -188,6 +188,8 @@ class OptimalPredictor(TableLaw):
         ages = ages or 1
         chain = self.model.chain(h, ages)
         L, stage = period(sampled, self.Q)
+        # Riccati orders past inputs (x, u_{k−N}, …, u_{k−1}), as they leave the window; the table
+        # wants the latest first.
         P, gain = solve(L, stage, h * self.R, chain.hazard, chain.jump, N, h)
         F = gain[..., :n].reshape(modes * ages, m, n).copy()
         G = gain[..., n:].reshape(modes * ages, m, N, m)[:, :, ::-1].transpose(0, 2, 1, 3).copy()

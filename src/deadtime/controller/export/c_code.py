@@ -194,7 +194,8 @@ def environment(folder: str) -> Environment:
 def description(form: Form) -> str:
     """A form in a few words."""
     if form.kind == "factorised":
-        return f"factorised, order {form.sizes['order']}: the cost of a period does not depend on the delay"
+        order = form.sizes["order"]
+        return f"factorised, order {order}: the cost of a period does not depend on the delay"
     if form.kind == "low rank":
         return f"low rank {form.sizes['rank']}: off by {form.error:.0e} of the sum of |taps|"
     return "dense: the cost of a period grows in proportion to the delay"
