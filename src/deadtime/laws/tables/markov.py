@@ -203,7 +203,7 @@ def markov_table(
     ahead, h = sampled.ahead, sampled.step
     states = modes * n
     Z = np.zeros((states + modes * m, states + modes * m))
-    Z[:states, :states] = block_diag(*A) + np.kron(generator.T, np.eye(n))  # 𝒜
+    Z[:states, :states] = np.kron(generator.T, np.eye(n)) + np.asarray(block_diag(*A))  # 𝒜
     Z[:states, states:] = block_diag(*B)  # ℬ
     Z[states:, states:] = np.kron(generator.T, np.eye(m))
     whole = [transition(Z, length) for length in ahead.length.tolist()]
