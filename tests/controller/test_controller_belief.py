@@ -157,7 +157,9 @@ def test_no_mode_is_read():
 def test_misuse_is_refused_by_name():
     plain = dt.Controller(LAWS["mode"]().law, STEP)
     assert plain.belief is None
-    with pytest.raises(dt.ArgumentError, match="belief needs a BeliefPredictor; expected is told"):
+    with pytest.raises(
+        dt.ArgumentError, match="belief needs a BeliefPredictor; expected reads the mode"
+    ):
         plain.update([1.0, 0.0, 0.0], 0, belief=[1.0, 0.0, 0.0])
     with pytest.raises(dt.ArgumentError, match=r"step must be the filter's, 0\.05 s, got 0\.1"):
         dt.Controller(LAWS["mode"](), 0.1)

@@ -121,7 +121,7 @@ def test_a_belief_predicts_as_it_weighs_the_modes_now():
     found, table = controller.prediction, prediction_table(law.law, law.filter.step)
     past = controller._past.recent.ravel()
     p, moved = np.zeros((2, 3)), np.zeros((2, 3, 3))
-    for row, share in enumerate(controller.on_belief.running.state.weight):
+    for row, share in enumerate(controller.mode_belief.running.state.weight):
         for j in range(2):
             at = row, table.of_input[j]
             p[j] += share * table.probability[at]
@@ -216,7 +216,10 @@ def told(law, *calls):
     [
         (lambda: told(LAW), "needs a sample: call update first"),
         (lambda: told(LAW, ([np.nan, 0, 0], 0)), "needs the state of the last sample"),
-        (lambda: told(LAW, ([0, 0, 0], 7)), "needs the mode: no call has told one"),
+        (
+            lambda: told(LAW, ([0, 0, 0], 7)),
+            "needs the mode: no mode of the plant has been reported",
+        ),
         (lambda: told(plants.LAWS["averaged"](GENERIC), (HUGE, 0)), "is beyond what floats hold"),
         (
             lambda: told(plants.LAWS["delayed"](GENERIC), ([0, 0, 0], 0)),

@@ -212,7 +212,7 @@ def test_a_bank_brings_the_covariance_of_every_mode():
     law = dt.BeliefPredictor(dt.ExpectedPredictor(plain, K, dt.Markov(np.zeros((3, 3)))), filt)
     controller, _ = served(law)
     found = controller.prediction
-    x, P = controller.on_belief.running.x, controller.on_belief.running.P
+    x, P = controller.mode_belief.running.x, controller.mode_belief.running.P
     for mode, A in enumerate(plain.A):  # which stays: the law believes in no switches
         want = carried(A, P[mode], 0.17) + added(A, 0.02 * np.eye(3), 0.17)
         plants.close(found.covariance_by_mode()[0, mode], want, 1e-9)

@@ -78,7 +78,11 @@ def test_a_filter_that_runs_refuses_and_stays_as_it_was(options, message):
     ("law", "filt", "message"),
     [
         (1.0, FILTER, "law must be a Law, got float"),
-        (LAW, 1.0, "filter must be a ModeFilter, got float"),
+        (
+            LAW,
+            1.0,
+            "filter must be a ModeFilter, an OutputModeFilter or another BeliefFilter, got float",
+        ),
         (
             dt.AveragedPredictor(PLANT, plants.gains(PLANT)),
             FILTER,

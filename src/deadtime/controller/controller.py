@@ -1,4 +1,4 @@
-"""`Controller`: a law that runs, and that can be written as C or as an FMU."""
+"""`Controller`: a running law, which can be exported as C or as an FMU."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 class Controller(RunningLaw):
-    """A law that runs: call `update` once a period.
+    """A running law: call `update` once per period.
 
     The controller keeps the past inputs and the modes, and predicts with the inputs *as
-    applied*: saturated by its own limits, or as reported by `applied`, so that an actuator that
-    does something else, or an operator who takes over, does not mislead it. A factorised table
-    costs the same whatever the delay.
+    applied*: saturated by its own limits, or as reported by `applied`, so that a
+    deviating actuator or an operator who takes over does not invalidate the prediction. The cost of
+    a factorised table does not depend on the delay.
 
     Parameters
     ----------
@@ -36,22 +36,22 @@ class Controller(RunningLaw):
     mode_age : int
         Age of the first mode in samples, for laws that read it.
     operating_point : OperatingPoint, optional
-        Where the plant rests, such as `Problem.operating_point`. With it all that goes in and out
-        is in the units of sensors and actuators, not in deviations: x, y, reference, applied, u0,
-        limits and u. Without it x = 0 and u = 0 are rest.
+        The equilibrium of the plant, such as `Problem.operating_point`. With it x, y, reference,
+        applied, u0, limits and u are in the units of sensors and actuators, not deviations.
+        Without it the equilibrium is x = 0, u = 0.
 
     Attributes
     ----------
     status : Status
-        What became of the last period.
+        The outcome of the last period.
     refused : int
-        How many periods went by in which something that came in was unusable.
+        How many periods had an unusable argument.
     late : int
-        How many periods went by without a call, as the times of the calls tell.
+        How many periods had no call, by the times of the calls.
     samples : int
         How many periods have run, those without a call included.
     belief : (modes,) array or None
-        How likely each mode is at the last sample, of a `BeliefPredictor`.
+        The probability of each mode at the last sample, of a `BeliefPredictor`.
 
     Raises
     ------
@@ -72,11 +72,11 @@ class Controller(RunningLaw):
 
     @property
     def prediction(self) -> Prediction:
-        """The state that the input of the last `update` will meet, and how surely; see there.
+        """The predicted state when the input of the last `update` arrives, with its covariance.
 
         Its tables are made at the first call, and take a few times as long as the law's. Raises
-        `ArgumentError` where there is nothing to predict from, as before the first sample and
-        after one whose state was not finite, and of a law that has no forecast.
+        `ArgumentError` before the first sample, after a sample whose state was not finite, and for
+        a law without a forecast.
         """
         from deadtime.controller.prediction import prediction_of
 
@@ -93,13 +93,11 @@ class Controller(RunningLaw):
         names: Names | None = None,
         prediction: bool = False,
     ) -> Exported:
-        """Write this controller as self-contained C99, with a check of itself.
+        """Write this controller as self-contained C99 with a self-check.
 
-        The C does what `update` does: limits, applied inputs, modes and their age, refusals, clock
-        and status, the operating point; of an `OutputFeedback` its observer, sums and references,
-        too. It begins anew:
-        u0 and mode_age are not written, its `reset` takes the inputs before the first call and the
-        age.
+        The C behaves as `update`: limits, applied inputs, modes and their age, refusals, clock and
+        status, the operating point; for an `OutputFeedback` also its observer, sums and references.
+        Its state is not exported: `reset` in C takes the inputs before the first call and the age.
 
         Parameters
         ----------
@@ -107,10 +105,10 @@ class Controller(RunningLaw):
             Made if it is not there. Files of the same names are replaced if deadtime wrote
             them; one that lacks "Written by deadtime" is refused.
         precision : "double" or "float"
-            Of all numbers but times; of a `BeliefPredictor` "double" alone.
+            Type of all numbers except times; a `BeliefPredictor` needs "double".
         accuracy : float
-            What a dense table may lose to take less room, of the sum of the moduli of a row's taps;
-            1e-13 by default, 1e-7 in `float`; 0 loses nothing.
+            The allowed error of a compressed dense table, relative to the sum of the moduli of a
+            row's taps; 1e-13 by default, 1e-7 in `float`; 0 keeps the table exactly.
         rom_budget : int, optional
             Bytes that the tables may take.
         name : str
@@ -124,8 +122,13 @@ class Controller(RunningLaw):
         Raises
         ------
         ArgumentError
-            If the folder cannot be written, the tables exceed the budget (it says what fits), the
-            law's reference is a function of time, or a `prediction` is asked of a law without one.
+            If the folder cannot be written, the tables exceed the budget (the message says what
+            fits), the law's reference is a function of time, or the law has no prediction.
+
+        Returns
+        -------
+        Exported
+            The files, the form of the tables, their bytes and the result of the self-check.
         """
         from deadtime.controller.export import export_c
 
@@ -153,12 +156,12 @@ class Controller(RunningLaw):
         """Write this controller as an FMU for co-simulation, around the C of `export_c`.
 
         Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
-        outputs u and the status. Of a `BeliefPredictor` no mode comes in, and the belief goes out,
-        the probability of every mode. Of laws that measure outputs y comes in instead of x; of an
-        `OutputFeedback` the reference if `report_reference` says so, and the estimate goes out.
-        Samples fall on the start and every period after it; a sample at the beginning of a step is
-        taken in that step, with the inputs that hold there. The FMU has sources and, where there is
-        a compiler, a binary for this machine.
+        outputs u and the status. A `BeliefPredictor` has no mode input; its belief, the probability
+        of every mode, is an output. For laws that measure outputs y is an input instead of x; for
+        an `OutputFeedback` so is the reference if `report_reference` is set, and the estimate is an
+        output. Samples fall on the start and every period after it; a sample at the beginning of a
+        step is taken in that step, with the inputs of that instant. The FMU has sources and,
+        where there is a compiler, a binary for this machine.
 
         Parameters
         ----------

@@ -37,9 +37,9 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
         u_k = F_c x_k + \sum_j G_{c,j} u_{k-j},
         \quad \text{states: } u_{k-1}, \dots, u_{k-N}, \text{ mode, age}
 
-    Of an `OutputFeedback` y comes in instead of x, with a servo after the mode the reference r too,
-    in place of the law's own; before the mode among the states is what its observer keeps: z, what
-    the law was given last, and the tracked outputs of that sample.
+    An `OutputFeedback` has the input y instead of x and, with a servo, the reference r after the
+    mode. Its states also hold, before the mode, the observer's z and the tracked outputs of the
+    last sample.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     Raises
     ------
     ArgumentError
-        If the law is no table or must know the future.
+        If the law is no table or needs the future signal.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
         return age_after(round(state[last]), round(state[last + 1]), mode)
 
     def seen(state: np.ndarray, given: np.ndarray, mode: int) -> tuple[np.ndarray, np.ndarray]:
-        """The vector that multiplies the rows, and the state that is kept of this sample."""
+        """The vector that multiplies the rows, and the next state of the observer."""
         if observed is None:
             return given[:n], np.zeros(0)
         inputs = state[: past * m].reshape(past, m)
@@ -124,7 +124,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
 
 
 class _Observed:
-    """The observer of a law as a function of what it keeps from sample to sample.
+    """The observer of a law as a function of its state.
 
     Attributes
     ----------

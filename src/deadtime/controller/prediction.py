@@ -1,4 +1,4 @@
-"""Prediction of a controller: the state at which the input of now arrives, and its covariance."""
+"""Prediction of a controller: the state when the present input arrives, and its covariance."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ class Prediction(Frozen):
 
         \hat x(t_k + D_j) = \sum_i p_i P_i
 
-    over the modes i in which the forecast may end, from the last sample that was served and the
-    inputs before it, as applied: those that nothing can change any more. Where inputs have delays
-    of their own, those that arrive earlier are counted on as the law would send them.
+    over the modes i in which the forecast may end, from the last sample served and the inputs
+    applied before it, which are fixed. If inputs have different delays, inputs that arrive earlier
+    and are not yet sent are those that the law would send.
 
     Attributes
     ----------
     states : (inputs, n)
-        :math:`\hat x(t_k + D_j)`, of every input the state that it meets; one and the same where
-        all arrive together.
+        :math:`\hat x(t_k + D_j)`, the state when input j arrives; the same for all inputs if their
+        delays are equal.
     by_mode : (inputs, modes, n)
         :math:`P_i`, the state expected if the forecast ends in mode i; NaN where it cannot. A
         `MeanPredictor` has one mode, the mean one.
@@ -68,29 +68,32 @@ class Prediction(Frozen):
     def covariance(
         self, disturbance: ArrayLike | None = None, estimate: ArrayLike | None = None
     ) -> Float[np.ndarray, "input n n"]:
-        """The covariance of the predicted states, as the forecast has it.
+        """The covariance of the predicted states under the law's forecast.
 
-        What a disturbance adds over the delay, what is not known of the state now, and how far
-        apart the futures are that the law thinks possible. Inputs that are still to be sent count
-        as predicted.
+        It adds the disturbance over the delay, the covariance of the present state and the spread
+        of the possible futures. Inputs that are still to be sent count as predicted.
 
         Parameters
         ----------
         disturbance : array_like, optional
             :math:`W` of `imperfections.WhiteDisturbance`: a number, (n,), (n, n) or (modes, n, n),
-            :math:`x^2` per second. By default 0, or what the filter of a `BeliefPredictor` counts
-            with.
+            :math:`x^2` per second. By default 0, or the intensity that the filter of a
+            `BeliefPredictor` assumes.
         estimate : array_like, optional
-            The covariance of the state now about what the law takes it for: a number, (n,) or (n,
-            n), :math:`x^2`. By default 0 of a state that is measured, and what a Kalman filter says
-            of an estimate, in its steady state; a filter of outputs has its own, and takes none.
+            The covariance of the present state about the value that the law uses: a number, (n,)
+            or (n, n), :math:`x^2`. By default 0 for a measured state, and the steady-state
+            covariance of a Kalman filter; a filter of outputs has its own and accepts none.
+
+        Returns
+        -------
+        (inputs, n, n) array
+            For every input the covariance of the state when it arrives.
 
         Raises
         ------
         ArgumentError
-            If W or the covariance is none; of an observer that keeps no covariance, without
-            `estimate`; of a law whose forecast switches, where inputs or modes have delays of
-            their own; of a servo.
+            If W or `estimate` is no covariance; if an observer has no covariance and `estimate` is
+            missing; if the law's forecast switches and delays differ by input or mode; for a servo.
         """
         share, state, C = self._cases(disturbance, estimate)
         apart = state - np.einsum("cji,cjia->ja", share, state)[:, None]
@@ -122,8 +125,9 @@ class Prediction(Frozen):
         return known.share[:, None, None] * p, state, C
 
     def __repr__(self) -> str:
-        each = zip(self.states, map(_seconds, self.horizons), strict=True)
-        parts = dict.fromkeys(f"{_three(x)} in {seconds}" for x, seconds in each)
+        three = [[float(f"{value:.3g}") for value in x] for x in self.states.tolist()]
+        each = zip(three, map(_seconds, self.horizons), strict=True)
+        parts = dict.fromkeys(f"{x} in {seconds}" for x, seconds in each)
         shares = ", ".join(f"{100.0 * p:.3g} %" for p in self.probabilities[0])
         return f"Prediction(x̂ = {'; '.join(parts)}, modes {shares})"
 
@@ -136,7 +140,7 @@ class _Source(Frozen):
         self.law, self.step, self.known = running.inner, running.step, known
         self.table = running.prediction_table
         self.disturbance = np.zeros((n, n)) if filt is None else filt.disturbance
-        self.refused = _without_covariance(running)
+        self.refused = _why_no_covariance(running)
         self.fixed = filt is not None and filt.outputs is not None
         self.__post_init__()
 
@@ -155,8 +159,8 @@ class _Source(Frozen):
         return self.known._replace(P=np.tile(P, (len(self.known.x), 1, 1)))
 
 
-def _without_covariance(running: RunningLaw) -> str:
-    """Why the covariance of the state now is not known; nothing where it is."""
+def _why_no_covariance(running: RunningLaw) -> str:
+    """Why the covariance of the present state is unknown; empty if it is known."""
     law = running.law
     if law.observer is None:
         return ""
@@ -207,24 +211,16 @@ def _known(running: RunningLaw) -> Known:
     else:
         x = running.observing.z if running.observing else running._x
         row = running.table.row(running._mode, running._age) if running._reads_row else 0
-        P = _covariance_of_estimate(running, x.size)
+        observer, P = running.law.observer, np.zeros((x.size, x.size))
+        if observer and running.law.servo is None and observer.covariance is not None:
+            P = observer.covariance[max(running._mode, 0)]
         found = Known(np.array([row]), np.ones(1), x[None].copy(), P[None], past)
     if not running.samples or not np.isfinite(found.x).all() or found.row.min() < 0:
-        raise ArgumentError(_nothing_known(running))
+        raise ArgumentError(_why_no_prediction(running))
     return found
 
 
-def _covariance_of_estimate(running: RunningLaw, n: int) -> Float[np.ndarray, "n n"]:
-    """Of the state about what an observer makes of it; 0 where it says nothing of that."""
-    law = running.law
-    if law.observer is None or law.servo is not None:
-        return np.zeros((n, n))
-    covariance = law.observer.covariance
-    return np.zeros((n, n)) if covariance is None else covariance[max(running._mode, 0)]
-
-
-def _nothing_known(running: RunningLaw) -> str:
-    """Why there is no prediction now."""
+def _why_no_prediction(running: RunningLaw) -> str:
     if running._reads_row and running._mode < 0 and running.samples:
         return "prediction needs the mode: no mode of the plant has been reported yet."
     if running.samples and running.status > Status.SATURATED:
@@ -235,12 +231,7 @@ def _nothing_known(running: RunningLaw) -> str:
     return "prediction needs a sample: call update first, after `reset` and `restore` too."
 
 
-def _three(x: np.ndarray) -> list[float]:
-    """To three digits, for a reader."""
-    return [float(f"{value:.3g}") for value in x.tolist()]
-
-
 def _seconds(horizons: np.ndarray) -> str:
-    """One horizon, or where it depends on the mode from which to which."""
+    """One horizon, or its range over the modes."""
     low, high = horizons.min(), horizons.max()
     return f"{low:g} s" if low == high else f"{low:g} to {high:g} s"

@@ -1,4 +1,4 @@
-"""A table law in a loop that runs, one period per call: what `Controller` does but for exports."""
+"""A running table law, one period per call: `Controller` without its exports."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class RunningLaw(Stateful):
-    """A law that runs: `update` once a period; see `Controller` for parameters and attributes.
+    """A running law: call `update` once per period; see `Controller` for its arguments.
 
     `measured` is the number of states, or outputs, that are measured at a sample, and `inner` is
     the law whose table it runs.
@@ -115,7 +115,7 @@ class RunningLaw(Stateful):
             The mode at t_k; laws whose rows depend on it need it. A `BeliefPredictor` does not
             read it.
         applied : array_like, shape (m,), optional
-            What the actuator was given in the period that ends, if it was not what `update`
+            The input applied in the period that ends, if it differs from the value that `update`
             returned.
         out : (m,) float array, optional
             Where to write the input; without it a new array is made.
@@ -123,14 +123,14 @@ class RunningLaw(Stateful):
             r at t_k, of a law with a servo; without it the law's own.
         time : float, optional
             When this sample was taken, seconds on any clock that goes on; a call without one is
-            the next period. Jitter below half a period is taken for none. A call whose period has
-            been served is refused; periods without a call are made up for: their input is taken to
-            have been held, and `late` counts them. A time more than 100,000 periods later is
+            the next period. Jitter below half a period is ignored. A call whose period has
+            been served is refused; for periods without a call the input counts as held, and `late`
+            counts them. A time more than 100,000 periods later is
             refused like one out of order: the clock is not the same.
         belief : array_like, shape (modes,) or (modes, ages), optional
-            Of a `BeliefPredictor`: what is known of the mode at t_k from elsewhere; it replaces
-            what the filter makes of x, and is not taken by a call out of order. Over modes alone,
-            each mode keeps the shares of its ages.
+            For a `BeliefPredictor`: a belief at t_k from another source, which replaces the
+            filter's own; a call out of order ignores it. Over modes alone, each mode keeps the
+            shares of its ages.
 
         Returns
         -------
@@ -152,7 +152,14 @@ class RunningLaw(Stateful):
         x = x - self.rest.given
         applied = None if applied is None else applied - self.rest.u
         reference = None if reference is None else reference - self.rest.reference
-        given_belief = None if belief is None else self._require_belief(belief)
+        given_belief = None
+        if belief is not None:
+            if self.mode_belief is None:
+                raise ArgumentError(
+                    f"belief needs a BeliefPredictor; {self.law.label} reads the mode: leave it "
+                    "out."
+                )
+            given_belief = self.mode_belief.running.require(belief)
         periods = self._clock.periods(time)
         if not periods:
             self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
@@ -205,14 +212,6 @@ class RunningLaw(Stateful):
             raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
         self.observing.require(reference)
 
-    def _require_belief(self, belief: ArrayLike) -> Float[np.ndarray, "mode age"]:
-        """Probabilities that are given from elsewhere, to a law that reads some."""
-        if self.mode_belief is None:
-            raise ArgumentError(
-                f"belief needs a BeliefPredictor; {self.law.label} reads the mode: leave it out."
-            )
-        return self.mode_belief.running.require(belief)
-
     def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
         """Periods without a call: observer and belief run over all, the window holds the last."""
         follows = self.observing is not None or self.mode_belief is not None
@@ -262,7 +261,7 @@ class RunningLaw(Stateful):
         return Status.OK
 
     def _observe(self, y: np.ndarray, reference: ArrayLike | None, status: Status) -> Status:
-        """Let the observer follow; then u_k from what it estimates, unless something is unknown."""
+        """Update the observer; then u_k from its estimate, unless an argument was refused."""
         observing = self.observing
         assert observing is not None
         known = -1 if status == Status.BAD_MODE else self._mode
@@ -273,7 +272,7 @@ class RunningLaw(Stateful):
                 status = Status.BAD_STATE if lost else Status.BAD_REFERENCE if astray else status
                 observing.note(self._asked)
                 return status
-        # No answer: the held input counts as asked for, so that no sum of errors is refused.
+        # The held input counts as commanded: anti-windup must not correct the sums of errors.
         observing.note(self._u)
         return status
 
@@ -291,7 +290,7 @@ class RunningLaw(Stateful):
 
     @property
     def belief(self) -> Float[np.ndarray, " mode"] | None:
-        """How likely each mode is at the last sample; None of a law that keeps no belief."""
+        """The probability of each mode at the last sample; None for a law without a belief."""
         return None if self.mode_belief is None else self.mode_belief.running.by_mode
 
     @cached_property
@@ -325,7 +324,7 @@ class RunningLaw(Stateful):
         """
         require_state(state, self.state, self.law.plant.modes)
         if self.mode_belief:
-            # Refuses what is no belief, before anything is changed.
+            # First, since it raises on an invalid belief: a refused state changes nothing.
             self.mode_belief.load(state, int(state["samples"]) > 0)
         self._past.load(state)
         if self.observing:

@@ -18,41 +18,41 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class BeliefPredictor(Law):
-    r"""A law whose rows are weighed by how likely their modes are; it reads no mode.
+    r"""A law whose rows are weighted by the probabilities of their modes; it reads no mode.
 
     .. math::
 
         u_k = \sum_c \pi_c \Big( F_c x_k + \sum_j G_{c,j} u_{k-j} \Big),
         \quad c \text{ a mode, or a mode and its age}
 
-    Of `ExpectedPredictor` under the filter's switching model this is the expectation over what is
-    not known, the present mode included. Of other laws with rows by mode it is their mean. On an
-    `OutputModeFilter` it measures :math:`y` in place of :math:`x` and each row is given
-    :math:`E[x \mid \text{its mode}]`: as rows are linear, that is the mean over both; then
-    `run.estimates` is E[x].
+    For an `ExpectedPredictor` under the filter's switching model this is the expectation over all
+    that is unknown, the present mode included; for other laws it is the mean of their rows. With an
+    `OutputModeFilter` it measures :math:`y` in place of :math:`x`, and each row acts on
+    :math:`E[x \mid \text{its mode}]`. Rows are linear, so the sum is the mean over mode and state;
+    `run.estimates` is then E[x].
 
     Parameters
     ----------
     law : Law
         A law with a table by mode or by mode and age.
     filter : ModeFilter, OutputModeFilter or another BeliefFilter
-        For a plant of the same sizes; it fixes the period. Its matrices and delays may differ from
-        those of the law's model, but no delay may be longer than the law's longest.
+        Its plant has the sizes of the law's model and its period is the loop's. Matrices and delays
+        may differ from the law's model, but no delay may exceed the longest delay of the law.
 
     Raises
     ------
     ArgumentError
-        If the law has no such table, or law and filter do not belong together; by `digital` and
-        `ideal`, always.
+        If the law has no such table, or the sizes or delays of law and filter do not match;
+        `digital` and `ideal` always raise it.
 
     Examples
     --------
     >>> import deadtime as dt
     >>> problem, model = dt.problems.paper(), dt.Markov([[0, 1.25], [1.25, 0]])
     >>> law = dt.ExpectedPredictor(problem.plant, problem.gains, model)
-    >>> believing = dt.BeliefPredictor(law, dt.ModeFilter(problem.plant, model, step=0.02))
+    >>> on_belief = dt.BeliefPredictor(law, dt.ModeFilter(problem.plant, model, step=0.02))
     >>> signal = model.sample(10.0, seed=1)
-    >>> run = dt.simulate(problem.plant, believing, signal, problem.x0, 10.0, step=0.02)
+    >>> run = dt.simulate(problem.plant, on_belief, signal, problem.x0, 10.0, step=0.02)
     >>> run.belief.shape, run.diverged, bool((run.belief.argmax(axis=0) == run.mode).mean() > 0.97)
     ((2, 501), False, True)
     """
@@ -63,7 +63,10 @@ class BeliefPredictor(Law):
     def __init__(self, law: Law, filter: BeliefFilter) -> None:
         instance("law", law, Law)
         if not isinstance(filter, BeliefFilter):
-            raise ArgumentError(f"filter must be a ModeFilter, got {type(filter).__name__}.")
+            raise ArgumentError(
+                "filter must be a ModeFilter, an OutputModeFilter or another BeliefFilter, got "
+                f"{type(filter).__name__}."
+            )
         kind = type(law).__name__
         if law.observer is not None or law.why_not_run:
             why = law.why_not_run or f"{kind} is no table"
@@ -117,7 +120,6 @@ class BeliefPredictor(Law):
         )
 
     def require_step(self, step: float) -> None:
-        """Refuse a period that is not the filter's."""
         if step != self.filter.step:
             raise ArgumentError(
                 f"step must be the filter's, {self.filter.step:g} s, got {step:g}: make the filter "
@@ -141,7 +143,7 @@ class BeliefPredictor(Law):
 
 
 class BeliefUpdate(UpdateWithBelief):
-    """A `BeliefPredictor` that runs: from x_k, or y_k, and the past inputs to u_k; told no mode."""
+    """A running `BeliefPredictor`: u_k from x_k, or y_k, and the past inputs, without the mode."""
 
     def __init__(self, feedback: Feedback, running: RunningBelief) -> None:
         self._feedback, self._oldest_first = feedback, feedback.oldest_first

@@ -1,4 +1,4 @@
-"""ModeFilter: how likely each mode is, from states and past inputs.
+"""ModeFilter: the probability of each mode, from states and past inputs.
 
 Derived in docs/theory/mode-filter.md. Signs, lags and pieces are those of `deadtime.plant`.
 """
@@ -31,16 +31,16 @@ from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import SwitchingModel
 from deadtime.switching.models.model import require_model
 
-_ALIKE = 1e-9  # of an entry: modes whose entries all differ by less are the same
+_ALIKE = 1e-9  # relative to an entry: modes whose entries all differ by less are the same
 
 
 def require_distinct(plant: SwitchedSystem) -> None:
-    """Refuse two modes of which x and u do the same in both."""
+    """Refuse two modes with the same A, B and delays."""
     for i in range(plant.modes):
         for j in range(i):
             pairs = ((plant.A[i], plant.A[j]), (plant.B[i], plant.B[j]))
             same = all(_alike(one, other) for one, other in pairs)
-            # The delay of an input that does nothing shows nowhere.
+            # The delay of an input without effect (a zero column of B) cannot be observed.
             acts = (plant.B[i] != 0.0).any(axis=0)
             if same and _alike(plant.delays[i][acts], plant.delays[j][acts]):
                 raise ArgumentError(
@@ -53,8 +53,8 @@ def require_distinct(plant: SwitchedSystem) -> None:
 def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"]) -> None:
     """Refuse two modes in which the same x and u give the same outputs at all times.
 
-    By Cayley and Hamilton for the two together: C A^k, and C A^k B of inputs that are as late in
-    both, for k < 2n.
+    By the Cayley-Hamilton theorem for both modes together it suffices to compare C A^k and C A^k B
+    for k < 2n, and the delays of inputs that reach the outputs.
     """
     responses, n = [_responses(A, own) for A, own in zip(plant.A, C, strict=True)], plant.states
     for i in range(plant.modes):
@@ -78,7 +78,7 @@ def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p
 def _responses(
     A: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """C A^k for k < 2n, one below the other, and the sizes of what these add up."""
+    """C A^k for k < 2n, stacked, and |C| |A|^k, the scale of the round-off in each entry."""
     rows, sizes = [C], [np.abs(C)]
     for _ in range(2 * len(A) - 1):
         rows.append(rows[-1] @ A)
@@ -87,12 +87,12 @@ def _responses(
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether all entries are the same, each by its own size, whatever its unit."""
+    """Whether all entries agree, each relative to its own size, so that units do not matter."""
     return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
 
 
 def intensities(value: ArrayLike, modes: int, n: int) -> Float[np.ndarray, "*mode n n"]:
-    """W, or where modes have their own, W of each."""
+    """W, or W of every mode where they differ."""
     name, form = "disturbance", "one, (n,), (n, n) or (modes, n, n)"
     given = as_floats(name, value, form)
     if given.ndim < 3:
@@ -127,26 +127,19 @@ def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarra
     return whole
 
 
-def first_belief(value: ArrayLike | None, modes: int, ages: int) -> Float[np.ndarray, "mode age"]:
-    """π_0; of a belief over modes alone all are just begun."""
-    whole = np.zeros((modes, ages))
-    whole[:, 0] = 1.0
-    return whole / modes if value is None else belief_of("initial", value, whole)
-
-
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ModeFilter(BeliefFilter):
-    r"""The belief over the modes of a plant of which x is measured and the mode is not (immutable).
+    r"""The belief over the modes of a plant whose state is measured, not its mode (immutable).
 
     .. math::
 
         \pi_k(j) \propto \sum_i \pi_{k-1}(i) P_{ij} \,
         p(x_k \mid x_{k-1}, \text{inputs}, i \text{ then } j)
 
-    with :math:`P` the model at samples. :math:`p` is normal about what the model predicts over a
-    period in mode i; of a switch within it, about the middle of what i and j predict, and as much
-    wider as its instant is unknown. Where age matters, as under a `SemiMarkov` model, the belief is
-    over modes and ages.
+    with :math:`P` the model at samples. :math:`p` is normal about the prediction of the model
+    over a period in mode i; for a switch within the period it is normal about the mean of the
+    predictions of i and j, and wider, since the instant is unknown. If age matters, as under a
+    `SemiMarkov` model, the belief is over modes and ages.
 
     Parameters
     ----------
@@ -166,27 +159,26 @@ class ModeFilter(BeliefFilter):
         Whether the plant switches within periods, treated to first order in h, or at samples only,
         which is then exact; by default as the model does.
     forgetting : float
-        The part of the belief, in (0, 1), that all modes share alike after every sample, so that
-        none is ever ruled out.
+        The share of the belief, in (0, 1), that is spread evenly over all modes after every
+        sample, so that no mode is ever ruled out.
     initial : array_like, shape (modes,) or (modes, ages), optional
-        The belief at the first sample; by default as the model's signals begin, every mode alike,
-        just begun.
+        The belief at the first sample; by default all modes have equal probability and age 0.
     ages : int, optional
-        The most ages, in samples, that are told apart where age matters; older ones count as that
-        old. By default as many as matter to the model (`SwitchingModel.ages`).
+        The largest number of ages, in samples, that are distinguished if age matters; older ones
+        count as the oldest. By default as many as matter to the model (`SwitchingModel.ages`).
     allow_alike : bool
-        Accept modes that nothing in x tells apart: they share what the switching model gives them.
+        Accept modes that x cannot distinguish; the switching model alone weights them.
 
     Attributes
     ----------
     ages : int
-        How many ages the switching model needs; 1 where age says nothing.
+        How many ages the switching model needs; 1 if age does not matter.
 
     Raises
     ------
     ArgumentError
-        If two modes cannot be told apart, an argument is malformed, or the model cannot be sampled
-        at the step.
+        If two modes cannot be distinguished, an argument is malformed, or the model cannot be
+        sampled at the step.
 
     References
     ----------
@@ -246,6 +238,12 @@ class ModeFilter(BeliefFilter):
         own = own or 1
         if switches is None:
             switches = "anywhere" if model.chain(step, own).within else "samples"
+        # A belief over modes alone starts every mode at age 0.
+        just_begun = np.zeros((plant.modes, own))
+        just_begun[:, 0] = 1.0
+        start = just_begun / plant.modes
+        if initial is not None:
+            start = belief_of("initial", initial, just_begun)
         vars(self).update(
             plant=plant,
             model=model,
@@ -255,7 +253,7 @@ class ModeFilter(BeliefFilter):
             noise=deviation(noise, plant.states),
             switches=switches,
             forgetting=forgetting,
-            initial=read_only(first_belief(initial, plant.modes, own)),
+            initial=read_only(start),
             ages=own,
         )
 
@@ -274,10 +272,10 @@ class ModeFilter(BeliefFilter):
         return frozen(Belief(*parts, self.forgetting, within, *bend))
 
     def _covariance(self, Phi: np.ndarray) -> Float[np.ndarray, "mode end n n"]:
-        """Of x_{k+1} − Φ_i x_k, both as they are measured, by the mode at the end if it matters.
+        """The covariance of x_{k+1} − Φ_i x_k, both measured, by the last mode if it matters.
 
-        Φ_i R Φ_iᵀ is the mean over the modes: else, where the noise hides x, the mode in which it
-        grows least would be the likeliest.
+        Φ_i R Φ_iᵀ is replaced by its mean over the modes: otherwise, if noise dominates x, the mode
+        with the smallest growth of the noise would always be the most probable.
         """
         A, W, R = self.plant.A, self.disturbance, np.diag(self.noise**2)
         Q = noise_covariances(A, W, np.full(len(A), self.step))[:, None]
@@ -288,7 +286,7 @@ class ModeFilter(BeliefFilter):
         return Q + R + (Phi @ R @ Phi.transpose(0, 2, 1)).mean(axis=0)
 
     def start(self, u0: ArrayLike | None = None) -> RunningFilter:
-        """The filter, ready to be called once a period.
+        """A running filter, to be updated once per period.
 
         Parameters
         ----------
@@ -298,20 +296,20 @@ class ModeFilter(BeliefFilter):
         return RunningFilter(self.form(), u0)
 
     def separation(self, x: ArrayLike, inputs: ArrayLike | None = None) -> np.ndarray:
-        """How many standard deviations apart the modes' predictions over a period are, from x on.
+        """The distance between the modes' predictions over a period, in standard deviations.
 
-        Below about 1 a single period tells little; with no noise at all the numbers are large.
+        Below about 1 a single period says little about the mode; without noise it is large.
 
         Parameters
         ----------
         x : array_like, shape (n,)
         inputs : array_like, shape (m,), optional
-            What acts all through the period; 0 by default.
+            The input that acts during the whole period; 0 by default.
 
         Returns
         -------
         (modes, modes) array
-            Of the predictions of i and j by the noise in mode i; 0 where they are the same.
+            Entry (i, j): between the predictions of i and j, scaled by the noise of mode i.
 
         Examples
         --------
@@ -353,7 +351,7 @@ def _bend(
     Gamma: Float[np.ndarray, "mode lag n m"],
     lag: Int[np.ndarray, " lag"],
 ) -> tuple[Float[np.ndarray, "mode mode n n"], Float[np.ndarray, "mode mode lag n m"]]:
-    """Ψ and Ω of a `Belief`: a change in the middle of a period, less the mean of both modes."""
+    """Ψ and Ω of a `Belief`: a switch in the middle of a period, minus the mean of both modes."""
     bend_x, bend_u = -0.5 * (Phi[:, None] + Phi), -0.5 * (Gamma[:, None] + Gamma)
     for i, j in np.ndindex(bend_x.shape[:2]):
         if i == j:

@@ -1,27 +1,27 @@
 """Switched observers at a period, and their gains: by pole placement, or the steady Kalman filter.
 
-At every sample it corrects what it predicted by what is measured, and predicts the next sample,
+At every sample it corrects its prediction by the measurement and predicts the next sample,
 
     x̂_k = x̄_k + L_i (y_k − C_i x̄_k),                     i = σ(t_k) the sampled mode,
-    x̄_{k+1} = Φ_i x̂_k + (the inputs on their way),
+    x̄_{k+1} = Φ_i x̂_k + (the inputs in flight),
 
 with the inputs as they reach the plant, u_{k−N} for φ and u_{k−N+1} for h − φ: a held input is
-predicted exactly, whatever the delay. The law is given x̂_k, which knows y_k (the *filter* form).
+predicted exactly, whatever the delay. The law reads x̂_k, which includes y_k (the *filter* form).
 Where the model is the plant and switches fall on samples the errors obey
 
     x_{k+1} − x̄_{k+1} = Φ_i (I − L_i C_i) (x_k − x̄_k),
 
-whatever the law does and whatever the state: a switched linear system of its own, in which the
+for every law and every state: a switched linear system of its own, in which the
 mode of a period chooses the matrix. After a switch between samples the rest of the period is
 predicted with the mode of its start, an error in proportion to the state, which then decays.
 
 An observer of *one model* has the same matrices in all modes, the mean's or those of one mode, and
-so reads no mode. The plant then differs from its model, and the errors do not obey the equation:
+so does not read the mode. The plant then differs from the model, and the error obeys
 
-    x_{k+1} − x̄_{k+1} = Φ (I − L C) (x_k − x̄_k) + (Φ_i − Φ) x_k + (what inputs do otherwise),
+    x_{k+1} − x̄_{k+1} = Φ (I − L C) (x_k − x̄_k) + (Φ_i − Φ) x_k + (likewise for the inputs),
 
-so that the error decays with the state and the inputs, and no separation holds; what the whole loop
-does, `growth_rate` and `certify` say.
+so that it decays only with the state and the inputs, and there is no separation; use
+`growth_rate` and `certify` for the whole loop.
 
 `common_rate` finds one quadratic function that decays in every mode of x_{k+1} = E_i x_k.
 """
@@ -68,7 +68,7 @@ def common_rate(E: Float[np.ndarray, "mode n n"]) -> float:
     """The smallest r found with one P > 0 and E_iᵀ P E_i ≤ e^{2r} P for all i.
 
     Bisection over r between the largest spectral radius and the largest norm (P = I in balanced
-    units); every P is put back.
+    units). Each P found is checked by its own contraction rate, not by the rate that was asked for.
     """
     units = balanced_units(E)
     E = E / units[:, None] * units
@@ -79,20 +79,20 @@ def common_rate(E: Float[np.ndarray, "mode n n"]) -> float:
         return -np.inf
     while best > low * (1.0 + _NARROW):
         middle = float(np.sqrt(low * best))
-        found = min((_contraction(E, P) for P in _candidates(E, middle)), default=np.inf)
+        P = _candidate(E, middle)
+        found = np.inf if P is None else _contraction(E, P)
         best, low = (found, low) if found < middle * (1.0 + _NARROW / 2.0) else (best, middle)
     return float(np.log(best))
 
 
-def _candidates(E: np.ndarray, rate: float) -> list[np.ndarray]:
-    """P from one attempt at E_iᵀ P E_i ≤ rate² P."""
+def _candidate(E: np.ndarray, rate: float) -> np.ndarray | None:
+    """P from one attempt at E_iᵀ P E_i ≤ rate² P; None if it fails."""
     n = E.shape[-1]
     basis = symmetric_basis(n)
     limits = [Limit(basis, -np.eye(n))]
     limits += [Limit(basis - M.T @ basis @ M, np.zeros((n, n))) for M in E / rate]
     verdict = next(attempts(Program(np.trace(basis, axis1=1, axis2=2), limits)))
-    value = symmetric_value(verdict.x, n)
-    return [] if value is None else [value]
+    return symmetric_value(verdict.x, n)
 
 
 def _contraction(E: np.ndarray, P: np.ndarray) -> float:
@@ -184,14 +184,14 @@ class Observer(Frozen):
 
     @cached_property
     def reads_mode(self) -> bool:
-        """Whether what it does depends on the mode: not of one mode, nor of one model."""
+        """Whether its estimate depends on the mode: False with one mode or one model for all."""
         plant = self.plant
         parts = (plant.A, plant.B, plant.delays, self.C, self.gain)
         return any(bool((part != part[:1]).any()) for part in parts)
 
     @cached_property
     def error_matrices(self) -> Float[np.ndarray, "mode n n"]:
-        """Φ_i (I − L_i C_i), what a period in mode i does to x − x̄."""
+        """Φ_i (I − L_i C_i): x_{k+1} − x̄_{k+1} from x_k − x̄_k over a period in mode i."""
         n = self.plant.states
         pairs = zip(self.plant.A, self.plant.B, strict=True)
         Phi = np.stack([finite_discretisation(A, B, self.step)[0] for A, B in pairs])
@@ -199,11 +199,11 @@ class Observer(Frozen):
 
     @cached_property
     def rates(self) -> Float[np.ndarray, " mode"]:
-        """How fast the error grows with each mode held, 1/s; negative for decay.
+        """The growth rate of the error in each mode held, 1/s; negative for decay.
 
-        In such a mode the loop of plant, law and observer grows at the larger of this and of what
-        `growth_rate` says of the law on the true state (separation), the model being right; of one
-        model it is in the mode of that alone.
+        If the model is right, the loop of plant, law and observer grows at the larger of this rate
+        and the `growth_rate` of the law on the true state (separation). With one model for all
+        modes that holds in the mode of the model alone.
         """
         radius = np.abs(np.linalg.eigvals(self.error_matrices)).max(axis=1)
         with np.errstate(divide="ignore"):
@@ -211,14 +211,13 @@ class Observer(Frozen):
 
     @cached_property
     def switched_rate(self) -> float:
-        """A bound on how fast the error grows under any switching at samples, 1/s.
+        """A bound on the growth rate of the error under any switching at samples, 1/s.
 
-        Gains that are good in every mode prove nothing about switching between them. From one
-        P > 0 with E_iᵀ P E_i ≤ e^{2rh} P for the error matrix E_i of every mode. Negative: the
-        error decays whatever the switching, no dwell time asked (in floating point; no interval
-        arithmetic). Positive: nothing is proved, nor refuted.
+        Decay in every mode does not imply decay under switching. The bound comes from one P > 0
+        with E_iᵀ P E_i ≤ e^{2rh} P for the error matrix E_i of every mode. Negative: the error
+        decays under every switching signal, without a dwell time (in floating point, not interval
+        arithmetic). Positive: inconclusive.
         """
-
         return common_rate(self.error_matrices) / self.step
 
     def __repr__(self) -> str:
@@ -231,7 +230,7 @@ class Observer(Frozen):
 def believed_plant(
     plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"], model: Model
 ) -> tuple[SwitchedSystem, Float[np.ndarray, "believed p n"]]:
-    """The model of an observer, and its C: all modes, or one that stands for all."""
+    """The model of an observer, and its C: all modes, or one model for all."""
     if model == "modes":
         return plant, C
     if (C[:1] != C).any():
@@ -252,7 +251,7 @@ def believed_plant(
 def in_all_modes(
     one: SwitchedSystem, modes: int, *parts: Float[np.ndarray, "believed ..."]
 ) -> tuple[SwitchedSystem, *tuple[np.ndarray, ...]]:
-    """A model and what was designed for it, repeated in every mode where it has but one."""
+    """A model and the gains designed for it, repeated for every mode if it has only one."""
     if one.modes == modes:
         return one, *parts
     whole = [np.tile(a, (modes,) + (1,) * (a.ndim - 1)) for a in (one.A, one.B, one.delays, *parts)]
@@ -286,7 +285,7 @@ def per_mode(
     return whole
 
 
-_NEWTON = 3  # steps: from four digits to all
+_NEWTON = 3  # steps, each doubling the digits: from four to all of a double
 
 
 def luenberger(
@@ -297,7 +296,7 @@ def luenberger(
     *,
     model: Model = "modes",
 ) -> Observer:
-    r"""An observer whose error decays as poles say, in every mode.
+    r"""An observer with prescribed poles of the error in every mode.
 
     The gain :math:`L_i` gives the error matrix :math:`\Phi_i (I - L_i C_i)` the eigenvalues
     :math:`e^{p h}`: with :math:`M = \Phi_i L_i` it is :math:`\Phi_i - M C_i`, the transpose of a
@@ -314,8 +313,13 @@ def luenberger(
     step : float
         Sampling period h, in seconds.
     model : "modes", "mean" or int
-        What it predicts with: each mode in its turn, so that it must be told the mode; or, so that
-        it needs none, the mean of all modes, or the mode of this number.
+        The model that predicts: the measured mode; or, so that no mode is measured, the mean of all
+        modes or the mode of this number.
+
+    Returns
+    -------
+    Observer
+        With the gains :math:`L_i`.
 
     Raises
     ------
@@ -388,9 +392,9 @@ def kalman(
         P = \Phi (I - L C) P \Phi^T + Q_d, \quad L = P C^T (C P C^T + R)^{-1},
 
     `observer.prior` is :math:`P`, the covariance of :math:`x - \bar x` before a correction, and
-    `observer.covariance` :math:`(I - L C) P`, that of :math:`x - \hat x` after it. In a mode that
-    lasts no other observer has a smaller one. Just after a switch it is not optimal: the filter
-    that is would carry its covariance along.
+    `observer.covariance` :math:`(I - L C) P`, that of :math:`x - \hat x` after it. In a mode
+    that lasts, no other observer has a smaller one. Just after a switch it is not optimal: the
+    optimal filter updates its covariance at every sample.
 
     Parameters
     ----------
@@ -405,7 +409,12 @@ def kalman(
     step : float
         Sampling period h, in seconds.
     model : "modes", "mean" or int
-        As of `luenberger`. Of one model the covariances are those where the plant is it.
+        As for `luenberger`. With one model the covariances hold if the plant is that model.
+
+    Returns
+    -------
+    Observer
+        With the gains :math:`L_i`, and `prior` and `covariance` as above.
 
     Raises
     ------
@@ -443,9 +452,9 @@ def _filter(
     step: float,
     i: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """L, the covariance before a correction and after it; the Riccati equation put back.
+    """L, and the covariance before and after a correction, checked in the Riccati equation.
 
-    The residual is weighed by the standard deviations √P_jj, so that units of states do not matter.
+    The residual is scaled by the standard deviations √P_jj, so that units of states do not matter.
     """
     require_detectable(A, C, i)
     identity = np.eye(len(A))
@@ -458,6 +467,7 @@ def _filter(
         raise _no_filter(i)
     L = _gain_of(P, C, R)
     rest = identity - L @ C
+    # Joseph's form: a sum of positive terms, which round-off cannot make indefinite.
     after = rest @ P @ rest.T + L @ R @ L.T
     unit = np.sqrt(np.maximum(np.diag(P), 0.0))
     wrong = np.abs(Phi @ after @ Phi.T + noise - P) > 1e-8 * np.outer(unit, unit)
@@ -467,7 +477,7 @@ def _filter(
 
 
 def _steady_state(Phi: np.ndarray, C: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """P, by an eigenvalue method and Newton's, in units in which no number is far from others.
+    """P, by an eigenvalue method and Newton's, in units of similar size.
 
     Outputs are taken in units of their noise, and states in one unit s in which Q and Cᵀ R⁻¹ C are
     equally large, so that an intensity far below the noise of the sensors is not lost in round-off.

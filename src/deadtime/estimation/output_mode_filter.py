@@ -1,4 +1,4 @@
-"""OutputModeFilter: how likely each mode is, and the state, from outputs alone.
+"""OutputModeFilter: the probability of each mode, and the state, from outputs alone.
 
 Derived in docs/theory/mode-filter.md. Signs, lags and pieces are those of `deadtime.plant`.
 """
@@ -44,11 +44,11 @@ class OutputModeFilter(BeliefFilter):
     step : float
         Sampling period h, in seconds.
     C : array_like, shape (p, n) or (modes, p, n), or Observer
-        What is measured. Of an `Observer` of this plant and period its C, and its gains in place
-        of Kalman's; a sample of which one output is missing then corrects nothing.
+        What is measured. An `Observer` of this plant and period gives its C, and its gains replace
+        the Kalman gains; a sample with a missing output then corrects nothing.
     covariance : array_like
-        Of the first state about `estimate`, :math:`x^2`: a number for number times :math:`I`, (n,)
-        or (n, n).
+        Covariance of the first state about `estimate`, :math:`x^2`: a number for number times
+        :math:`I`, (n,) or (n, n).
     disturbance : array_like
         :math:`W` of `imperfections.WhiteDisturbance`: a number, (n,), (n, n) or (modes, n, n),
         :math:`x^2` per second.
@@ -62,7 +62,7 @@ class OutputModeFilter(BeliefFilter):
     Attributes
     ----------
     chain : ModeFilter
-        The same for states: its model, period, disturbance and options.
+        The filter from states with the same model, period, disturbance and options.
 
     Raises
     ------
@@ -159,7 +159,7 @@ class OutputModeFilter(BeliefFilter):
         return frozen(BankForm(self.chain.form(ages), *parts))
 
     def start(self, u0: ArrayLike | None = None) -> RunningOutputFilter:
-        """The filter, ready to be called once a period.
+        """A running filter, to be updated once per period.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """Tracking as state feedback of a larger plant, so that every law's forecast applies to it.
 
-To the states x a servo adds what a law must know to leave no offset,
+A servo adds to the states x those that remove the offset,
 
     z = (x, d, q, r):    dx/dt = A_σ x + E_σ d + B_σ u(t − D),    dd/dt = 0,
                          dq/dt = H C_σ x − r,                     dr/dt = 0,
@@ -10,22 +10,22 @@ reference r. In mode i the outputs stay at r where x = X_d d + X_r r and u = U_d
 
     A X_d + B U_d + E = 0,  H C X_d = 0;        A X_r + B U_r = 0,  H C X_r = I,
 
-and the gain on z is what drives the mode there,
+and the gain on z drives the mode there,
 
     u = K_x (x − X_d d − X_r r) + K_q (q − Θ r) + U_d d + U_r r,
 
-[K_x, K_q] being a gain of (x, q) alone. A law takes z to t + D as it takes x, so u is its
-expectation over modes of exactly this.
+[K_x, K_q] being a gain of (x, q) alone. A law predicts z at t + D as it predicts x, so u is the
+expectation of this expression over modes.
 
-Θ moves the value at which q settles, nothing else: with Θ = 0 the integral of the error would
-have to come back to 0 after a step of r, so that what is missing while the input is on its way (D)
-and while the loop settles returns as overshoot. Θ minimises ∫ |H C x − r|² after a step, over all
+Θ only moves the value at which q settles. With Θ = 0 the integral of the error would have to
+return to 0 after a step of r, so the error accumulated during the delay and while the loop settles
+would cause overshoot. Θ minimises ∫ |H C x − r|² after a step, over all
 modes together: with the loops F_i = A_z + B_z [K_x, K_q] and X_i = ∫ e^{F_iᵀs} (HC)ᵀHC e^{F_i s} ds
 in blocks of (x, q),
 
     Θ = −D I − (Σ_i X_qq)⁻¹ Σ_i X_qx X_r,i.
 
-One Θ serves all modes: then a switch between modes that hold r at the same x and u moves nothing.
+One Θ serves all modes, so a switch between modes with the same x and u at rest causes no transient.
 
 A `Reference` is a constant, drawn or not, a schedule, or a function of time.
 """
@@ -105,7 +105,7 @@ class Reference:
         return np.array([*self.schedule.values, *(end for end in ends if np.isfinite(end).all())])
 
     def drawn(self, rng: np.random.Generator) -> Reference:
-        """That of one run."""
+        """The reference of one run: a sample of the distribution, if there is one."""
         if self.distribution is None:
             return self
         return Reference.of(self.distribution.rvs(size=self.size, random_state=rng), self.size)
@@ -143,7 +143,7 @@ def check_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Each value from its time on; the first from the start."""
+    """Piecewise constant: each value from its time on, the first from the start."""
 
     times: Float[np.ndarray, " change"]
     values: Float[np.ndarray, "change size"]
@@ -165,7 +165,7 @@ class Schedule:
 
     @property
     def slack(self) -> float:
-        """Seconds by which a sample may come before a change, and is taken to be at it."""
+        """Seconds by which a sample may precede a change and still count as at it (round-off)."""
         return TOLERANCE * max(1.0, float(np.abs(self.times).max()))
 
     def along(self, time: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T size"]:
@@ -176,7 +176,7 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Servo(Frozen):
-    r"""A plant extended by what tracking needs (immutable); see the module for the equations.
+    r"""A plant extended for tracking (immutable); see the module for the equations.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ class Servo(Frozen):
 
     @property
     def driven(self) -> SwitchedSystem:
-        """The plant with the states (x, q): what a certificate can be about.
+        """The plant with the states (x, q), for certificates: d and r do not decay.
 
         A law of it whose gains are K[:, :, servo.moving] is the servo's at d = 0 and r = 0.
         """
@@ -304,7 +304,12 @@ class Servo(Frozen):
         K : array_like, shape (modes, m, n + size of q)
             As `place` and `lqr` of `driven` give them.
         step : float, optional
-            The sampling period that they are for, seconds; None: the loop is continuous.
+            Their sampling period, seconds; None for a continuous loop.
+
+        Returns
+        -------
+        (modes, m, size of z) array
+            The gains on z = (x, d, q, r).
 
         Examples
         --------
@@ -331,7 +336,7 @@ class Servo(Frozen):
     def steady_input(
         self, reference: ArrayLike, force: ArrayLike | None = None
     ) -> Float[np.ndarray, "mode m"]:
-        """The constant input that holds the tracked outputs at a reference, in every mode.
+        """The constant input that holds the tracked outputs at a reference, for every mode.
 
         :math:`A_i x + B_i u + c_i = 0` and :math:`H C_i x = r`; the smallest :math:`(x, u)` where
         there are several.
@@ -342,6 +347,11 @@ class Servo(Frozen):
             r: a number, or shape (tracked,).
         force : array_like, shape (n,) or (modes, n), optional
             c: a constant force on dx/dt; 0 by default.
+
+        Returns
+        -------
+        (modes, m) array
+            The input of every mode.
 
         Examples
         --------
@@ -397,7 +407,7 @@ class Servo(Frozen):
     def _shift(
         self, K: np.ndarray, X_r: list[np.ndarray], step: float | None
     ) -> Float[np.ndarray, "q r"]:
-        """Θ of the module."""
+        """Θ of the module docstring."""
         from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
         n, r = self.base.states, len(self.tracked)

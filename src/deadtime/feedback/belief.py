@@ -1,9 +1,9 @@
-"""A belief over modes, and a bank of Kalman filters over one, as arrays for compiled loops.
+"""The mode belief, and a bank of Kalman filters with one, as arrays for compiled loops.
 
-The hidden chain is c = (mode, age), age the samples since the sampled mode last changed, the last
-age standing for all older ones. Over the period from t_{k−1} to t_k a mode i lasts on with
-probability 1 − hazard, or gives way to j with hazard·jump_ij, and every one of these is weighed by
-the density of the x_k that is seen (`loop/belief_steps.py`; docs/theory/mode-filter.md):
+The hidden chain is c = (mode, age), with age the samples since the sampled mode last changed; the
+last age includes all older ones. Over the period from t_{k−1} to t_k mode i continues with
+probability 1 − hazard or switches to j with hazard·jump_ij; each case is weighted by the density of
+the measured x_k (`loop/belief_steps.py`; docs/theory/mode-filter.md):
 
     π_k(i, a + 1) ∝ π_{k−1}(i, a) (1 − hazard_i,a) p_ii,
     π_k(j, 0)     ∝ Σ_i Σ_a π_{k−1}(i, a) hazard_i,a jump_ij p_ij.
@@ -26,20 +26,20 @@ from deadtime.plant import SampledPlant, SwitchedSystem
 
 
 class Belief(NamedTuple):
-    """How a belief moves: data that no run changes.
+    """The constants of a belief update.
 
     start : (modes, ages), π_0
     Phi : (modes, n, n), Gamma : (modes, lags, n, m), lag : (lags,): the model over a whole period
         in each mode, x_{k+1} = Φ_i x_k + Σ_l Γ_i,l u_{k−lag_l}
     noise : (modes, ends, n, n), the covariance of x_{k+1} about that, by the mode in which the
-        period ends where it matters, else of one end
+        period ends if it matters, else with ends = 1
     hazard : (modes, ages), the probability that a mode of that age ends by the next sample
     jump : (modes, modes), the probabilities of the next mode, rows sum to 1
-    forgetting : the part of π that is taken from all modes alike after every sample
+    forgetting : the share of π that is spread evenly over all modes after every sample
     within : whether a mode may end within a period, or at samples only
-    bend_x : (modes, modes, n, n), bend_u : (modes, modes, lags, n, m), where modes end within
-        periods: by how much x_{k+1} after a change from i to j in the middle of the period is off
-        the middle of what i and j predict, Ψ_ij x_k + Σ_l Ω_ij,l u_{k−lag_l}; else of no modes
+    bend_x : (modes, modes, n, n), bend_u : (modes, modes, lags, n, m), if modes end within
+        periods: x_{k+1} after a switch from i to j in the middle of the period minus the mean of
+        the predictions of i and j is Ψ_ij x_k + Σ_l Ω_ij,l u_{k−lag_l}; else empty
     """
 
     start: Float[np.ndarray, "mode age"]
@@ -82,11 +82,11 @@ def held_noise(belief: Belief) -> Float[np.ndarray, "mode n n"]:
 
 
 class BankForm(NamedTuple):
-    """How a bank moves: data that no run changes.
+    """The constants of the update of a filter bank.
 
     chain : Belief, its noise the covariance that a period adds to x
     C : (modes, p, n), variance : (p,), of y about C x
-    gain : (modes, n, p) of observers, or (modes, n, 0) for Kalman's
+    gain : (modes, n, p) of observers, or (modes, n, 0) for Kalman gains
     estimate : (n,), covariance : (n, n), of x_0 in every mode
     """
 
@@ -123,7 +123,7 @@ class BeliefFilter(Frozen, ABC):
     step : float
         Sampling period h, in seconds.
     disturbance : (n, n) or (modes, n, n) array
-        W of the white noise that it counts with, x² per second.
+        W of the white noise that it assumes, x² per second.
     outputs : (modes, p, n) array or None
         C of what is measured; None for the whole state.
     """

@@ -32,12 +32,12 @@ Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 
 class UpdateWithEstimates(ABC):
-    """An `Update` with a memory: it takes what is measured, NaN included, and estimates the rest.
+    """An `Update` with a state: it reads the measurement, NaN included, and estimates the state.
 
     Attributes
     ----------
     estimates : list of arrays
-        What it took the state of its law's model to be, once a call.
+        Its estimate of the state of the law's model at every call.
     """
 
     estimates: list[np.ndarray]
@@ -47,7 +47,7 @@ class UpdateWithEstimates(ABC):
         """u_k; a mode below 0 is not known."""
 
 
-# What the methods of a law return, whoever writes it.
+# Laws may be written by users: what their methods must return is checked at every call.
 _ANSWERS = {
     "digital": (Feedback,),
     "ideal": (Functional, Forecast),
@@ -57,7 +57,7 @@ _ANSWERS = {
 
 
 def _answering(name: str, method: FunctionType, kinds: tuple[type, ...]) -> Callable[..., Any]:
-    """The method of a law, held to what it is to return."""
+    """The method of a law, with a check of the type that it returns."""
 
     @wraps(method)
     def checked(self: Law, *args: Any, **options: Any) -> Any:
@@ -76,7 +76,7 @@ def _answering(name: str, method: FunctionType, kinds: tuple[type, ...]) -> Call
 
 
 def _require_fit(law: Law, table: Feedback) -> None:
-    """Refuse a table that is none for the law's model: of other sizes or rows."""
+    """Refuse a table whose sizes or rows do not fit the law's model."""
     plant, (rows, m, n) = law.plant, table.state_gain.shape
     name, inputs = f"{type(law).__name__}.digital", m - table.memory
     alone = law.is_linear and law.observer is None
@@ -107,9 +107,9 @@ class Law(Frozen, ABC):
     outputs : (modes, p, n) array or None
         :math:`C_i`, of a law that measures :math:`y = C_\sigma x`; None for the whole state.
     observer, servo, reference : Observer, Servo, Reference or None
-        Of a law on estimates from outputs, and of one that tracks outputs; see `OutputFeedback`.
+        The parts of a law on estimated states or with tracked outputs; see `OutputFeedback`.
     filter : BeliefFilter or None
-        Of a law that weighs its rows by a belief; see `BeliefPredictor`.
+        The filter of a law that weights its rows by a belief; see `BeliefPredictor`.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -140,7 +140,7 @@ class Law(Frozen, ABC):
 
     @property
     def row_law(self) -> Law:
-        """The law whose rows it runs: of one on estimates or on a belief another, else itself."""
+        """The law whose rows it runs: the inner law of an observer or belief law, else itself."""
         return self
 
     @property
@@ -150,19 +150,19 @@ class Law(Frozen, ABC):
 
     @property
     def predicts(self) -> bool:
-        """Whether it is predictor feedback at all; a baseline without prediction says no."""
+        """Whether it is predictor feedback; False for a baseline without prediction."""
         return True
 
     @property
     def why_not_run(self) -> str:
-        """Why it has no table that can run in real time; nothing of a law that has."""
+        """Why it has no table that can run in real time; empty if it has one."""
         if not self.is_linear:
             return f"{type(self).__name__} is no table"
         return f"{type(self).__name__} needs a preview of the signal" if self.needs_preview else ""
 
     @property
     def observer_alone_reads_mode(self) -> bool:
-        """Whether the mode must be measured for the observer, the law's rows not reading it."""
+        """Whether only the observer, not the law's rows, needs the measured mode."""
         return False
 
     @property
@@ -172,16 +172,16 @@ class Law(Frozen, ABC):
 
     @property
     def previewed(self) -> SwitchingSignal | None:
-        """The signal of its preview, where that is one of its own and not the run's."""
+        """The fixed signal of its preview; None if it uses the signal of the run."""
         return None
 
     @property
     def draws(self) -> bool:
-        """Whether every run draws what it begins with, or what it follows."""
+        """Whether each run samples its initial estimate or its reference."""
         return False
 
     def drawn(self, seed: int) -> Law:
-        """The law of the run with a seed, where runs draw; elsewhere the law itself."""
+        """The law of the run with this seed, if runs sample (`draws`); else the law itself."""
         return self
 
     @abstractmethod
@@ -200,10 +200,7 @@ class Law(Frozen, ABC):
         """
 
     def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
-        """Its tables for a run along a signal, as `digital` makes them; None of a law without any.
-
-        Such a law is called at every sample.
-        """
+        """The tables for a run along a signal; None for a law that is called at every sample."""
         return None
 
     def beginning_at(self, memory: Float[np.ndarray, " w"]) -> Law:
@@ -221,11 +218,11 @@ class Law(Frozen, ABC):
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Update | UpdateWithEstimates:
-        """The law as a function to be called once a period, for loops that must go step by step.
+        """The law as a function that is called once per period.
 
-        Of a law that measures outputs it is an `UpdateWithEstimates`, called with y in place of x.
-        `signal` and `steps` as in `digital`. Raises `ArgumentError` for a law that must know the
-        future and does not get it.
+        A law that measures outputs gives an `UpdateWithEstimates`, called with y in place of x.
+        `signal` and `steps` as in `digital`. Raises `ArgumentError` if a law that needs the future
+        signal does not get one.
         """
 
     def preview(
@@ -246,10 +243,10 @@ class Law(Frozen, ABC):
         return self.plant.delays
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
-        """The law with the same forecast for a larger plant, with gains `rows` of inputs after m.
+        """The law with the same forecast for a larger plant, with gains `rows` for inputs after m.
 
-        Of that its predictions are made (`deadtime.feedback.prediction_rows`). Raises
-        `ArgumentError` for a law that has no prediction.
+        Its rows are the predictions of this law (`deadtime.feedback.prediction_rows`). Raises
+        `ArgumentError` for a law without a prediction.
         """
         raise ArgumentError(
             f"law must predict for a prediction: {type(self).__name__} ({self.label}) has no "
@@ -262,8 +259,8 @@ class Law(Frozen, ABC):
     ) -> Float[np.ndarray, "case input future n n"]:
         """The covariance of :math:`x(t_k + D_j)` in every row that may apply and every future.
 
-        W is the intensity of white noise that acts on dx/dt, or of each mode its own. Raises
-        `ArgumentError` for a law that has none.
+        W is the intensity of white noise on dx/dt, one or one per mode. Raises `ArgumentError` for
+        a law without a covariance.
         """
         raise ArgumentError(
             f"law must say how it is uncertain for a covariance: {type(self).__name__} "
@@ -285,7 +282,7 @@ class Law(Frozen, ABC):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TableLaw(Law):
-    """A law that is a table of linear functionals: every one but the state-dependent."""
+    """A law that is a table of linear functionals, as all but the state-dependent law are."""
 
     @property
     def is_linear(self) -> bool:
@@ -327,7 +324,7 @@ def cache_table(digital: Digital) -> Digital:
     """Keep the last table of a law whose table depends on the step only and takes long to fill."""
 
     @wraps(digital)
-    def remembering(
+    def cached(
         self: Law, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         table = vars(self).get("_table")
@@ -336,16 +333,16 @@ def cache_table(digital: Digital) -> Digital:
             vars(self)["_table"] = table
         return table
 
-    return remembering
+    return cached
 
 
 def room(bytes_per_age: float, most_bytes: float = MOST_BYTES) -> int:
-    """How many ages a table has room for."""
+    """The largest number of ages that fits into `most_bytes`."""
     return int(most_bytes // bytes_per_age)
 
 
 def require_room(name: str, ages: float, step: float, most: int) -> None:
-    """Refuse a table of more ages than there is room for."""
+    """Refuse a table with more ages than `most`."""
     if ages > most:
         raise ArgumentError(
             f"{name} asks for a table of {ages:.3g} ages of {step:g} s, and there is room for "
@@ -365,5 +362,5 @@ def require_match(plant: SwitchedSystem, law: Law) -> None:
 
 
 def check_dwell_time(dwell_time: float | None) -> float | None:
-    """A dwell time in seconds, or None for a law that knows of none."""
+    """A dwell time in seconds, or None for a law that assumes none."""
     return None if dwell_time is None else positive("dwell_time", dwell_time)

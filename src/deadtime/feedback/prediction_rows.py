@@ -21,7 +21,6 @@ from jaxtyping import Float, Int
 
 from deadtime.feedback.law import Law
 from deadtime.feedback.table import side_by_side
-from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
@@ -50,7 +49,7 @@ def prediction_table(
 ) -> PredictionTable:
     """The prediction of a law at a sampling period; `signal` and `steps` as in `Law.digital`.
 
-    Raises `ArgumentError` for a law that predicts nothing.
+    Raises `ArgumentError` for a law without a prediction.
 
     Examples
     --------
@@ -61,16 +60,26 @@ def prediction_table(
     >>> table.probability, table.input.round(12).tolist()
     (array([[[0.5, 0.5]]]), [[[[[0.05, 0.05]], [[0.15, 0.15]]]]])
     """
-    plant, n = law.plant, law.plant.states
+    plant, n, m = law.plant, law.plant.states, law.plant.inputs
     _, first, of_input = np.unique(plant.delays, axis=1, return_index=True, return_inverse=True)
     futures = len(law.horizons)
     parts = []
     for j in first.tolist():
-        larger = _with_outputs(plant, j)
+        # A state that stays 1, and n + 1 inputs v as late as input j that act on nothing:
+        #     A → [[A, 0], [0, 0]],    B → [[B, 0], [0, 0]],    delays → (D, D_j, …, D_j)
+        late = np.repeat(plant.delays[:, j : j + 1], n + 1, axis=1)
+        larger = plant.like(
+            np.pad(plant.A, ((0, 0), (0, 1), (0, 1))),
+            np.pad(plant.B, ((0, 0), (0, 1), (0, n + 1))),
+            np.concatenate((plant.delays, late), axis=1),
+        )
         for i in range(futures):
             rows = np.zeros((futures, n + 1, n + 1))
             rows[i] = np.eye(n + 1)
-            parts.append(_rows_of(law.extend(larger, rows), plant, step, signal, steps))
+            table = law.extend(larger, rows).digital(step, signal, steps)
+            # The rows of v, and their taps on the inputs that act, oldest first.
+            taps = side_by_side(table.input_gain[:, ::-1, m:, :m])
+            parts.append((table.state_gain[:, m:], taps))
     F, G = (np.stack(kind, axis=1) for kind in zip(*parts, strict=True))
     F = F.reshape(-1, first.size, futures, n + 1, n + 1)
     G = G.reshape(-1, first.size, futures, n + 1, G.shape[-1])
@@ -92,26 +101,3 @@ def extended_gains(
     """
     more = rows.shape[2] - gains.shape[2]
     return np.concatenate((np.pad(gains, ((0, 0), (0, 0), (0, more))), rows), axis=1)
-
-
-def _with_outputs(plant: SwitchedSystem, j: int) -> SwitchedSystem:
-    """A plant with a state that is 1, and n + 1 inputs as late as input j that act on nothing."""
-    n = plant.states
-    late = np.repeat(plant.delays[:, j : j + 1], n + 1, axis=1)
-    return plant.like(
-        np.pad(plant.A, ((0, 0), (0, 1), (0, 1))),
-        np.pad(plant.B, ((0, 0), (0, 1), (0, n + 1))),
-        np.concatenate((plant.delays, late), axis=1),
-    )
-
-
-def _rows_of(
-    law: Law,
-    plant: SwitchedSystem,
-    step: float,
-    signal: SwitchingSignal | None,
-    steps: int | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the inputs that act on nothing, and their taps on those that act, oldest first."""
-    table, m = law.digital(step, signal, steps), plant.inputs
-    return table.state_gain[:, m:], side_by_side(table.input_gain[:, ::-1, m:, :m])

@@ -1,12 +1,12 @@
 """Preview: the rows of a law that knows the switching signal, without a table.
 
 Such a law has a row for every sample, which holds the pieces of the plant over a whole delay. All
-of them are one product: of the state and the inputs in flight the model makes x(t_k + D), and
+of them are one product: the model predicts x(t_k + D) from the state and the inputs in flight, and
 
     u_k = K_i x(t_k + D) + L u_{k−1},    i = σ(t_k + D).
 
-An engine that moves the model along the signal anyway needs the gains only; a table is there for
-who wants to look at its rows.
+An engine that already moves the model along the signal needs the gains alone; the table serves
+for inspection.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Preview(NamedTuple):
 
     sampled : the law's model at its period
     gains : (modes, m, n), K_i
-    latest : (m, m), L, what the latest input adds besides
+    latest : (m, m), L, the direct gain of the latest input
     signal : the signal that the law assumes, known up to the last sample plus the delay
     """
 
@@ -51,14 +51,14 @@ class Preview(NamedTuple):
         """
         count, R = self.sampled.longest_lag, self.gains[self.modes_ahead(steps)]
         table = self.sampled.along(cuts_of(self.signal, self.sampled), steps + count - 1)
-        # Of one delay all periods have as many pieces.
+        # With one delay all periods have equally many pieces.
         entry = table.entry.reshape(table.first.size - 1, -1)
         G = np.zeros((steps, count, *self.latest.shape))
         G[:, 0] = self.latest
         with np.errstate(all="ignore"):  # a table refuses what overflows
             for j in range(1, count + 1):
-                # u_{k−j} acts in the first piece of period k − j + N and in the others of the one
-                # before, of which that of u_{k−N} is over.
+                # u_{k−j} acts in the first piece of period k − j + N and in the later pieces of the
+                # period before; for j = N those are past.
                 for piece in range(entry.shape[1] if j < count else 1):
                     begin = count - j - piece
                     of = entry[begin : begin + steps, piece]

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 
-OLDEST = 2.0**30  # samples: older than any table tells apart, and 32 bits can count on from it
+OLDEST = 2.0**30  # samples: beyond the ages of any table, with room to count on in 32 bits
 Context = Literal["none", "mode", "mode_age", "step"]
 
 
@@ -55,13 +55,13 @@ class Factor(NamedTuple):
 
 
 def side_by_side(taps: Float[np.ndarray, "context N r m"]) -> Float[np.ndarray, "context r past"]:
-    """Taps as one matrix a row, (contexts, m, N·m), in the order given; rows may be of others."""
+    """Taps (contexts, N, rows, m) as one matrix per context, in the order given."""
     contexts, count, rows, m = taps.shape
     return taps.transpose(0, 2, 1, 3).reshape(contexts, rows, count * m)
 
 
 def require_finite_gains(*gains: np.ndarray) -> None:
-    """Refuse a law whose prediction over its delay is beyond floats."""
+    """Refuse a law whose prediction over its delay overflows."""
     if not all(np.isfinite(gain).all() for gain in gains):
         raise ArgumentError(
             "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay is "
@@ -75,12 +75,12 @@ def row_of(context: Context, ages: int, mode: int, age: int) -> int:
 
 
 def row_at(apart, ages, mode, age):
-    """The row of a mode and its age, whose rows are so far `apart` from those of the next mode."""
+    """The row of a mode and its age, `apart` being the number of rows between modes."""
     return mode * apart + min(age, ages - 1)
 
 
 def ages_along(modes: np.ndarray, initial_age: ArrayLike) -> np.ndarray:
-    """How many samples ago the mode last changed, `initial_age` at the first; samples come last.
+    """The age of the mode at each sample along the last axis, `initial_age` at the first.
 
     Examples
     --------
@@ -96,8 +96,8 @@ def ages_along(modes: np.ndarray, initial_age: ArrayLike) -> np.ndarray:
 def age_after(before: int, age: int, now: int) -> int:
     """The age of the mode that a law uses at a sample, from the mode and age at the one before.
 
-    Where none is reported, `now` is −1 and the last goes on; where none was known, `before` is −1,
-    and the first is as old as `age` says.
+    `now` = −1: no mode is reported and the last one continues. `before` = −1: no mode was known,
+    and the first has the age `age`.
 
     Examples
     --------
@@ -129,9 +129,8 @@ class Feedback(Frozen):
         The taps as :math:`H_c S^{j-1} \Gamma_s`, where that form exists: its cost does not depend
         on :math:`N`.
     memory : int
-        How many of the m outputs, the first ones, are no inputs of the plant but the law's state,
-        of which it reads the last (`feedback.recurrence`); 0 of a law that keeps nothing but its
-        inputs.
+        How many of the m outputs, the first ones, are the law's state w_{k+1} and not inputs of
+        the plant (`feedback.recurrence`); 0 for a law without a state.
 
     Examples
     --------
@@ -163,13 +162,13 @@ class Feedback(Frozen):
                 f"that reads no past input has one of zeros, np.zeros(({rows}, 1, {m}, {m}))."
             )
         require_finite_gains(self.state_gain, self.input_gain)
-        # Where they are: a table may take as much memory as there is for one.
+        # Read-only in place, not as copies: a table may take most of the memory.
         for array in (self.state_gain, self.input_gain, *(self.factor or ())):
             array.flags.writeable = False
 
     @property
     def apart(self) -> int:
-        """How many rows a mode's are from those of the next one; 0 where one row is of all."""
+        """The number of rows from one mode to the next; 0 if one row serves all modes."""
         return 0 if self.context == "none" else self.ages
 
     @property
@@ -239,7 +238,7 @@ class Feedback(Frozen):
 class Known(NamedTuple):
     """The rows that may apply, with the state in each, and the inputs in flight.
 
-    A law that receives the mode has one row; of one on a belief each has its `share`.
+    One row if the mode is measured; under a belief, rows with a `share` each.
 
     row : (cases,), of the law's table
     share : (cases,), probabilities

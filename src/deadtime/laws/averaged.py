@@ -21,16 +21,16 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class AveragedPredictor(TableLaw):
-    r"""Average of exact predictor feedbacks: the mode never changes, but which one is not known.
+    r"""Average of exact predictor feedbacks: the mode is constant and unknown.
 
     .. math::
 
         u(t) = \sum_i w_i K_i P_i(t),
         \quad P_i(t) = e^{A_i D} x(t) + \int_{t-D}^{t} e^{A_i (t - \theta)} B_i u(\theta) \, d\theta
 
-    With a dwell time :math:`\tau_d` it trusts the current mode for the rest of its guaranteed
-    dwell: :math:`P_i` is then the state at :math:`t + D` of the model that stays in
-    :math:`\sigma(t)` for max(0, :math:`\tau_d` − age) seconds and in mode i from there on.
+    With a dwell time :math:`\tau_d` the current mode is held for the rest of its guaranteed dwell
+    time: :math:`P_i` is then the state at :math:`t + D` of the model that stays in
+    :math:`\sigma(t)` for max(0, :math:`\tau_d` − age) seconds and then in mode i.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class AveragedPredictor(TableLaw):
     weights : array_like, shape (modes,), optional
         Probability :math:`w_i` of each mode, at least 0, summing to 1; equal by default.
     dwell_time : float, optional
-        :math:`\tau_d` > 0, seconds: the time for which every mode, once entered, is sure to last.
+        :math:`\tau_d` > 0, seconds: the least time that the plant stays in a mode.
     allow_unstable : bool
         Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
@@ -106,7 +106,7 @@ class AveragedPredictor(TableLaw):
         dwell_time: float | None = None,
         allow_unstable: bool = False,
     ) -> AveragedPredictor:
-        r"""The averaged law whose weights make the worst constant mode as stable as they can.
+        r"""The averaged law whose weights minimise the growth rate of the worst constant mode.
 
         .. math::
 
@@ -114,8 +114,8 @@ class AveragedPredictor(TableLaw):
 
         over the weights :math:`w` and, on request, over one gain for all modes with
         :math:`|K| \le 2 \max_i |K_i|`; :math:`g_i` is ``growth_rate(plant, law, i, step)``. The
-        weights alone help the worst mode and change little on signals that switch. One gain pays
-        where the averaged loop is unstable in some mode, and costs where it is not.
+        weights alone improve the worst mode and change little on signals that switch. A common gain
+        helps if the averaged loop is unstable in some mode, and costs performance otherwise.
 
         Parameters
         ----------
@@ -124,12 +124,17 @@ class AveragedPredictor(TableLaw):
         step : float
             Sampling period at which growth is measured, in seconds.
         common_gain : bool
-            Replace the gains by one K for all modes, sought from :math:`\sum_i w_i K_i` on.
+            Replace the gains by one K for all modes; the search starts at :math:`\sum_i w_i K_i`.
 
         Raises
         ------
         InfeasibleError
             If no common gain was found that leaves every :math:`A_i + B_i K` stable.
+
+        Returns
+        -------
+        AveragedPredictor
+            With these weights and gains.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Expected predictor feedback: the mean of the exact one over a stochastic model of switching."""
+"""Expected predictor feedback: the mean of the exact law over a stochastic switching model."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deadtime.switching.models.model import SampledChain, require_model
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ExpectedPredictor(TableLaw):
-    r"""Expectation of exact predictor feedback, given the current mode and how old it is.
+    r"""Expectation of exact predictor feedback, given the current mode and its age.
 
     .. math::
 
@@ -32,7 +32,7 @@ class ExpectedPredictor(TableLaw):
     Under a Markov process in continuous time the table has one row per mode, from block
     exponentials without a time grid. Under any other model switches are taken to happen at samples,
     which is exact for switches on the grid and O(h) otherwise, and there is one row per mode and
-    age, or per mode where age says nothing.
+    age, or per mode if age does not matter.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ class ExpectedPredictor(TableLaw):
     model : switching model
         How the mode switches, with as many modes as the plant.
     ages : int, optional
-        The most ages (samples) that the table tells apart, where age matters; older modes count as
-        that old. By default as many as matter to the model.
+        The largest number of ages (samples) that the table distinguishes, if age matters; older
+        modes count as the oldest. By default as many as matter to the model.
     allow_unstable : bool
         Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
@@ -122,7 +122,7 @@ class ExpectedPredictor(TableLaw):
         return chain_table(self.gains, self._chain(sampled, ages), ages, sampled)
 
     def _chain(self, sampled: SampledPlant, ages: int | None) -> SampledChain:
-        """The model at samples, up to the oldest age that a forecast from the table's reaches."""
+        """The model at samples, up to the oldest age that a forecast can reach."""
         return self.model.chain(sampled.step, (ages or 1) + sampled.longest_lag)
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
@@ -161,11 +161,11 @@ class ExpectedPredictor(TableLaw):
         return law
 
 
-def table_ages(model: SwitchingModel, step: float, asked: int | None, most: int) -> int | None:
-    """How many ages a table tells apart: as many as matter, or no more than asked for, if any."""
-    if asked is not None:
-        require_room("ages", asked, step, most)
-        return model.ages(step, most=asked)
+def table_ages(model: SwitchingModel, step: float, requested: int | None, most: int) -> int | None:
+    """How many ages a table distinguishes: all that matter, at most `requested`; None for one."""
+    if requested is not None:
+        require_room("ages", requested, step, most)
+        return model.ages(step, most=requested)
     ages = model.ages(step, most=most + 1)
     if ages is not None and ages > most:
         raise ArgumentError(

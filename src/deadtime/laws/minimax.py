@@ -1,12 +1,12 @@
-"""The averaged law whose weights, and gain, are best for the worst constant mode.
+"""Weights, and a gain, of the averaged law that are best for the worst constant mode.
 
-    minimise  max_i g_i(w, K)    over w ≥ 0, Σ w_i = 1, and, if asked for, one K for all modes,
+    minimise  max_i g_i(w, K)    over w ≥ 0, Σ w_i = 1, and, on request, one K for all modes,
 
 g_i the growth rate of the loop if the plant stays in mode i. This maximum of spectral radii is
 neither smooth nor convex, but it has few variables: the weights are searched on a lattice of the
 simplex, vertices included, and the best points are refined by Nelder and Mead's method, restarted
-until it gains nothing. All starts run at a coarse period, where the lifted loop is small, and the
-best ends are refined at the period asked for. Nothing is random.
+until it stops improving. All starts run at a coarse period, where the lifted loop is small, and the
+best results are refined at the requested period. The search is deterministic.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def minimax(
     common_gain: bool,
     allow_unstable: bool,
 ) -> tuple[Float[np.ndarray, " mode"], Float[np.ndarray, "mode m n"], Float[np.ndarray, " mode"]]:
-    """Weights, gains and the growth rates that they leave in each mode, 1/s.
+    """Weights, gains and the growth rate of each mode under them, 1/s.
 
     Raises
     ------
@@ -64,7 +64,10 @@ def minimax(
     coarse = max(step, plant.longest_delay / _COARSE)
 
     def rates(weights: np.ndarray, K: np.ndarray, period: float, /) -> np.ndarray:
-        return _rates(plant, tables(K, weights, period), period)
+        """The growth rate of every mode when it is held."""
+        table = tables(K, weights, period)
+        loops = [LiftedLoop.of(plant, table, mode, 0) for mode in range(plant.modes)]
+        return np.array([loop.growth_rate(period) for loop in loops])
 
     def own(variables: np.ndarray, /) -> tuple[np.ndarray, np.ndarray]:
         return _weights(variables), given
@@ -91,9 +94,10 @@ def minimax(
 def _one_gain(
     plant: SwitchedSystem, given: np.ndarray, weights: np.ndarray
 ) -> tuple[Reading, list[np.ndarray]]:
-    """Variables that stand for weights and one gain: how to read them, and where to start."""
+    """A parametrisation of weights and one common gain, and the starting points of the search."""
     modes = plant.modes
     limit = GAIN_LIMIT * np.linalg.norm(given, 2, axis=(1, 2)).max()
+    # Entries of K are scaled by their typical size, so that one simplex size suits them all.
     unit = np.maximum(np.abs(given).max(axis=0), 1e-3 * np.abs(given).max())
 
     def read(variables: np.ndarray, /) -> tuple[np.ndarray, np.ndarray]:
@@ -121,12 +125,6 @@ def _height(
     return height
 
 
-def _rates(plant: SwitchedSystem, table: Feedback, step: float) -> Float[np.ndarray, " mode"]:
-    """The growth rate of every mode when it is held."""
-    loops = [LiftedLoop.of(plant, table, mode, 0) for mode in range(plant.modes)]
-    return np.array([loop.growth_rate(step) for loop in loops])
-
-
 def _best(height: Height, starts: list[np.ndarray], spread: float) -> np.ndarray:
     """The lowest end of the descents from several points."""
     ends = [_minimise(height, start, spread, _RESTARTS) for start in starts]
@@ -136,7 +134,7 @@ def _best(height: Height, starts: list[np.ndarray], spread: float) -> np.ndarray
 def _minimise(
     height: Height, start: np.ndarray, spread: float, restarts: int
 ) -> tuple[np.ndarray, float]:
-    """Where Nelder and Mead's method ends, restarted while it gains something, and how high."""
+    """The minimum that Nelder and Mead's method finds, restarted while it improves."""
     from scipy.optimize import minimize
 
     best, lowest = start, height(start)
@@ -152,7 +150,7 @@ def _minimise(
 
 
 def _weights(variables: np.ndarray) -> Float[np.ndarray, " mode"]:
-    """Weights from all but the last of them, brought back onto the simplex."""
+    """Weights from all but the last of them, projected onto the simplex."""
     weights = np.maximum(np.append(variables, 1.0 - variables.sum()), 0.0)
     return weights / weights.sum()
 

@@ -1,4 +1,4 @@
-"""The best causal law for a stochastic model of switching: a yardstick for every other."""
+"""The best causal law for a stochastic model of switching: the lower bound for every other."""
 
 from __future__ import annotations
 
@@ -32,24 +32,27 @@ class OptimalPredictor(TableLaw):
     over all :math:`u_k` that depend on :math:`x(t_0), \dots, x(t_k)`, the inputs before :math:`t_k`
     and the modes up to :math:`t_k`.
 
-    The lifted state :math:`\xi = (x_k, u_{k-1}, \dots, u_{k-N})` under the modes and ages
-    :math:`\theta` is a Markov jump linear system whose jumps are seen, so the optimum is linear in
-    :math:`\xi` with one row per :math:`\theta`,
+    The lifted state :math:`\xi_k = (x_k, u_{k-1}, \dots, u_{k-N})` obeys
+    :math:`\xi_{k+1} = \bar A_i \xi_k + \bar B u_k` in mode :math:`i`, and costs
+    :math:`\xi_k^T \bar Q_i \xi_k + h \, u_k^T R u_k` per period, with :math:`\bar Q_i` the exact
+    integral of :math:`x^T Q x` between samples. Mode and age, :math:`\theta`, are measured, so this
+    is a Markov jump linear system and the optimum is linear in :math:`\xi`, with one row per
+    :math:`\theta`,
 
     .. math::
 
-        u_k &= -(h R + \mathfrak{B}^T E_\theta(P) \mathfrak{B})^{-1}
-        \mathfrak{B}^T E_\theta(P) \mathfrak{A}_i \xi_k, \\
-        P_\theta &= \mathcal{Q}_i + \mathfrak{A}_i^T E_\theta(P) \mathfrak{A}_i \\
-        &\quad - \mathfrak{A}_i^T E_\theta(P) \mathfrak{B}
-        (h R + \mathfrak{B}^T E_\theta(P) \mathfrak{B})^{-1}
-        \mathfrak{B}^T E_\theta(P) \mathfrak{A}_i,
+        u_k &= -(h R + \bar B^T E_\theta(P) \bar B)^{-1}
+        \bar B^T E_\theta(P) \bar A_i \xi_k, \\
+        P_\theta &= \bar Q_i + \bar A_i^T E_\theta(P) \bar A_i \\
+        &\quad - \bar A_i^T E_\theta(P) \bar B
+        (h R + \bar B^T E_\theta(P) \bar B)^{-1}
+        \bar B^T E_\theta(P) \bar A_i,
 
-    with :math:`E_\theta(P)` the mean of :math:`P` one sample later, and the cost between samples
-    counted exactly (:math:`\mathcal{Q}_i`; cross terms that appear for :math:`N = 1` are included).
-    `ExpectedPredictor` averages what would be right for each future; this law also weighs what a
-    wrong guess costs, and counts on later measurements. Where the modes are alike the two cost
-    nearly the same; where they differ much, this one may have a finite cost and that one none.
+    with :math:`E_\theta(P)` the mean of :math:`P` one sample later. The cross terms between
+    :math:`\xi_k` and :math:`u_k` that appear for :math:`N = 1` are included. `ExpectedPredictor`
+    averages the best inputs of all future signals; this law also weighs the cost of a wrong guess
+    and uses later measurements. If the modes are similar the two cost nearly the same; if they
+    differ much, this one may have a finite cost where the cost of the other is infinite.
 
     Parameters
     ----------
@@ -63,8 +66,8 @@ class OptimalPredictor(TableLaw):
     R : array_like, shape (m, m)
         Input weight, symmetric, positive definite.
     ages : int, optional
-        The most ages (samples) that the table tells apart, where age matters; older modes count as
-        that old. By default as many as matter to the model.
+        The largest number of ages (samples) that the table distinguishes, if age matters; older
+        modes count as the oldest. By default as many as matter to the model.
 
     Raises
     ------
@@ -92,7 +95,7 @@ class OptimalPredictor(TableLaw):
     >>> from scipy import stats
     >>> plant = dt.problems.paper().plant
     >>> model = dt.SemiMarkov(stats.expon(loc=0.2, scale=0.2))
-    >>> law = OptimalPredictor(plant, model, Q=[[1, 0], [0, 1]], R=[[1]])
+    >>> law = dt.OptimalPredictor(plant, model, Q=[[1, 0], [0, 1]], R=[[1]])
     >>> law.digital(0.05)
     Feedback(context='mode_age', rows=10, taps=20, inputs=1, step=0.05, dense)
     >>> round(law.least_cost([-1, 1], mode=0, step=0.05), 1)
@@ -128,7 +131,7 @@ class OptimalPredictor(TableLaw):
 
     @property
     def weight(self) -> Weight:
-        """The cost that it minimises, for those who measure it."""
+        """The cost that it minimises."""
         return Weight(self.Q, self.R)
 
     def digital(
@@ -142,10 +145,10 @@ class OptimalPredictor(TableLaw):
         )
 
     def least_cost(self, x0: ArrayLike, mode: int, step: float = 0.01) -> float:
-        """The least expected cost from x(0) = x0 in a mode just entered, with no input under way.
+        """The least expected cost from x(0) = x0 in a mode just entered, with no input in flight.
 
-        No causal law run at this period has a lower one, on switching signals of the model with
-        switches at samples.
+        No causal law at this period has a lower expected cost on signals of the model that switch
+        at samples.
 
         Parameters
         ----------
@@ -155,6 +158,11 @@ class OptimalPredictor(TableLaw):
             The mode at time 0, of age 0.
         step : float
             Sampling period h, in seconds.
+
+        Returns
+        -------
+        float
+            The expectation of the integral above, in the unit of the weights.
         """
         n = self.plant.states
         x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
@@ -162,7 +170,7 @@ class OptimalPredictor(TableLaw):
         return float(x0 @ self._solution(step)[1][mode] @ x0)
 
     def _solution(self, step: float) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:
-        """The table at a period, and the cost of x(0) in each mode just entered; the last kept."""
+        """The table at a period, and the cost of x(0) in each mode just entered (cached)."""
         kept = vars(self).get("_kept")
         if kept is None or kept[0].step != step:
             kept = vars(self)["_kept"] = self._solve(self.sampled_plant(step))
@@ -180,6 +188,8 @@ class OptimalPredictor(TableLaw):
         ages = ages or 1
         chain = self.model.chain(h, ages)
         L, stage = period(sampled, self.Q)
+        # Riccati orders past inputs (x, u_{k−N}, …, u_{k−1}), as they leave the window; the table
+        # wants the latest first.
         P, gain = solve(L, stage, h * self.R, chain.hazard, chain.jump, N, h)
         F = gain[..., :n].reshape(modes * ages, m, n).copy()
         G = gain[..., n:].reshape(modes * ages, m, N, m)[:, :, ::-1].transpose(0, 2, 1, 3).copy()

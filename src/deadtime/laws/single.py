@@ -1,4 +1,4 @@
-"""The exact predictor feedback of one mode, used whatever the plant does."""
+"""The exact predictor feedback of one mode, used in every mode of the plant."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SingleModePredictor(TableLaw):
     gains : array_like, shape (modes, m, n)
         :math:`K_i` of :math:`u = +K_i x`.
     mode : int
-        The mode i that the law believes in, counted from 0.
+        The mode i that the law assumes, counted from 0.
     allow_unstable : bool
         Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
@@ -68,8 +68,7 @@ class SingleModePredictor(TableLaw):
         return f"mode {self.mode} only"
 
     @property
-    def _own(self) -> SwitchedSystem:
-        """The plant that stays in the law's mode."""
+    def _one_mode(self) -> SwitchedSystem:
         own, plant = slice(self.mode, self.mode + 1), self.plant
         return plant.like(plant.A[own], plant.B[own], plant.delays[own])
 
@@ -79,7 +78,7 @@ class SingleModePredictor(TableLaw):
     ) -> Feedback:
         from deadtime.laws.tables.along_signal import constant_table
 
-        return constant_table(self._own, self.gains[self.mode : self.mode + 1], np.ones(1), step)
+        return constant_table(self._one_mode, self.gains[[self.mode]], np.ones(1), step)
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         gains = extended_gains(self.gains, rows)
@@ -99,4 +98,4 @@ class SingleModePredictor(TableLaw):
     def _settled(self) -> Functional:
         from deadtime.laws.tables.windows import constant_functional
 
-        return constant_functional(self._own, self.gains[[self.mode]], np.ones(1))
+        return constant_functional(self._one_mode, self.gains[[self.mode]], np.ones(1))

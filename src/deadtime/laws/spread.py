@@ -1,8 +1,8 @@
 """The covariance of predictions: futures of one system, Markov chains, chains at samples.
 
-**One system from some instant on.** In such a future nothing is left to chance but the state now
-and the disturbance: over τ seconds in a system the covariance P becomes e^{Aτ} P e^{Aᵀτ} + ∫₀^τ
-e^{As} W e^{Aᵀs} ds, whatever the inputs, W one for all systems or that of each. Inputs that are
+**One system from some instant on.** In such a future only the present state and the disturbance
+are random: over τ seconds in a system the covariance P becomes e^{Aτ} P e^{Aᵀτ} + ∫₀^τ e^{As} W
+e^{Aᵀs} ds for all inputs, with one W for all systems or one for each. Inputs that are
 still to be computed count as predicted: a law's answer to a disturbance that has not happened yet
 is not part of it.
 
@@ -51,7 +51,7 @@ from deadtime.switching.models.model import SampledChain
 def held_spread(
     plant: SwitchedSystem, known: Known, W: Float[np.ndarray, "*mode n n"]
 ) -> Float[np.ndarray, "case input future n n"]:
-    """Of futures each of which holds one mode of a plant, up to its own delays.
+    """The covariance in futures that each hold one mode of a plant, up to its own delays.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def dwelling_spread(
     W: Float[np.ndarray, "*mode n n"],
     after_W: Float[np.ndarray, "*future n n"],
 ) -> Float[np.ndarray, "case input future n n"]:
-    """Of futures that stay in the mode for the rest of its dwell, then each in one of `after`."""
+    """The covariance in futures that stay in the mode for its dwell, then in one of `after`."""
     delay = plant.one_delay("a prediction's covariance under a law with a dwell time")
     periods = snap(dwell_time / step)
     ages, found = int(np.ceil(periods)) + 1, []
@@ -92,7 +92,7 @@ def _moved(
     seconds: Float[np.ndarray, "mode m"],
     W: Float[np.ndarray, "*mode n n"],
 ) -> Float[np.ndarray, "m mode n n"]:
-    """The covariance after so long in every mode."""
+    """The covariance after these times in every mode."""
     modes, m = seconds.shape
     A, tau = np.tile(plant.A, (m, 1, 1)), seconds.T.reshape(-1)
     Phi, W = transitions(A, tau), W if W.ndim == 2 else np.tile(W, (m, 1, 1))
@@ -100,7 +100,7 @@ def _moved(
     return moved.reshape(m, modes, *P.shape)
 
 
-_ROUND_OFF = 1e-18
+_ROUND_OFF = 1e-18  # relative: later terms of a Taylor series do not change a double
 _TERMS = 60
 
 
@@ -136,14 +136,14 @@ class _Moments:
 
     @classmethod
     def of(cls, plant: SwitchedSystem, known: Known) -> _Moments:
-        """As they are in each case now."""
+        """The moments at t_k, in each case."""
         cases, n = known.x.shape
         p, second = np.zeros((cases, plant.modes)), np.zeros((cases, plant.modes, n, n))
         p[np.arange(cases), known.row], second[np.arange(cases), known.row] = 1.0, known.P
         return cls(p, np.zeros((cases, plant.modes, n)), second, known.x.copy())
 
     def advance(self, plant: SwitchedSystem, generator, u, W, length: float) -> None:
-        """Over a stretch under one input."""
+        """Advance over a stretch under one input."""
         n = plant.states
         beside = np.concatenate((self.c, np.ones((len(self.c), 1))), axis=1)
         M = np.empty((*self.p.shape, 2 * n + 1, 2 * n + 1))
@@ -171,7 +171,7 @@ class _Moments:
 
 
 def _integrated(Z, M, generator, W, length):
-    """M after a stretch."""
+    """M after a stretch, by Taylor series over steps with ‖operator‖·step ≤ 1/2."""
     n = W.shape[-1]
     size = np.abs(Z[..., :n, :n]).sum(axis=3).max() + np.abs(np.diag(generator)).max()
     count = max(1, int(np.ceil(2.0 * size * length)))
@@ -239,19 +239,20 @@ class _SpreadMarch:
         self.p[mode, age], self.mean[mode, age], self.C[mode, age] = 1.0, x, P
 
     def over(self, Phi, Gamma, Q, u) -> None:
-        """A piece in which every mode is held."""
+        """Advance over a piece in which every mode is held."""
         self.mean = np.einsum("iab,icb->ica", Phi, self.mean) + (Gamma @ u)[:, None]
         self.C = Phi[:, None] @ self.C @ Phi.swapaxes(1, 2)[:, None] + Q[:, None]
 
     def switch(self) -> None:
-        """A sample, at which modes grow older or end."""
+        """Advance over a sample, at which modes age or end."""
         ended = self.p * self.chain.hazard
         weights = self.chain.jump.T[..., None] * ended
-        if self.p.shape[1] == 1:  # age says nothing: whoever goes on meets those that come
+        if self.p.shape[1] == 1:  # without ages, mass that stays and mass that enters merge
             weights += np.eye(len(ended))[..., None] * (self.p - ended)
         fresh = [_merged(own, self.mean, self.C) for own in weights]
         for kept in (self.p, self.mean, self.C):
-            kept[:, -1] = 0.0  # nothing is as old: the ages reach past the horizon
+            # np.roll moves the last age to the front. It is empty: the ages exceed the horizon.
+            kept[:, -1] = 0.0
         self.p = np.roll(self.p - ended, 1, axis=1)
         self.mean, self.C = np.roll(self.mean, 1, axis=1), np.roll(self.C, 1, axis=1)
         for j, (p, mean, C) in enumerate(fresh):

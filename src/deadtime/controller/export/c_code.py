@@ -100,8 +100,8 @@ def export_c(
     staging: Staging | None = None,
 ) -> Exported:
     """See `Controller.export_c`; with `staging` the files appear together with its others."""
-    told = names or Names()
-    texts, form = c_sources(controller, precision, accuracy, rom_budget, name, told, prediction)
+    names = names or Names()
+    texts, form = c_sources(controller, precision, accuracy, rom_budget, name, names, prediction)
     folder = Path(folder)
     require_own(folder, texts)
     with Staging() if staging is None else nullcontext(staging) as staged:
@@ -194,12 +194,11 @@ def environment(folder: str) -> Environment:
 def description(form: Form) -> str:
     """A form in a few words."""
     if form.kind == "factorised":
-        return (
-            f"factorised, order {form.sizes['order']}: a period costs the same whatever the delay"
-        )
+        order = form.sizes["order"]
+        return f"factorised, order {order}: the cost of a period does not depend on the delay"
     if form.kind == "low rank":
         return f"low rank {form.sizes['rank']}: off by {form.error:.0e} of the sum of |taps|"
-    return "dense: a period costs one product a past input"
+    return "dense: the cost of a period grows in proportion to the delay"
 
 
 def _values(
@@ -212,8 +211,10 @@ def _values(
     )
     tables = [_table(key, *array, precision) for key, array in arrays.items()]
     rom, ram = _room(controller, form, precision, prediction)
-    told = (tables, controller.step, table.ages, __version__)
     beside = [values for values in (belief, observer) if values is not None]
+    # The last digit is never 0, so that cleared memory is not taken for a state of this law.
+    content = repr((tables, controller.step, table.ages, __version__, *beside))
+    magic = hashlib.sha256(content.encode()).hexdigest()[:7] + "d"
     return {
         **{key: exact(value, precision) for key, value in limits.items()},
         **sizes,
@@ -238,7 +239,7 @@ def _values(
         "observer": observer,
         "prediction": ahead,
         **given_of(controller),
-        "magic": _magic(repr((*told, *beside))),
+        "magic": magic,
     }
 
 
@@ -284,11 +285,6 @@ def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> T
     numbers = sum(array.size for arrays in parts.values() for array, _ in arrays.values())
     single = BYTES["float"] * numbers + integers if controller.mode_belief is None else None
     return TableExtra(" and ".join(parts), BYTES[precision] * numbers + integers, ram, single)
-
-
-def _magic(told: str) -> str:
-    """32 bits that tell a law's state from that of another, and from memory that is cleared."""
-    return hashlib.sha256(told.encode()).hexdigest()[:7] + "d"
 
 
 def _measured(controller: RunningLaw) -> tuple[int, int]:

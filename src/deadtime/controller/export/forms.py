@@ -1,4 +1,4 @@
-"""The forms in which a table goes into ROM: as it is, of low rank, or factorised.
+"""The forms in which a table is stored in ROM: dense, of low rank, or factorised.
 
 A dense table is one matrix, rows (context, output), columns (tap, input), G = L R of rank r where
 its rows resemble each other. Where rows read further back in some inputs than in others, as they do
@@ -26,7 +26,7 @@ from deadtime.feedback import Feedback
 Precision = Literal["double", "float"]
 BYTES = {"double": 8, "float": 4}
 DTYPE = {"double": np.float64, "float": np.float32}
-_MOST_ERROR = 1e-2  # that is offered
+_MOST_ERROR = 1e-2  # of a low-rank form that a message may recommend
 _COUNTERS = 80  # bytes of integers and clock in a controller's state
 
 
@@ -77,7 +77,7 @@ def windows_of(table: Feedback) -> tuple[int, ...]:
 def past_of(
     table: Feedback, windows: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "context m past"], str]:
-    """The taps side by side as a controller stores inputs, and how that is."""
+    """The taps side by side in the order in which a controller stores inputs, and that order."""
     if not windows:
         return table.oldest_first, "the oldest input first"
     own = [table.input_gain[:, :count, :, j][:, ::-1] for j, count in enumerate(windows)]
@@ -138,10 +138,10 @@ def factor_form(table: Feedback) -> Form:
 def form_of(
     table: Feedback, accuracy: float, precision: Precision, budget: int | None = None
 ) -> Form:
-    """The form that the C takes: as the controller does, or of low rank.
+    """The form of the C: the form of the controller, or low rank.
 
-    A product of rank r costs r sums over the past inputs a period where a dense row costs m, so it
-    is taken where it halves the room, or where the budget needs it.
+    Rank r costs r sums over the past inputs per period, and a dense row costs m. So low rank is
+    used only if it halves the ROM or if the budget requires it.
     """
     if table.factor is not None and table.taps > FEW:
         return factor_form(table)
@@ -156,20 +156,20 @@ def form_of(
 
 
 def rom_bytes(table: Feedback, form: Form, precision: Precision) -> int:
-    """Of all constants: taps, state gains and limits."""
+    """Bytes of all constants: taps, state gains and limits."""
     m = table.input_gain.shape[2]
     return BYTES[precision] * (form.numbers + table.state_gain.size + 2 * m)
 
 
 def ram_bytes(table: Feedback, form: Form, precision: Precision) -> int:
-    """Of one controller, about: padding is the compiler's."""
+    """Bytes of one controller, without the padding that the compiler adds."""
     return BYTES[precision] * (form.state + table.input_gain.shape[2]) + _COUNTERS
 
 
 def require_budget(
     table: Feedback, form: Form, precision: Precision, budget: int | None, beside: TableExtra
 ) -> None:
-    """Refuse tables beyond the budget, and say what would fit it."""
+    """Refuse tables beyond the budget, and name forms that fit."""
     needed = rom_bytes(table, form, precision) + beside.rom
     if budget is None or needed <= budget:
         return

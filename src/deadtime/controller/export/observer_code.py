@@ -19,7 +19,8 @@ from deadtime.feedback.memory import Memory
 
 _COUNTERS = 8  # bytes of integers in a controller's state
 _NEVER = 2**63  # samples
-# Of the input asked for: less is not told from the one applied, `_ROUND_OFF` of the kernel.
+# Relative to the commanded input: a smaller difference to the applied input is round-off. As
+# `_ROUND_OFF` of the kernel.
 _ROUND_OFF = {"double": 1e-9, "float": 1e-5}
 
 
@@ -73,7 +74,7 @@ def require_schedule(observing: Observing) -> None:
 
 
 def require_within(form: ObserverForm, most: float) -> None:
-    """Refuse a first estimate or a reference that the C cannot count."""
+    """Refuse a first estimate or a reference beyond the bound of the C."""
     for name, value in (("estimate", form.memory.start), ("reference", form.values)):
         if np.abs(value).max(initial=0.0) > most:
             raise ArgumentError(
@@ -119,7 +120,7 @@ def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
 
 
 def integer_bytes(form: ObserverForm) -> int:
-    """Of tables of integers, which take four bytes, and of samples, which take eight."""
+    """Bytes of tables of integers: four each, and eight for samples."""
     samples = len(form.changes) if len(form.changes) > 1 else 0
     return 4 * form.memory.lag.size + 8 * samples
 
@@ -132,10 +133,10 @@ def ram_bytes(form: ObserverForm, precision: Precision) -> int:
 
 
 def gain(form: ObserverForm, largest: float) -> float:
-    """How many times a number sums in a period may exceed it: for `bounds`.
+    """By what factor sums within a period may exceed their terms: for `bounds`.
 
-    What an input was refused is multiplied with a change of it, so the square of the bound, times
-    the gain there, must not overflow either.
+    The part of an input beyond its limits is multiplied by its change, so the square of the bound,
+    times that gain, must not overflow either.
     """
     memory, (n, p, q, _) = form.memory, form.sizes
     m = memory.sizes.m * memory.lag.size

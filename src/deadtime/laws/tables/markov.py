@@ -85,12 +85,12 @@ class Reading(NamedTuple):
 
     @property
     def to_come(self) -> Bool[np.ndarray, "mode m"]:
-        """Whether what a mode reads is still to be computed at t_k."""
+        """Whether the input that a mode reads is not yet computed at t_k."""
         return self.sample >= 0
 
 
 def readings(sampled: SampledPlant) -> list[Reading]:
-    """The stretches from t_k on, until every mode reads what is computed at t_k or later."""
+    """The stretches from t_k on, until every mode reads inputs computed at t_k or later."""
     return list(_readings(sampled))
 
 
@@ -98,9 +98,8 @@ def _readings(sampled: SampledPlant) -> Iterator[Reading]:
     every, modes = sampled.every_stretch, range(sampled.plant.modes)
     ends = np.unique(every.stop)
     starts = np.append(0.0, ends[:-1])
-    place = np.stack(
-        [every.first[i] + np.searchsorted(_stops(every, i), starts, "right") for i in modes]
-    )
+    stops = np.split(every.stop, every.first[1:-1])  # the ends of each mode's own stretches
+    place = np.stack([every.first[i] + np.searchsorted(stops[i], starts, "right") for i in modes])
     lag = every.lag[place].swapaxes(0, 1)  # (stretches of a period, modes, m)
     before = -1 - lag[-1]
     for p in range(sampled.longest_lag + 1):
@@ -110,11 +109,6 @@ def _readings(sampled: SampledPlant) -> Iterator[Reading]:
             before = sample
             if (sample >= 0).all():
                 return
-
-
-def _stops(every, mode):
-    """The ends of a mode's own stretches."""
-    return every.stop[every.first[mode] : every.first[mode + 1]]
 
 
 def passage_table(
@@ -190,8 +184,8 @@ def _motion(K, generator, sampled: SampledPlant, part: Reading, target: int) -> 
     return Z
 
 
-_AGREEMENT = 1e-13
-_PROBABILITY = 1e-9
+_AGREEMENT = 1e-13  # relative to the largest tap: the error that a factor may have
+_PROBABILITY = 1e-9  # by which probabilities may miss the sum 1
 
 
 def markov_table(
@@ -209,7 +203,8 @@ def markov_table(
     ahead, h = sampled.ahead, sampled.step
     states = modes * n
     Z = np.zeros((states + modes * m, states + modes * m))
-    Z[:states, :states], Z[:states, states:] = _expected_system(A, B, generator)
+    Z[:states, :states] = np.kron(generator.T, np.eye(n)) + np.asarray(block_diag(*A))  # 𝒜
+    Z[:states, states:] = block_diag(*B)  # ℬ
     Z[states:, states:] = np.kron(generator.T, np.eye(m))
     whole = [transition(Z, length) for length in ahead.length.tolist()]
     moved = [transition(generator.T, length) for length in ahead.length.tolist()]
@@ -232,16 +227,8 @@ def markov_table(
     return Feedback(np.ascontiguousarray(F), G, "mode", h, factor=factor)
 
 
-def _expected_system(
-    A: np.ndarray, B: np.ndarray, generator: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """𝒜 and ℬ."""
-    free = np.asarray(block_diag(*A)) + np.kron(generator.T, np.eye(A.shape[1]))
-    return free, np.asarray(block_diag(*B))
-
-
 def _require_precision(generator: np.ndarray, step: float) -> None:
-    """Refuse rates so fast that probabilities do not sum to 1 any more."""
+    """Refuse rates so fast that probabilities no longer sum to 1."""
     with np.errstate(over="ignore", invalid="ignore"):
         lost = np.abs(transition(generator.T, step).sum(axis=0) - 1.0).max()
     if not lost <= _PROBABILITY:
