@@ -7,6 +7,7 @@ rest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,6 +47,10 @@ def plants_of(
         require_match(plant.plant, law)
         return plant.plant_set(), plant.plant, plant.delay_range() if delays is None else delays
     plants: list[SwitchedSystem] = []
+    if not isinstance(plant, SwitchedSystem) and not np.iterable(plant):
+        raise ArgumentError(
+            f"plant must be a SwitchedSystem or a sequence of them, got {type(plant).__name__}."
+        )
     for corner in [plant] if isinstance(plant, SwitchedSystem) else plant:
         if isinstance(corner, PlantUncertainty):
             raise ArgumentError(
@@ -93,9 +98,11 @@ def _require_one_period(low: float, high: float, step: float, name: str) -> None
     try:
         DelayInterval.of(low, high, step)
     except ValueError:
+        cut = (math.floor(low / step) + 1) * step
         raise ArgumentError(
             f"{name} must lie within one period, between two multiples of step = {step:g} s, got "
-            f"({low:g}, {high:g}): certify the parts one by one, as delay_margin does."
+            f"({low:g}, {high:g}): certify the parts below and above {cut:g} s one after the other "
+            "with delays= (--delays), or choose a step none of whose multiples is within the range."
         ) from None
 
 
