@@ -267,7 +267,7 @@ def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys
         (("follower", *slow, "--law", "mean"), "another table than that of the given law"),
         (("follower", *slow, "--dwell-time", "0.9"), ", not 0.9 s"),
         (("follower",), "is about a period of 0.1 s, not "),
-        (("follower",), "ask with a step of 0.1 (--step)"),
+        (("follower",), "give a step of 0.1 (--step)"),
         (("paper", *slow), "a plant with other matrices"),
     ):
         code, out, err = run(capsys, "verify", str(saved), "--problem", *asked)

@@ -149,7 +149,7 @@ class Certificate:
 
 
 def round_down(rate: float, digits: int = 4) -> str:
-    """A positive rate, rounded towards 0 to some significant digits: never above the proved rate."""
+    """A positive rate, rounded towards 0: a text never claims more than is proved."""
     unit = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
     return f"{math.floor(rate / unit) * unit:.{digits}g}"
 
@@ -172,6 +172,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     """Sentences: the theorem, the numbers it is about, and the kind of proof."""
     setting, rho = evidence.setting, evidence.rho
     signals, words = setting.signals, setting.signals.sentence(setting.modes)
+    # A sentence is put together from parts that are empty where they do not apply.
     which, _ = setting.plants.in_words
     ends = any(map(math.isfinite, setting.limits.maximum_dwell))
     alike = ""
