@@ -53,7 +53,7 @@ def plants_of(
     for corner in [plant] if isinstance(plant, SwitchedSystem) else plant:
         if isinstance(corner, PlantUncertainty):
             raise ArgumentError(
-                f"plant must be a {type(corner).__name__}, got a sequence that contains one: "
+                f"plant must be one {type(corner).__name__}, got a sequence that contains one: "
                 "certify each alone, or all their corners, [*one.corners(), *another.corners()]."
             )
         instance("plant", corner, SwitchedSystem)
@@ -141,6 +141,7 @@ def _worst(plant: SwitchedSystem, plants: PlantSet, table: Feedback, mode: int) 
         size = float(np.linalg.norm(gradient))
         if not 0.0 < size < np.inf:
             break
+        # On an ellipsoid the maximum of the linear model is known in closed form: no line search.
         z = plants.farthest(gradient)
         if growth(z) > most:
             most, best = growth(z), z

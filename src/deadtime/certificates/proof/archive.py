@@ -55,7 +55,7 @@ class Archived:
 
 
 def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
-    """Write the evidence to `path`."""
+    """Write the evidence to `path`, complete or not at all."""
     setting, signals, limits = evidence.setting, evidence.setting.signals, evidence.setting.limits
     longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
     counts = {
@@ -92,6 +92,7 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
         "rho": evidence.rho,
         **_function(evidence),
     }
+    # Of all the content but itself, as `_content` computes it again.
     content["sha256"] = digest(content)
     with replacing(path) as place:
         place.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -121,6 +122,7 @@ def load_evidence(path: Path) -> Archived:
         rate = content["decay_rate"]
         evidence = _evidence(content)
         return Archived(evidence, None if rate is None else _float(rate), content["sha256"])
+    # Any entry may be of any type: these are the errors that reading a foreign file can raise.
     except (
         KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, binascii.Error
     ) as error:  # fmt: skip
@@ -152,6 +154,7 @@ def _content(path: Path) -> dict[str, Any]:
             f"path {str(path)!r} is no {FORMAT}: give the JSON file that `save` wrote."
         )
     stored = content.get("sha256")
+    # A half of a surrogate pair is valid JSON, but has no UTF-8 to be hashed.
     try:
         found = digest({key: value for key, value in content.items() if key != "sha256"})
     except UnicodeEncodeError:

@@ -106,7 +106,7 @@ def norm_above(sizes: np.ndarray) -> float:
     """
     if not np.isfinite(sizes).all():
         return np.inf
-    largest = float(sizes.max(initial=0.0))
+    largest = float(sizes.max(initial=0.0))  # squares of numbers near 1e±200 would be lost
     return largest * float(np.sqrt(np.sum((sizes / largest) ** 2))) if largest else 0.0
 
 
@@ -137,6 +137,7 @@ def top(matrix: Any, rows: int) -> Any:
 
 def powers_of_two(diagonal: np.ndarray) -> np.ndarray:
     """Powers of two t with t² · diagonal in [1/2, 2)."""
+    # A diagonal that is not positive fails later; here it only must not raise.
     safe = np.where(diagonal > 0.0, diagonal, 1.0)
     return 2.0 ** -np.round(0.5 * np.log2(safe))
 

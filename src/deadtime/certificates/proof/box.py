@@ -142,6 +142,7 @@ class Box(Steps):
         return max(one.count for row in self.intervals for one in row)
 
     def _received(self) -> set[tuple[int, int]]:
+        # With φ_low = h the delay is N whole periods, and lag N − 1 never acts.
         return {
             (lag, c)
             for row in self.intervals
@@ -159,6 +160,7 @@ class Box(Steps):
         if mode == after:
             return [Order(mode, after, 0.0, self.step)]
         marks, near = [0.0], TOLERANCE * self.step
+        # Ends close to a neighbour are dropped: u of such a part would divide by almost 0.
         ends = {x for i in (mode, after) for one in self.intervals[i] for x in (one.low, one.high)}
         for x in sorted(ends):
             if x - marks[-1] > near and self.step - x > near:

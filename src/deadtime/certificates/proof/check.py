@@ -64,6 +64,7 @@ def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Chec
 
     `limit` is a multiple of the work that `work` allows for evidence of this size.
     """
+    # Before any arithmetic: the estimate of the work relies on sound sizes, too.
     reason = why_malformed(evidence)
     if reason:
         return Check(False, reason)

@@ -107,6 +107,7 @@ class Covering:
                 direction = self._direction(form, lower, cell)
                 if direction is None:
                     continue
+                # Evidence that fails by a hair would be bisected for ever without these limits.
                 if direction < 0 or depth == DEEPEST or count == MOST_CELLS:
                     return count, self.family.instant(cell.order, 0.5 * sum(cell.u))
                 pending += [(half, depth + 1) for half in cell.halves(direction)]
@@ -140,11 +141,13 @@ class Covering:
                 # At the centre itself no bisection helps, unless λ may be better on a smaller cell.
                 if not enclosure.slopes or (len(points) == 1 and sway is None):
                     return -1
+                # The form at a corner is not ≻ 0, so no bound names a direction: bisect the widest.
                 widths = [np.abs(balls.middle(slope)) for _, slope in enclosure.slopes]
                 directions = (k for k, _ in enclosure.slopes)
                 return max(zip(map(balls.norm_above, widths), directions, strict=True))[1]
             least, Wt = definite
             bounds = _changes(*asked, Wt, rest)
+            # `not … <` and not `>=`: a nan must not pass.
             if not sum(bounds.values()) * (1.0 + 1e-12) < least:
                 held = False
                 sizes = {k: max(sizes[k], bound) for k, bound in bounds.items()}

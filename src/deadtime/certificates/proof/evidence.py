@@ -157,6 +157,21 @@ class Setting(Frozen):
             result[:, :, : self.states + q + taps * m] = np.concatenate(parts, axis=2)
         return result
 
+    def period(
+        self, row: Float[np.ndarray, "o order"]
+    ) -> tuple[Float[np.ndarray, "k order"], Float[np.ndarray, "rest order"]]:
+        """(seen, rest) of a period under a row: ξ⁺ = [E seen; rest] ξ, for any plant rows E.
+
+        x⁺                     = E y,  y = seen ξ
+        w⁺, u_k                | row                       |
+        u_{k−1} … u_{k−W+1}    | ones: the inputs shifted  |
+        """
+        unit = np.eye(self.order)
+        places = [(lag, self.input_at(lag, j)) for lag, j in self.family.reads]
+        read = [(unit if lag else row)[[at]] for lag, at in places]
+        shifted = unit[self.states + self.memory : self.order - self.inputs]
+        return np.concatenate((unit[: self.states], *read)), np.concatenate((row, shifted))
+
     def input_at(self, lag: int, channel: int) -> int:
         """Index of u_{k−lag} of an input in ξ; for lag 0, not in ξ, its index among the outputs."""
         if not lag:

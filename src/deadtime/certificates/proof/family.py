@@ -150,6 +150,7 @@ class Family(Steps):
                 for row in windows
             )
             count = max(window.count for row in windows for window in row)
+            # φ = h cuts nothing: such a delay reads one lag over the whole period.
             marks = (start, *((p, p) for p in phases), stop)
             return cls(plants, step, count, marks, lags)
         low, high = (Window.of(delay, step) for delay in delays)
@@ -220,7 +221,7 @@ class Family(Steps):
         if part is None:
             return 0.0, 1.0
         if part.stop - part.start == len(self.marks) - 1:
-            return instants
+            return instants  # u is the fraction of the period itself, without rounding
         low, high = (fraction * self.step for fraction in instants)
         (a0, a1), (b0, b1) = self.marks[part.start], self.marks[part.stop]
         # u = (s − a)/(b − a) decreases in a and in b, so its extremes are at the ends of the range.
@@ -280,6 +281,7 @@ class Family(Steps):
         n = self.states
         result: np.ndarray = np.eye(n + len(self.reads))
         for part in order:
+            # Later segments multiply from the left.
             part_time = marks[part.stop] - marks[part.start]
             generator = np.tensordot(weights, self.generator(part.mode, part.lags), 1)
             result = expm(generator * (part_time * share[part.share])) @ result

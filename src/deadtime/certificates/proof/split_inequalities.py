@@ -102,7 +102,7 @@ class SplitInequalities:
             here = self.S(first, transition.age)
             SF = self.S(last, transition.next_age) * self.F
             lines = (self.Pi - self.F.transpose() * SF * (1 / self.rho2)).tolist()
-            at = self.v - self.s
+            at = self.v - self.s  # v = (y, r, ψ): ψ comes last
             for i in range(self.s):
                 for j in range(self.s):
                     lines[at + i][at + j] += here[i, j]
@@ -146,7 +146,7 @@ class SplitInequalities:
     def large(self) -> bool:
         """K − c I ≻ 0."""
         middle, error = self._K()
-        unit = powers_of_two(np.diag(middle))
+        unit = powers_of_two(np.diag(middle))  # scaling by powers of two does not round
         scaled = middle * unit * unit[:, None]
         errors = (error * unit * unit[:, None]).sum(axis=1) * (1.0 + 1e-12)
         return is_positive_definite(scaled, errors + self._residuals(unit))
@@ -193,9 +193,10 @@ class SplitInequalities:
         wide, grow = self.channels.wide * unit, 1.0 + 1e-10
         u, worst = self.v + self.evidence.setting.states, 0.0
         largest = float(np.linalg.norm(self.evidence.S)) * grow
-        if not self.forms:
+        if not self.forms:  # `holds` was not called: nothing is known of Θ
             return np.inf
         for form, SF in self.forms.values():
+            # See the module for c: Θ_u. of this form, the residuals η and ε, S at the step's end.
             c = 0.0
             if eta:
                 blocks = balls.blocks([[form.wv, form.ww]])
@@ -206,7 +207,7 @@ class SplitInequalities:
                 pull = _above(balls.split(SF), wide)
                 c += (2.0 * pull * epsilon + largest * epsilon**2) / self.evidence.rho**2
             if not np.isfinite(c):
-                return np.inf
+                return np.inf  # max() below would drop a nan
             worst = max(worst, c)
         return worst * grow
 

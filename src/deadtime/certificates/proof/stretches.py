@@ -97,6 +97,7 @@ class StretchEvidence(Frozen):
                 f"age must be at most {knots[-1]}, got {age}: after it the mode has to be "
                 "left, and the Lyapunov function depends on when."
             )
+        # For the user, so floats at the end; balls since the check has the same product.
         with precision():
             ahead = StretchInequalities(self).full(mode, age, self.knots[knot])
         M, periods = balls.middle(ahead), self.knots[knot] - age
@@ -112,18 +113,9 @@ def decay_rate(evidence: Evidence | StretchEvidence) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PeriodMap:
-    """A period under one row of the table, ξ⁺ = (E seen + rest) ξ (immutable), in balls.
+    """`Setting.period` in balls (immutable), `rest` (d, d) with zeros in the plant's rows.
 
-    Attributes
-    ----------
-    seen : (k, d)
-        y = seen ξ, the argument of the plant's rows E.
-    rest : (d, d)
-        The law's outputs and the shifted inputs; zero in the plant's rows:
-
-            x⁺                     | 0               |
-            w⁺, u_k                | row             |
-            u_{k−1} … u_{k−W+1}    | ones, shifted   |
+    ξ⁺ = (E seen + rest) ξ.
     """
 
     seen: Any
@@ -132,12 +124,8 @@ class PeriodMap:
     @classmethod
     def of(cls, setting: Setting, row: np.ndarray) -> PeriodMap:
         """Under one row (o, d) of the table."""
-        n, d, unit = setting.states, setting.order, np.eye(setting.order)
-        places = [(lag, setting.input_at(lag, j)) for lag, j in setting.family.reads]
-        read = [(unit if lag else row)[[at]] for lag, at in places]
-        seen = np.concatenate((np.eye(n, d), *read))
-        held = unit[n + setting.memory : d - setting.inputs]
-        rest = np.concatenate((np.zeros((n, d)), row, held))
+        seen, rest = setting.period(row)
+        rest = np.concatenate((np.zeros((setting.states, setting.order)), rest))
         return cls(balls.exact(seen), balls.exact(rest))
 
     def loop(self, E: Any) -> Any:
@@ -202,7 +190,7 @@ class StretchInequalities:
         periods = self.setting.periods_per_switch
         if periods is None:
             return arb(1)
-        power = 1 / periods - step.switches
+        power = 1 / periods - step.switches  # a Fraction: r is rational
         return arb(self.evidence.mu) ** arb(fmpq(power.numerator, power.denominator))
 
     def full(self, mode: int, start: int, end: int) -> Any:
@@ -248,5 +236,6 @@ class StretchInequalities:
         return self.followed[key]
 
     def _step(self, mode: int, row: int) -> Any:
+        # One cell: with a range of delays every stretch is one period, and no product is formed.
         (whole,) = cells_of(self.setting.family, mode, mode)
         return self.rows[row].loop(self.covering.enclosure(whole).centre)

@@ -112,6 +112,7 @@ def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
     n, k, _ = L.shape
     rows, columns = _unit(L, (1, 2)), _unit(L, (0, 2))
     flat = (L / rows[:, None, None] / columns[:, None]).reshape(n * k, -1)
+    # Λ only enters by Λ Λᵀ, so an economic factor of at most n k columns replaces all directions.
     left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
     L = (left * sizes).reshape(n, k, -1)
     W, X, root = np.eye(n), np.eye(k), np.eye(len(sizes))
@@ -123,6 +124,7 @@ def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
         values, vectors = np.linalg.eigh(inside.T @ inside)
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         root = root / max(float(np.linalg.norm(root)), 1e-300) * np.sqrt(len(sizes))
+    # The iteration may end short of feasibility; the scale makes W ⊗ X ⪰ (1 + ROOM) C.
     W = W * np.linalg.norm(_whitened(L, W, X), 2) ** 2 * (1.0 + ROOM)
     W, X = W * rows * rows[:, None], X * columns * columns[:, None]
     return 0.5 * (W + W.T), 0.5 * (X + X.T)

@@ -127,6 +127,7 @@ class LeavingAges:
             last = max(first, reported) if R is None else math.floor(R) - 1
             return cls(first, last, R is not None, 1.0)
         first = math.floor(r) - 1
+        # Rounded outwards, so that float instants contain the exact ones.
         earliest = max(0.0, math.nextafter(float(r - first - 1), 0.0))
         if R is None:
             # The last age stands for all later ones, at which a mode may be left at any instant.
@@ -230,7 +231,7 @@ class SwitchGraph:
         """The graph of a class of signals at a period, in seconds."""
         limits, lag, losses = signals.limits(modes), signals.mode_lag, signals.lost_samples
         following = limits.following
-        if modes == 1:
+        if modes == 1:  # no switches, but rows may still change with the age
             own = LeavingAges(0, ages - 1 + losses)
             return cls((own,), following, None, context, ages, 0, losses)
         reported = ages - 1 + lag + losses
@@ -374,6 +375,7 @@ class SwitchGraph:
             marks = {*shared, clock.first, clock.first + 1, clock.last}
             ends = {a for mark in marks for a in (mark - 1, mark)}
             for a in range(clock.last + 1):
+                # Every age with changing rows, and both neighbours of every mark.
                 if not (self.lag <= a < self.lag + changing or a in ends):
                     continue
                 for row, lost, next_lost in self._reported(i, a):

@@ -116,6 +116,7 @@ def _times(setting: Setting) -> str:
     ends = np.array(setting.delays)
     if (isinstance(setting.delays, tuple) or ends.ndim == 3) and np.any(ends[0] > ends[1]):
         return "delays do not ascend"
+    # Both limits before the graph is built: its size is the number of ages.
     chattering = min(signals.chatter, MOST_AGES + 1) * max(limits.dwell_time)
     longest = [most for most in limits.maximum_dwell if math.isfinite(most)]
     longest = max(setting.longest_delay, chattering, *longest)
@@ -137,6 +138,7 @@ def _times(setting: Setting) -> str:
 def _rho_and_knots(rho: object, knots: tuple[object, ...]) -> str:
     if not (isinstance(rho, float) and 0.01 <= rho <= 1.0):
         return "rho is not in [0.01, 1]"
+    # A bool is an int in Python, and 1.0 an index that NumPy refuses.
     ages = [knot for knot in knots if isinstance(knot, int) and not isinstance(knot, bool)]
     if not ages or len(ages) < len(knots):
         return "knots are not whole numbers"
@@ -214,6 +216,7 @@ def _misshapen(expected: dict[str, tuple[np.ndarray, tuple[int, ...]]]) -> str:
     for name, (array, shape) in expected.items():
         if array.shape != shape:
             return f"{name} has the shape {array.shape}, not {shape}"
+        # A nan fails both comparisons.
         size = np.abs(array[array != 0.0])
         if not np.all((size >= SMALLEST) & (size <= LARGEST)):
             return f"{name} holds a number that is not finite, or beyond 1e±100"
