@@ -184,6 +184,8 @@ def test_loops_out_of_reach_are_left_open_with_the_reason():
         ({"plant": GENERIC}, "law must be made for a plant with 3 modes, got a law for 2"),
         ({"plant": [PAIR, with_delay(PAIR, 0.2)]}, "the same delays at all corners"),
         ({"plant": []}, "plant must be a SwitchedSystem or a sequence of them, got none"),
+        ({"plant": 3}, "plant must be a SwitchedSystem or a sequence of them, got int"),
+        ({"delays": (0.19, 0.21)}, "the parts below and above 0.2 s one after the other with"),
     ],
 )
 def test_malformed_requests_are_refused_by_name(options, message):

@@ -219,5 +219,5 @@ def test_a_refutation_says_that_it_is_of_another_plant_than_the_middle():
 
 def test_uncertain_plants_are_certified_one_by_one():
     both: Any = [ONE, corpus.around(ONE, 0.01)]
-    with pytest.raises(dt.ArgumentError, match="one UncertainPlant by itself"):
+    with pytest.raises(dt.ArgumentError, match="must be one UncertainPlant"):
         dt.certify(both, ALONE, 0.2, H)

@@ -48,8 +48,8 @@ def test_certificates_are_those_of_whole_solutions(law):
 def test_a_rough_solution_is_made_whole_before_it_is_proved():
     search = searched()
     rough, whole = aside(search.glance, 1.0), search.propose(1.0)
-    assert rough.rough
-    assert not whole.rough
+    assert rough.solution.rough
+    assert not whole.solution.rough
     assert 0.0 < rough.margin < whole.margin  # it stopped on its way
     proved, outcome = search.prove(rough)
     assert outcome.proven
@@ -62,4 +62,6 @@ def test_where_there_is_nothing_a_glance_finds_nothing():
 
 
 def test_in_the_main_thread_solvers_are_not_watched():
-    assert not searched().glance(1.0).rough  # what it asks on its way would swallow a Ctrl-C
+    assert (
+        not searched().glance(1.0).solution.rough
+    )  # what it asks on its way would swallow a Ctrl-C

@@ -174,7 +174,7 @@ def test_no_law_inside_that_is_not_linear_and_no_mode_told_late_of_other_outputs
     loop = dt.OutputFeedback(ruled, dt.luenberger(two, [[1.0, 0.0]], [-3.0, -4.0], STEP))
     refused = dt.certify(two, loop, 0.3, STEP)
     assert refused.stable is None
-    assert "OutputFeedback is no linear update of what it remembers" in refused.message
+    assert "OutputFeedback has no linear update of its state" in refused.message
     late = dt.certify(THREE, observed(THREE, SEEN), 0.8, STEP, mode_lag=1)
     assert late.stable is None
     assert "certify with one C for all modes, or without mode_lag" in late.message

@@ -230,6 +230,6 @@ def test_what_is_not_stated_is_refused():
         theorem_bound(plant, gains, 0.2)
     own = dt.SwitchedSystem(plant.A, plant.B, [[0.5, 0.2], [0.4, 0.2]])
     with pytest.raises(
-        dt.ArgumentError, match=r"same delays in all modes.*Ask certify, which looks"
+        dt.ArgumentError, match=r"same delays in all modes.*Use certify for this loop"
     ):
         theorem_bound(own, gains, 0.2, form="sharp")

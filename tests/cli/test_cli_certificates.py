@@ -16,7 +16,8 @@ from certified_loops import MILD_FILE
 from deadtime.certificates import Verification
 from deadtime.certificates.proof.archive import digest
 from deadtime.cli.application import main
-from deadtime.imperfections import Dropout
+from deadtime.imperfections import Dropout, ModeDelay, Noise
+from deadtime.reports.certificate_tables import Judged, certificate_sentences
 
 WITNESS = SimpleNamespace(
     growth_rate=0.282, message="grows.", modes=(1,), sojourns=(np.inf,), phase=0.0, signal=None,
@@ -132,6 +133,39 @@ def test_certify_says_that_it_leaves_imperfections_out(capsys, made_up, monkeypa
     assert record["imperfections_left_out"] == ["Dropout(probability=0.5)"]
 
 
+def test_certify_does_not_list_as_left_out_what_it_covers(capsys, made_up, monkeypatch):
+    parts = (ModeDelay(2), Dropout(0.5), Noise(0.1))
+    imperfect = replace(dt.problems.paper(), imperfections=parts)
+    monkeypatch.setattr(import_module("deadtime.cli.options"), "problem_of", lambda _: imperfect)
+
+    def left_out(*options):
+        text = " ".join(run(capsys, "certify", "paper", "--law", "mean", *options)[1].split())
+        record = json.loads(run(capsys, "certify", "paper", "--json", *options)[1])
+        return text, record["imperfections_left_out"]
+
+    text, names = left_out("--mode-lag", "2")
+    assert "Not covered: Dropout(probability=0.5), Noise(std=0.1)." in text
+    assert names == ["Dropout(probability=0.5)", "Noise(std=0.1)"]
+    assert left_out("--mode-lag", "1")[1] == [
+        "ModeDelay(periods=2)",
+        "Dropout(probability=0.5)",
+        "Noise(std=0.1)",
+    ]
+    text, names = left_out("--lost-samples", "3")
+    assert "Not covered: ModeDelay(periods=2), Noise(std=0.1)." in text
+    assert "Covered while at most 3 samples in a row are lost: Dropout(probability=0.5)." in text
+    assert names == ["ModeDelay(periods=2)", "Noise(std=0.1)"]
+
+
+def test_a_refusal_calls_an_input_by_its_name():
+    problem = replace(dt.problems.paper(), inputs=("brake",))
+    judged = Judged("mean", None, None, None, "delays of input 0 in mode 1 must ascend.")
+    name = problem.modes[1]
+    assert certificate_sentences([judged], problem) == [
+        f"mean: delays of brake in {name} must ascend."
+    ]
+
+
 def test_certify_json_holds_everything_and_no_infinity(capsys, made_up):
     code, out, _ = run(capsys, "certify", "paper", "--json")
     record = json.loads(out)
@@ -233,7 +267,7 @@ def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys
         (("follower", *slow, "--law", "mean"), "another table than that of the given law"),
         (("follower", *slow, "--dwell-time", "0.9"), ", not 0.9 s"),
         (("follower",), "is about a period of 0.1 s, not "),
-        (("follower",), "ask with a step of 0.1 (--step)"),
+        (("follower",), "give a step of 0.1 (--step)"),
         (("paper", *slow), "a plant with other matrices"),
     ):
         code, out, err = run(capsys, "verify", str(saved), "--problem", *asked)

@@ -23,7 +23,7 @@ from deadtime.certificates.proof.stretches import decay_rate
 
 
 def require_json(name: str, path: str | Path) -> Path:
-    """A path for a certificate; an ArgumentError if it asks for another kind of file.
+    """A path for a certificate; an ArgumentError if its suffix is another than .json.
 
     Examples
     --------
@@ -46,8 +46,8 @@ class Certificate:
     Attributes
     ----------
     stable : bool or None
-        True: it is; False: `witness` is an admissible signal under which it is not; None: neither
-        was found, `message` says why.
+        True: stable; False: `witness` is an admissible signal under which the loop grows; None:
+        neither was found, and `message` says why.
     decay_rate : float or None
         1/s: every solution is below :math:`C e^{-\alpha t}` with this :math:`\alpha`; None unless
         stable.
@@ -57,13 +57,13 @@ class Certificate:
     message : str
         One or two plain sentences.
     statement : tuple of str
-        What is proved, and about which numbers; empty unless stable.
+        The theorem that is proved, and its numbers; empty unless stable.
     witness : WorstCase or None
         The worst signal found, when not stable.
     evidence : Evidence or StretchEvidence or None
         The numbers of the proof, when stable.
     limit : int
-        With which `verify` proves it: how many times the work that is usual for so many numbers.
+        The limit that `verify` needs, as a multiple of the usual work for a file of this size.
     """
 
     stable: bool | None
@@ -80,9 +80,17 @@ class Certificate:
         """A certificate of stability from evidence that passed the check."""
         rate = decay_rate(evidence)
         pace = f"decays at least like exp(−{round_down(rate)} t)" if rate else "decays"
-        message = f"Stable for every admissible signal{_also(evidence)}, proved: the loop {pace}."
-        words = statement(evidence, checked.cells)
-        return cls(True, message, rate, True, words, None, evidence, checked.limit)
+        delays = ""
+        if isinstance(evidence.setting.family, Box):
+            delays = " and all constant delays in the given ranges"
+        elif evidence.setting.family.ranges:
+            low, high = evidence.setting.delays
+            delays = f" and every constant delay from {low:.6g} s to {high:.6g} s"
+        plants = evidence.setting.plants
+        sets = delays if plants.known else f"{delays} and every plant in the {plants.kind}"
+        message = f"Stable for every admissible signal{sets}, proved: the loop {pace}."
+        sentences = statement(evidence, checked.cells)
+        return cls(True, message, rate, True, sentences, None, evidence, checked.limit)
 
     def lyapunov(
         self, mode: int = 0, age: int = 0, lost: int = 0
@@ -91,15 +99,15 @@ class Certificate:
 
         :math:`P` of :math:`V = \xi^T P \xi` with :math:`\xi = (x_k, w_k, u_{k-1}, \dots, u_{k-W})`.
 
-        w is what a law remembers of its outputs, (x̄, s) of `feedback.recurrence`; nothing of a law
-        of the state.
+        w is the controller's own state, (x̄, s) of `feedback.recurrence`; empty for a law of the
+        plant's state.
 
         Parameters
         ----------
         mode : int
             The mode seen at the sample.
         age : int
-            How many samples it has been seen for before.
+            How many samples the mode has been seen before this one.
         lost : int
             How many samples in a row were lost just before this one.
 
@@ -140,36 +148,19 @@ class Certificate:
         return f"Certificate(stable={self.stable}{proof}: {self.message})"
 
 
-def _also(evidence: Evidence | StretchEvidence) -> str:
-    """For what else than every signal a certificate holds."""
-    delays = ""
-    if isinstance(evidence.setting.family, Box):
-        delays = " and all constant delays in the given ranges"
-    elif evidence.setting.family.ranges:
-        low, high = evidence.setting.delays
-        delays = f" and every constant delay from {low:.6g} s to {high:.6g} s"
-    plants = evidence.setting.plants
-    return delays + ("" if plants.known else f" and every plant in the {plants.kind}")
-
-
 def round_down(rate: float, digits: int = 4) -> str:
-    """A positive rate with so many significant digits, never more than it is."""
+    """A positive rate, rounded towards 0: a text never claims more than is proved."""
     unit = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
     return f"{math.floor(rate / unit) * unit:.{digits}g}"
 
 
-def is_box(setting: Setting) -> bool:
-    """Whether every delay has a range of its own."""
-    return isinstance(setting.delays, np.ndarray) and setting.delays.ndim == 3
-
-
 def delays_in_words(setting: Setting) -> str:
     """The plant's delay, or delays."""
-    if is_box(setting):
+    if np.ndim(setting.delays) == 3:
         low, high = np.array(setting.delays).tolist()
         return (
             f"s any constant values from {low} s to {high} s (a list per mode, "
-            "with a value per input), each in its range whatever the others are"
+            "with a value per input), each in its own range, independently"
         )
     if isinstance(setting.delays, np.ndarray):
         return f"s {setting.delays.tolist()} s (a list per mode, with a value per input)"
@@ -178,17 +169,18 @@ def delays_in_words(setting: Setting) -> str:
 
 
 def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
-    """Sentences: what holds, for which numbers, and how it was shown."""
+    """Sentences: the theorem, the numbers it is about, and the kind of proof."""
     setting, rho = evidence.setting, evidence.rho
     signals, words = setting.signals, setting.signals.sentence(setting.modes)
+    # A sentence is put together from parts that are empty where they do not apply.
     which, _ = setting.plants.in_words
     ends = any(map(math.isfinite, setting.limits.maximum_dwell))
     alike = ""
-    if isinstance(setting.delays, np.ndarray) and not is_box(setting):
-        alike = ", and parts of a period beyond one that differ by less count as the least of them"
+    if np.ndim(setting.delays) == 2:
+        alike = "; delays whose remainders differ by less arrive at one instant"
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
-    when, parts = "over a period", ""  # what else was checked but inequalities in balls
+    when, parts = "over a period", ""  # `parts`: checks besides the inequalities in balls
     if isinstance(evidence, Evidence):
         kind = f"{'' if evidence.S.size else 'common '}Lyapunov function"
         kind += " of mode and age" if evidence.S.size else ""
@@ -214,15 +206,15 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         late = f"; the mode is reported {number_of(signals.mode_lag, 'period')} late"
     kept = memory = ""
     if setting.memory:
-        memory = ", memory of the law"
+        memory = ", state of the law"
         kept = (
-            f" It remembers {number_of(setting.memory, 'number')} besides its inputs (an estimate, "
-            "and sums of errors), whose rows are products of what it computes with, rounded; what "
-            "decays is these, too, where the reference is 0, no constant disturbance acts, and "
-            f"{_measured(setting)}."
+            f" Its state has {number_of(setting.memory, 'number')} besides the past inputs (an "
+            "estimate, and sums of errors); their rows are products of its matrices, rounded. The "
+            "decay includes these numbers, where the reference is 0, no constant disturbance acts, "
+            f"and {_measured(setting)}."
         )
     elif signals.lost_samples:
-        kept = f" What decays does so where {_measured(setting)}."
+        kept = f" The decay holds where {_measured(setting)}."
     anywhere = signals.at == "anywhere"
     cover = " that cover every instant of a switch within a period" * anywhere
     how = (
@@ -234,13 +226,13 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         f"initial state{memory} and past input, the digital loop of {which} with this "
         f"table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
         f"(offsets){' and noise' if signals.lost_samples else ', noise and lost samples'}.",
-        f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
-        f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
-        "runs.",
+        f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A delay within 1e-9 "
+        f"periods of a whole number of periods is taken as that number{alike}. The running loop "
+        "does the same.",
         f"The law is its table: the stored binary64 numbers, exactly: {rows}{late}."
         f"{kept} "
-        "Plant entries, delay and period are all reals within half a unit in the last place of the "
-        "stored ones: the decimals that were written and the binary64 numbers alike. By the "
+        "Plant entries, delay and period are any reals within half a unit in the last place of the "
+        "stored ones, so both the decimals written and the binary64 numbers are covered. By the "
         "controller's clock a sojourn may be shorter than the dwell time"
         f"{' or longer than the maximum' * ends} by a relative "
         f"{signals.clock_tolerance!r}. Arithmetic of the running loop is taken as exact.",
@@ -249,12 +241,12 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
 
 
 def _measured(setting: Setting) -> str:
-    """Which samples a law has, at the least."""
+    """The condition on the measured samples."""
     lost = setting.signals.lost_samples
     if not lost:
         return "every sample is measured"
     return (
         f"at most {number_of(lost, 'sample')} in a row "
-        f"{'is' if lost == 1 else 'are'} lost, whichever, by the table's rows of a "
-        "lost sample and with the mode that was reported last"
+        f"{'is' if lost == 1 else 'are'} lost, and the law then uses the table's "
+        "rows for a lost sample, with the mode reported last"
     )

@@ -45,13 +45,14 @@ from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import SignalOptions
 
 LEVELS = (Freedom(0), Freedom(2), None, Freedom(4))  # None: along stretches
-# Where filters of left eigenvectors are rounded, or the levels of a bucket are many.
+# For laws with a state, where the filters of left eigenvectors lose digits, and for average dwell
+# times, where the levels of the bucket are many: stretches come before eigenvectors.
 EARLY_LEVELS = (Freedom(0), None, Freedom(2), Freedom(4))
 AGE_LEVELS = (Freedom(0), None, Freedom(2, 3))  # where the rows change with the age, V must, too
 FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of what the modes alone allow, tried as the certified decay
-SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
+SURPLUS = 1e-12  # of ρ: a requested rate is then not missed by rounding
 
 
 def certify(
@@ -66,7 +67,7 @@ def certify(
     progress: Callable[[str], None] | None = None,
     **signals: Unpack[SignalOptions],
 ) -> Certificate:
-    r"""Whether the digital loop is stable for every switching signal with a dwell time.
+    r"""Prove or refute that a digital loop is stable for every switching signal with a dwell time.
 
     Switches may fall anywhere, not only on the sampling grid. The answer is True with a Lyapunov
     function, False with a signal under which the loop provably grows, or None with a reason.
@@ -74,35 +75,33 @@ def certify(
     Parameters
     ----------
     plant : SwitchedSystem, a sequence of them, or UncertainPlant
-        The truth, which may differ from the law's model; a sequence gives the corners of a
-        polytope of plants (of the same delays). Of an uncertain plant all are meant whose A and B
-        lie in its ellipsoid of 95 %, with every delay in its interval of 95 %; with k delays the
-        true plant is among them with a probability of 95 − 5 k % or more.
+        The plant, which may differ from the law's model; a sequence gives the corners of a
+        polytope of plants (of the same delays). An uncertain plant stands for all plants whose A
+        and B lie in its ellipsoid of 95 %, with every delay in its interval of 95 %; with k delays
+        the true plant is among them with a probability of 95 − 5 k % or more.
     law : Law
-        A law that is a table with rows by nothing, by mode, or by mode and age; or an
-        `OutputFeedback` of one. Of that the whole loop is certified: the state, the estimate, the
-        sums of errors and the inputs on their way, at a reference and a disturbance of 0.
+        A law that is a table: one row, a row per mode, or a row per mode and age; or an
+        `OutputFeedback` of one, for which the whole loop is certified: the state, the estimate,
+        the sums of errors and the inputs in flight, at a reference and a disturbance of 0.
     dwell_time : float, one per mode, or SignalClass
-        Shortest sojourn :math:`\tau_d`, in seconds, more than one period; or all that is known of
-        the signals.
+        Shortest sojourn :math:`\tau_d`, in seconds, more than one period; or the class of signals.
     step : float
         Sampling period h, in seconds.
     delays : (low, high), optional
         A range of the plant's true delay, in seconds, within which it is constant; by default the
-        plant's delay, or delays, and of an uncertain plant their intervals. The law's table stays
-        what it is. low and high may be all that `SwitchedSystem` takes as delays: then every
-        input's delay in every mode is any value between its own two, whatever the others are. Each
-        range lies in one period.
+        plant's delay, or delays, and of an uncertain plant their intervals. The law's table does
+        not change. low and high may have any form that `SwitchedSystem` takes as delays: then every
+        input's delay in every mode is any value between its own two, independently of the others.
+        Each range lies in one period.
     decay_rate : float, optional
         The rate to certify, 1/s; by default one close to the slowest mode's, or with
         `maximum_dwell` the best tried.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
     progress : callable, optional
-        Called with a few words whenever something else is tried, in the thread that `certify` runs
-        in.
+        Called with a short text before each attempt, in the thread of `certify`.
     **signals
-        Of the signals besides `dwell_time`: `maximum_dwell`, `transitions`, `clock_tolerance`,
+        Further options of the signals: `maximum_dwell`, `transitions`, `at`, `clock_tolerance`,
         `mode_lag`, `lost_samples` and `chatter`, as `SignalClass` takes them.
 
     Returns
@@ -199,14 +198,14 @@ def _decide(
                 f"at {-slowest:.4g} 1/s.",
             )
         if abs(slowest) <= least:
-            # No Lyapunov function decreases: only a signal that grows is left.
+            # No Lyapunov function decreases here, so only a search for growth is left.
             kept = neutral(corner, mode, slowest)
             worst = _refute(corner, law, setting, "") if search_signals else None
             return worst if worst is not None and worst.stable is False else Certificate(None, kept)
         fastest = max(0.0, -slowest)
-    else:  # no mode lasts: at best the loop decays as in the fastest one
+    else:  # no mode lasts: the loop decays at best as in the fastest mode
         fastest = max(0.0, *(-rate for rate, _, _ in held))
-    # Of lost samples the search is quick, functions are not.
+    # With lost samples a search for a bad pattern takes seconds, a Lyapunov function minutes.
     early = search_signals and setting.signals.lost_samples > 0
     searched = _searched(corners, law, setting, progress) if early else []
     if searched and searched[-1].stable is False:
@@ -244,13 +243,14 @@ def _searched(
 def _evidence(
     setting: Setting, rates: list[float], progress: Callable[[str], None]
 ) -> tuple[Evidence | StretchEvidence | None, Check]:
-    """The first level that proves stability, at the best decay that it reaches."""
+    """The first level that proves stability, at the best of the decay rates tried."""
     outcome = Check(False, "no Lyapunov function of the kinds tried was found")
     levels = _levels(setting)
     for kind, level in enumerate(levels, 1):
         progress(f"Lyapunov functions, kind {kind} of {len(levels)}")
         search: Any = StretchSearch(setting) if level is None else EvidenceSearch(setting, level)
         rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS * (rate > 0.0)) for rate in rates]
+        # The least demanding rate first: where it has no proposal no other rate has one.
         slowest = search.glance(rhos[-1]) if len(rhos) > 1 else search.propose(rhos[-1])
         if slowest is None:
             continue
@@ -277,7 +277,7 @@ def _levels(setting: Setting) -> list[Freedom | None]:
         levels = AGE_LEVELS + every
     along = StretchSearch.suits(setting)
     small = setting.order <= whole(setting) and setting.signals.chatter == 1
-    if along and small:  # V of others is there
+    if along and small:  # then V at every node is any matrix, and the other kinds add nothing
         quick = setting.inputs and not has_state
         levels = (*levels[: levels.index(None)], None) if quick else (None,)
     many = setting.order > LARGE or setting.family.ranges or setting.signals.lost_samples
@@ -286,7 +286,7 @@ def _levels(setting: Setting) -> list[Freedom | None]:
 
 
 def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Certificate:
-    """The worst signal: False if the loop provably grows under it, else None with the signal."""
+    """The worst signal found: `stable` is False if the loop provably grows under it, else None."""
     from deadtime.certificates.worst_case import falsify
 
     try:

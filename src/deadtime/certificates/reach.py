@@ -1,12 +1,12 @@
-"""Plants that a certificate is asked about, and questions that are beyond its reach.
+"""Plants and delays of a certificate, and the reasons why a loop cannot have one.
 
 A plant extended by a reference or a constant disturbance (`deadtime.Servo`) has states that obey
-dr/dt = 0. Whatever the law does they stay where they are, so that "stable" can only be asked of the
-rest.
+dr/dt = 0. No law moves them, so only the other states can be stable.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,8 +28,8 @@ from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
 from deadtime.switching import SignalClass
 
-ROUNDS = 3  # of going to the worst plant of a set
-MOVE = 1e-3  # of z, for a derivative
+ROUNDS = 3  # steps of the gradient ascent to the worst plant of a set
+MOVE = 1e-3  # of z, for a difference quotient
 
 Range = tuple[ArrayLike, ArrayLike]
 Plants = SwitchedSystem | PlantUncertainty | Sequence[SwitchedSystem]  # as `certify` takes them
@@ -45,12 +45,15 @@ def plants_of(
         require_match(plant.plant, law)
         return plant.plant_set(), plant.plant, plant.delay_range() if delays is None else delays
     plants: list[SwitchedSystem] = []
+    if not isinstance(plant, SwitchedSystem) and not np.iterable(plant):
+        raise ArgumentError(
+            f"plant must be a SwitchedSystem or a sequence of them, got {type(plant).__name__}."
+        )
     for corner in [plant] if isinstance(plant, SwitchedSystem) else plant:
         if isinstance(corner, PlantUncertainty):
             raise ArgumentError(
-                f"plant must be one {type(corner).__name__} by itself, got a sequence with one: "
-                "certify them one by one, or the corners of all, [*one.corners(), "
-                "*another.corners()]."
+                f"plant must be one {type(corner).__name__}, got a sequence that contains one: "
+                "certify each alone, or all their corners, [*one.corners(), *another.corners()]."
             )
         instance("plant", corner, SwitchedSystem)
         plants.append(corner)
@@ -69,7 +72,7 @@ def plants_of(
 def delays_of(
     delays: Range | None, plant: SwitchedSystem, step: float
 ) -> tuple[float, float] | np.ndarray:
-    """`Setting.delays` of a range that is asked about, or of the plant's own delays."""
+    """`Setting.delays` of a given range, or of the plant's own delays."""
     if delays is None:
         return (plant.delay, plant.delay) if plant.has_one_delay else plant.delays
     if plant.has_one_delay and not any(np.iterable(end) for end in delays):
@@ -92,18 +95,20 @@ def _require_one_period(low: float, high: float, step: float, name: str) -> None
     try:
         DelayInterval.of(low, high, step)
     except ValueError:
+        cut = (math.floor(low / step) + 1) * step
         raise ArgumentError(
             f"{name} must lie within one period, between two multiples of step = {step:g} s, got "
-            f"({low:g}, {high:g}): certify the parts one by one, as delay_margin does."
+            f"({low:g}, {high:g}): certify the parts below and above {cut:g} s one after the other "
+            "with delays= (--delays), or choose a step none of whose multiples is within the range."
         ) from None
 
 
 def extremes(
     plants: PlantSet, delays: tuple[float, float] | np.ndarray, table: Feedback
 ) -> list[SwitchedSystem]:
-    """Plants at which constant modes are looked at: the vertices, and bad ones off them.
+    """Plants whose constant modes are checked: the vertices, and bad points of an ellipsoid.
 
-    All at the ends of the delays' ranges.
+    Each with the delays at the ends of their ranges.
     """
     ends: Any = [delays]
     if isinstance(delays, tuple):
@@ -117,7 +122,7 @@ def extremes(
 
 
 def _worst(plant: SwitchedSystem, plants: PlantSet, table: Feedback, mode: int) -> SwitchedSystem:
-    """A plant of the set in which a constant mode grows about fastest: along the gradient."""
+    """A plant of the set in which a constant mode grows fast, by gradient ascent."""
     row = aged_row(table, mode)
 
     def growth(z: np.ndarray) -> float:
@@ -135,6 +140,7 @@ def _worst(plant: SwitchedSystem, plants: PlantSet, table: Feedback, mode: int) 
         size = float(np.linalg.norm(gradient))
         if not 0.0 < size < np.inf:
             break
+        # On an ellipsoid the maximum of the linear model is known in closed form: no line search.
         z = plants.farthest(gradient)
         if growth(z) > most:
             most, best = growth(z), z
@@ -142,13 +148,13 @@ def _worst(plant: SwitchedSystem, plants: PlantSet, table: Feedback, mode: int) 
 
 
 def why_unmoved(plants: PlantSet) -> str:
-    """Why nothing can be certified where a part of the state never changes; empty elsewhere.
+    """Why no certificate exists where a part of the state never changes; empty elsewhere.
 
-    That part are the v with vᵀA_i = 0 and vᵀB_i = 0 in every mode: vᵀx is constant.
+    vᵀx is constant where vᵀA_i = 0 and vᵀB_i = 0 in every mode.
     """
     vertices = zip(plants.A, plants.B, strict=True)
     motions = np.concatenate([part for A, B in vertices for part in (*A, *B)], axis=1)
-    size = np.abs(motions).max(axis=1)  # no square, which floats might not hold
+    size = np.abs(motions).max(axis=1)  # not a 2-norm: squares may overflow
     still = np.flatnonzero(size == 0.0)
     # In units in which the rows are about 1, so that slow states do not count as still.
     units = np.where(size > 0.0, size, 1.0)
@@ -160,10 +166,10 @@ def why_unmoved(plants: PlantSet) -> str:
     if still.size == len(motions) - rank:
         what = " and ".join(f"x[{i}]" for i in still) + " of the plant"
     return (
-        f"No certificate: in every mode, and whatever the input, {what} keeps its value, as a "
+        f"No certificate: in every mode, and under every input, {what} keeps its value, as a "
         "reference or a constant disturbance does, so that no law makes all of the state decay. "
-        "Certify what moves: of a Servo its `OutputFeedback(law, observer, servo=servo)`, or the "
-        "plant `servo.driven`, with a law of it whose gains are K[:, :, servo.moving]."
+        "Certify the states that move: of a Servo its `OutputFeedback(law, observer, "
+        "servo=servo)`, or the plant `servo.driven` under a law with gains K[:, :, servo.moving]."
     )
 
 
@@ -178,7 +184,7 @@ def neutral(plant: SwitchedSystem, mode: int, growth: float) -> str:
 
 
 def out_of_reach(modes: int, law: Law, signals: SignalClass, step: float) -> str:
-    """Why there can be no certificate, if so."""
+    """Why there can be no certificate; empty if there can."""
     if not law.is_linear:
         return _why_no_table(law)
     if law.needs_preview:
@@ -204,44 +210,43 @@ def _why_no_table(law: Law) -> str:
         return f"{name} is no table but a nonlinear law: no certificate of this kind."
     if law.outputs is None:
         return (
-            f"{name} weighs its rows by a belief, which no signal decides: there is "
-            "no table to certify. What can be proved is its .law, with the mode reported at once "
-            "or, with mode_lag, some periods late; falsify searches in runs for signals that it "
-            "grows under."
+            f"{name} weighs its rows by a belief, which depends on more than the signal: there is "
+            "no table to certify. Certify its .law instead, with the mode reported at once or, "
+            "with mode_lag, some periods late; falsify searches runs for signals under which the "
+            "loop grows."
         )
     return (
-        f"{name} is no linear update of what it remembers (it weighs a belief, or runs a law that "
-        "is not linear): no certificate of this kind; falsify searches in runs for signals that it "
-        "grows under."
+        f"{name} has no linear update of its state (it weighs a belief, or runs a law that is not "
+        "linear): no certificate of this kind; falsify searches runs for signals under which the "
+        "loop grows."
     )
 
 
 def reported_late(law: Law, mode_lag: int) -> str:
-    """Why a law to which the mode is reported late has no certificate, if so."""
+    """Why a law has no certificate when the mode is reported late; empty if it has."""
     if not mode_lag or same_outputs(law):
         return ""
     return (
-        "The law measures other outputs in each mode, so what it makes of them depends on the "
-        "plant's mode and on the reported one: certify with one C for all modes, or without "
-        "mode_lag."
+        "The law measures other outputs in each mode, so its estimate depends on the plant's mode "
+        "and on the reported one: certify with one C for all modes, or without mode_lag."
     )
 
 
 def too_many_reported(setting: Setting) -> str:
-    """Why a mode that is reported late, or never, has no certificate with so many rows, if so."""
+    """Why a table with many rows has no certificate with late modes or lost samples."""
     late, rows = setting.signals.mode_lag or setting.signals.lost_samples, len(setting.F)
     if late * rows <= MOST_REPORTED:
         return ""
     name = "mode_lag" if setting.signals.mode_lag else "lost_samples"
     periods = " periods" if setting.signals.mode_lag else ""
     return (
-        f"{name} = {late}{periods} with a table of {rows:,} rows leaves too many rows that may be "
-        "told: lengthen the step."
+        f"{name} = {late}{periods} with a table of {rows:,} rows: too many rows may act at a "
+        "sample; lengthen the step."
     )
 
 
 def too_large(order: int) -> str:
-    """An estimate of what a loop of this order would take, if that is too much."""
+    """Memory and time for a loop of this order, where they are too much; else empty."""
     if order <= LARGEST:
         return ""
     gigabytes, minutes = 14 * 8e-9 * order**2 + 3e-7 * order**2, 0.5 * (order / 1000) ** 3

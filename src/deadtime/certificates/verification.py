@@ -1,4 +1,4 @@
-"""Verify a certificate from its file: what it proves, of which loop, and for which signals."""
+"""Verification of a certificate's file: the theorem it proves, its loop and its signals."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class Verification:
     proven : bool
         Whether the file's numbers prove its statement, and it is about what was asked.
     message : str
-        A plain sentence; which inequality fails, if one does, or what the file is about instead.
+        A plain sentence; it names the inequality that fails, or the other loop of the file.
     statement : tuple of str
-        What is proved, made from the numbers that were checked.
+        The theorem, written from the numbers that were checked.
     decay_rate : float or None
         1/s, recomputed from them.
     seconds : float
@@ -65,7 +65,7 @@ class Verification:
 
 @dataclass(frozen=True)
 class ExpectedClaim:
-    """Claims asked of a certificate (immutable); None, or no entry, where nothing is asked."""
+    """Loop and signals that a certificate has to cover (immutable); None, or no entry: any."""
 
     plant: SwitchedSystem | PlantUncertainty | None = None
     law: Law | None = None
@@ -73,11 +73,11 @@ class ExpectedClaim:
     signals: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def missing_from(self, setting: Setting) -> str:
-        """How a certificate falls short of it, if it does."""
-        # Signals are those of the certificate where nothing is asked.
+        """The first way in which a certificate falls short; empty if it covers the claim."""
+        # An option that is not given is the certificate's own.
         own: dict[str, Any] = {**vars(setting.signals), "chatter": 1, "lost_samples": 0}
         times = {"dwell_time", "maximum_dwell", "transitions"} & {*self.signals}
-        if times:  # without a limit there is none
+        if times:  # with any limit given, the others are those of `certify` by default
             own |= {"maximum_dwell": None, "transitions": None, "at": "anywhere"}
         if times or "chatter" in self.signals:
             own["clock_tolerance"] = CLOCK_TOLERANCE
@@ -94,7 +94,7 @@ class ExpectedClaim:
         if step is not None and step != setting.step:
             return (
                 f"the certificate is about a period of {setting.step!r} s, not {step!r} s: if the "
-                f"loop's is that of the certificate, ask with a step of {setting.step!r} (--step)."
+                f"loop's is that of the certificate, give a step of {setting.step!r} (--step)."
             )
         reads_mode = setting.context != "none" and setting.modes > 1
         if reads_mode and asked.mode_lag != signals.mode_lag:
@@ -112,7 +112,7 @@ class ExpectedClaim:
             return ""
         try:
             table = recurrence_of(law, setting.step)
-        except ArgumentError as error:  # of a law with a period of its own
+        except ArgumentError as error:  # the law has a period of its own
             return f"the certificate is about another period than the law's: {error}"
         if table is None:
             return f"the certificate is about a table, and {type(law).__name__} is none."
@@ -125,7 +125,7 @@ class ExpectedClaim:
         return ""
 
     def _signals(self, setting: Setting, asked: SignalClass) -> str:
-        """The class that was asked for has to lie in that of the certificate."""
+        """The signals to cover that the certificate does not; empty if there are none."""
         modes, signals = setting.modes, setting.signals
         if modes == 1:
             return ""
@@ -146,7 +146,7 @@ class ExpectedClaim:
 
 
 def _beyond(asked: SwitchingConstraint, proved: SwitchingConstraint) -> str:
-    """Signals that are asked for and not proved, in words; empty if there are none."""
+    """Signals to cover that are not proved, in words; empty if there are none."""
     several = any(
         len(set(times)) > 1 for times in (proved.dwell_time, asked.dwell_time, proved.maximum_dwell)
     )
@@ -174,32 +174,33 @@ def verify(
     limit: float = 1.0,
     **signals: Unpack[SignalOptions],
 ) -> Verification:
-    """Verify a certificate from its file: no solver, nothing believed but the numbers.
+    """Verify a certificate from its file, without a solver, from its numbers alone.
 
-    Whatever else is given, the certificate must be about it: the plant and the law's table number
-    by number, and every signal of the class that the other arguments describe.
+    The certificate must be about everything else that is given: the plant and the law's table
+    number by number, and every signal of the class that the other arguments describe.
 
     Parameters
     ----------
     path : path
         The JSON file that `Certificate.save` wrote.
     plant : SwitchedSystem or UncertainPlant, optional
-        The plant; of a polytope, one of its corners, of an ellipsoid its middle. An uncertain one
-        asks for its ellipsoid of 95 % and the intervals of its delays.
+        The plant; for a polytope, one of its corners, for an ellipsoid its centre. For an uncertain
+        plant the certificate must cover its ellipsoid of 95 % and the intervals of its delays.
     law : Law, optional
-        The law whose table it is.
+        The law whose table the certificate must have.
     step : float, optional
         The period, in seconds.
     dwell_time : float, one per mode, or SignalClass, optional
-        The signals, as `certify` takes them. A dwell time without a maximum asks for sojourns of
-        any length, and without transitions for all switches.
+        The signals, as `certify` takes them. A dwell time without a maximum includes sojourns of
+        any length, and without transitions all switches.
     limit : float
-        How many times as much work may be done as is usual for a file of its size: a few seconds
-        of a short one before it is refused, some minutes of one that is no proof after all.
+        The work allowed, as a multiple of the usual work for a file of this size. At 1 a short file
+        is refused after a few seconds at most, a long one that is no proof after some minutes.
     **signals
-        Of the signals besides `dwell_time`, as `certify` takes them. Nothing is asked of what is
-        left out, but that the clock may be off by 1e-5 where signals are asked about, and that a
-        law that is given is told the mode at once. A certificate for more lost samples will do.
+        Further options of the signals, as `certify` takes them. An option that is left out may
+        have any value, with two exceptions: where signals are given the clock may be off by 1e-5,
+        and to a law that is given the mode is reported at once. A certificate for more lost
+        samples also covers fewer.
 
     Raises
     ------
@@ -228,7 +229,7 @@ def verify(
             instance(name, value, kind)
     limit = positive("limit", limit)
     given: dict[str, Any] = {k: value for k, value in signals.items() if value is not None}
-    # Whatever the file is about, what is asked has to make sense.
+    # Malformed options are refused here, before the file is read.
     whole = SignalClass.of(1.0 if dwell_time is None else dwell_time, **given)
     if isinstance(dwell_time, SignalClass):
         given = vars(whole)
@@ -261,7 +262,7 @@ def verify(
 
 
 def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
-    """Which of some laws the table of a certificate's file is that of, by their names.
+    """Names of the laws whose table a certificate's file holds.
 
     Raises
     ------
@@ -271,7 +272,7 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
     setting = load_evidence(Path(path)).evidence.setting
     matching = []
     for name, law in laws.items():
-        with suppress(DeadtimeError):  # a law without a table of its own at this period
+        with suppress(DeadtimeError):  # raised by a law that has no table at this period
             asked = ExpectedClaim(law=law, signals={"mode_lag": setting.signals.mode_lag})
             if not asked.missing_from(setting):
                 matching.append(name)
@@ -279,7 +280,7 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
 
 
 def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
-    """The loop and the signals of a certificate, so that a reader can tell it from another one."""
+    """The loop and the signals of a certificate, by first numbers and digests."""
     plants = setting.plants
     known = plants.A, plants.B, np.array(setting.delays), *plants.arrays.values()
     (modes, n, m), (_, short) = plants.sizes, plants.in_words
@@ -287,7 +288,7 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     rows, taps = setting.G.shape[:2]
     signals = setting.signals
     late = f" of {number_of(signals.mode_lag, 'period')} ago" if signals.mode_lag else ""
-    kept = f", {number_of(setting.memory, 'number')} remembered" if setting.memory else ""
+    kept = f", state of {number_of(setting.memory, 'number')}" if setting.memory else ""
     return (
         f"Plant {_digest(*known)}: "
         f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
@@ -302,7 +303,7 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
 
 
 def _other_plant(setting: Setting, plant: SwitchedSystem | PlantUncertainty | None) -> str:
-    """Which plants a certificate is about, if one that is asked about is not among them."""
+    """The plants of a certificate, if the given ones are not among them; else empty."""
     if plant is None:
         return ""
     if isinstance(plant, PlantUncertainty):

@@ -157,7 +157,7 @@ def certify(
         )
     saved = {} if out is None else _save(judged, out)
     if json_output:
-        record = about(chosen, period) | for_json(asked.signals, chosen.plant.modes)
+        record = about(chosen, period, asked.signals) | for_json(asked.signals, chosen.plant.modes)
         record |= {"delays": ranges}
         record |= {"uncertain": uncertain} if chosen.uncertain is not None else {}
         print_json(record | {"laws": certificate_record(judged)}, [*saved])
@@ -318,12 +318,16 @@ def _print_judged(
 
     console, about = Terminal(), asked.in_words(problem.modes, step)
     console.print(problem.title, style="bold", markup=False)
-    for sentence in (about, *plants_in_words(problem, *left_open), *left_out(problem)):
+    for sentence in (
+        about,
+        *plants_in_words(problem, *left_open),
+        *left_out(problem, asked.signals),
+    ):
         console.print(sentence, markup=False)
     console.print()
     print_table(HEADINGS, certificate_rows(judged))
     console.print(f"{LEGEND}\n", style="dim", markup=False)
-    for sentence in certificate_sentences(judged, problem.modes):
+    for sentence in certificate_sentences(judged, problem):
         console.print(f"• {sentence}", markup=False)
     if not in_full:
         return
@@ -514,9 +518,11 @@ def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
     return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
 
 
-def about(problem: Problem, step: float) -> dict[str, object]:
+def about(problem: Problem, step: float, signals: SignalClass | None = None) -> dict[str, object]:
     """The problem and the loop that answers are about, for JSON."""
-    without = problem.imperfections_in_words
+    from deadtime.reports.certificate_tables import without_imperfections
+
+    without = without_imperfections(problem, signals)
     return {"problem": problem.name, "step": step, "imperfections_left_out": without}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -17,9 +18,11 @@ from deadtime.base.checks import positive, reporter
 from deadtime.base.errors import ArgumentError, SolverError
 from deadtime.base.json_records import record
 from deadtime.base.threads import in_order
-from deadtime.base.wording import as_rate, compact, sentence_of, with_names
+from deadtime.base.wording import as_rate, compact, number_of, sentence_of, with_names
 from deadtime.certificates import TheoremBound, theorem_bound
 from deadtime.certificates.theorem.bound import stated_forms
+from deadtime.imperfections import Dropout, ModeDelay
+from deadtime.imperfections.disturbances import in_words
 from deadtime.plant.switched_system import check_delays
 from deadtime.problems import Problem
 from deadtime.switching import SignalClass
@@ -35,8 +38,8 @@ LEGEND = (
     "Stable: for every such signal; no: one makes |x| grow; no answer: neither was found. Decay: "
     "the rate at which every run falls at least. Proved: verified in ball arithmetic, also where a "
     "witness refutes. Growth: of the worst signal found. "
-    "Delay margin: true delays, of several what all may be off by, between which the law as it is "
-    "keeps every constant mode stable."
+    "Delay margin: range of the true delay (for several delays, of their common error) within "
+    "which the same law keeps every constant mode stable."
 )
 
 
@@ -217,8 +220,21 @@ def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     ]
 
 
-def left_out(problem: Problem) -> list[str]:
-    """That certificates know nothing of a problem's imperfections, if it has any.
+def without_imperfections(problem: Problem, signals: SignalClass | None = None) -> list[str]:
+    """The imperfections of a problem that a certificate for these signals does not cover."""
+    return [
+        words
+        for one, words in zip(problem.imperfections, problem.imperfections_in_words, strict=True)
+        if signals is None
+        or not (
+            (isinstance(one, ModeDelay) and one.periods == signals.mode_lag)
+            or (isinstance(one, Dropout) and signals.lost_samples)
+        )
+    ]
+
+
+def left_out(problem: Problem, signals: SignalClass | None = None) -> list[str]:
+    """Sentences on the imperfections of a problem that certificates for these signals leave out.
 
     Examples
     --------
@@ -228,18 +244,30 @@ def left_out(problem: Problem) -> list[str]:
     >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
     ['Not covered: Dropout(probability=0.1). Certificates are about the loop without it.']
     """
-    named = ", ".join(problem.imperfections_in_words)
-    them = "it" if len(problem.imperfections) == 1 else "them"
-    said = f"Not covered: {named}. Certificates are about the loop without {them}."
-    return [said] * bool(named)
+    said, missing = [], without_imperfections(problem, signals)
+    if missing:
+        them = "it" if len(missing) == 1 else "them"
+        named = ", ".join(missing)
+        said.append(f"Not covered: {named}. Certificates are about the loop without {them}.")
+    # A drawn loss may be longer than any number of samples, so it is covered under this condition.
+    drawn = [in_words(one) for one in problem.imperfections if isinstance(one, Dropout)]
+    if drawn and signals is not None and signals.lost_samples:
+        row = number_of(signals.lost_samples, "sample")
+        are = "is" if signals.lost_samples == 1 else "are"
+        said.append(f"Covered while at most {row} in a row {are} lost: {', '.join(drawn)}.")
+    return said
 
 
-def certificate_sentences(judged: Sequence[Judged], modes: Sequence[str]) -> list[str]:
+def certificate_sentences(judged: Sequence[Judged], problem: Problem) -> list[str]:
     """A sentence or two per law: the certificate's own words, or why there is none."""
     texts = []
     for one in judged:
         answer = "" if one.certificate is None else f"{one.certificate.message} "
-        texts.append(f"{one.law}: {with_names(f'{answer}{one.reason}'.rstrip(), modes)}")
+        # A refusal names a delay by the numbers of its input and mode, as `certify` knows them.
+        answer += one.reason
+        for j, name in enumerate(problem.inputs):
+            answer = re.sub(rf"\binput {j}\b", lambda _, name=name: name, answer)
+        texts.append(f"{one.law}: {with_names(answer.rstrip(), problem.modes)}")
     return texts
 
 

@@ -57,7 +57,7 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     progress, problem = reporter("progress", progress), result.problem
     asked, step = signals_of(problem, result.signal), step_of(problem)
     judged = judge(problem, asked.signals, step, progress=progress)
-    sentences = [*left_out(problem), *certificate_sentences(judged, problem.modes)]
+    sentences = [*left_out(problem, asked.signals), *certificate_sentences(judged, problem)]
     figures = []
     reach = _tightness_figure(problem, asked.dwell.value, step, progress)
     if reach is not None:

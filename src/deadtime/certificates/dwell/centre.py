@@ -1,16 +1,16 @@
-"""The centre that the loop is written around, in floats, and its frequency response.
+"""The centre around which the loop is written, in floats, and its frequency response.
 
 E₀ is the mean of the modes' steps and row₀ of the table's rows, so that Δ is small. R are
 leading singular directions of the rows' differences; with all of them T_c R is exact, with a
-few the search is quick. Ψ are dominant left eigenvectors of each mode's loop, and close as a
-filter: where Ψ_i M_i = Λ_i Ψ_i and M_i is the loop with w = Δ_i v,
+few the search is quick. Ψ are dominant left eigenvectors of each mode's loop and form a filter:
+where Ψ_i M_i = Λ_i Ψ_i and M_i is the loop with w = Δ_i v,
 
     Ψ_i ξ⁺ = Λ_i Ψ_i ξ + Ψ_i B (w − w_i),
 
-w_i what w would be in mode i, a function of v and w. So a Lyapunov function that weighs Ψξ by
-mode and age needs nothing outside (v, w).
+w_i the value of w in mode i, a function of v and w. So a Lyapunov function that weighs Ψξ by mode
+and age depends on (v, w) alone.
 
-The v and ξ that a signal w on |z| = ρ gives rise to follow from
+The response of v and ξ to a signal w on |z| = ρ follows from
 
     z x = E₀ y + w_x,    (z w, u) = row₀ ξ + w_u,    u_{k−j} = z^{−j} u:
 
@@ -37,11 +37,11 @@ class CentreFloats:
     Attributes
     ----------
     eigenvectors : int
-        How many were asked for, of every mode.
+        The number requested per mode.
     M : (d, d), B : (d, w)
         ξ⁺ = M ξ + B w.
     rest : (q, d)
-        What R leaves of the rows: |(row_c − row₀ − T_c R) ξ| ≤ |rest ξ| for every c.
+        The part of the rows outside R: |(row_c − row₀ − T_c R) ξ| ≤ |rest ξ| for every c.
     """
 
     setting: Setting
@@ -54,7 +54,7 @@ class CentreFloats:
 
     @classmethod
     def of(cls, setting: Setting, eigenvectors: int, rank: int) -> CentreFloats:
-        """The model with so many left eigenvectors per mode and directions of the rows."""
+        """The centre with this many left eigenvectors per mode and directions of the rows."""
         family: Any = setting.family
         full = [family.sample(family.orders(i, i)[0], 0.0, 0.5) for i in range(setting.modes)]
         E, rows = np.mean(full, axis=0), setting.rows
@@ -62,6 +62,7 @@ class CentreFloats:
         R, T, rest = _directions(setting, rows - row, rank)
         d = setting.order
         bare = Centre(E, row, R, T, np.zeros((0, d)), np.zeros((0, 0)))
+        # Without Ψ first: F needs B of the bare centre.
         model = cls._lay_out(setting, bare, eigenvectors, rest)
         if not eigenvectors:
             return model
@@ -97,7 +98,7 @@ class CentreFloats:
 
 
 def _oldest(setting: Setting) -> list[tuple[int, int]]:
-    """Every mode with its row once it has lasted as long as it may; those of lost samples, too."""
+    """Every mode with its row at its last age; with lost samples, the row of a lost one, too."""
     graph = setting.transitions
     pairs = [(i, graph.row(i, clock.last)) for i, clock in enumerate(graph.clocks)]
     if setting.signals.lost_samples:
@@ -107,21 +108,17 @@ def _oldest(setting: Setting) -> list[tuple[int, int]]:
 
 def loop_matrix(setting: Setting, E: np.ndarray, row: int) -> np.ndarray:
     """M of ξ⁺ = M ξ in a period of plant rows E under one row of the table."""
-    n, d, unit = setting.states, setting.order, np.eye(setting.order)
-    now, places = setting.rows[row], [(r[0], setting.input_at(*r)) for r in setting.family.reads]
-    read = [(unit if lag else now)[[at]] for lag, at in places]
-    seen = np.concatenate((unit[:n], *read))
-    return np.concatenate((E @ seen, now, unit[n + setting.memory : d - setting.inputs]))
+    seen, rest = setting.period(setting.rows[row])
+    return np.concatenate((E @ seen, rest))
 
 
 def _directions(
     setting: Setting, differences: np.ndarray, rank: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """R (r, d), T (rows, m, y + r) and `rest` (q, d) with differences ≈ T (y, R), `rest` what is
-    left.
+    """R (r, d), T (rows, m, y + r) and `rest` (q, d) with differences ≈ T (y, R).
 
-    What y holds of ξ comes through y. Of the others R holds the rows of modes that have lasted,
-    as the filter of Ψ needs them, and `rank` leading singular directions.
+    The entries of ξ that are in y come through y. For the others R contains the rows at the last
+    ages exactly, since the filter of Ψ needs them, and `rank` leading singular directions.
     """
     count, m, d = differences.shape
     n, reads = setting.states, setting.family.reads
@@ -147,14 +144,14 @@ def _directions(
 
 
 def _singular(rows: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values above round-off of numbers of a size, and their right directions."""
+    """Singular values above the round-off of entries of this size, and right singular vectors."""
     _, values, right = np.linalg.svd(rows, full_matrices=False)
     there = values > 4e-15 * size
     return values[there], right[there]
 
 
 def _dominant(M: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(Ψ, Λ) with Ψ M = Λ Ψ for the `count` largest eigenvalues; pairs stay together."""
+    """(Ψ, Λ) with Ψ M = Λ Ψ for the `count` largest eigenvalues; complex pairs stay together."""
     from scipy.linalg import block_diag, eig
 
     pair: Any = eig(M.T)
@@ -164,7 +161,7 @@ def _dominant(M: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         if len(chosen) >= count:
             break
         value, y = values[k], vectors[:, k] / np.abs(vectors[:, k]).max()
-        if value.imag < 0.0:
+        if value.imag < 0.0:  # its conjugate brings both real rows
             continue
         if value.imag == 0.0:
             chosen.append(y.real)
@@ -186,6 +183,9 @@ def _filter(
     v, w = channels.D.shape
     n, y = model.centre.E.shape
     r, s = len(model.centre.R), v - y - len(model.centre.R)
+    #        y   r   ψ (mode 0, mode 1, …)   w_x  w_u
+    # F  = [         Λ_0                   |          ]
+    #      [                   Λ_1         |          ]  + Ψ_i B (w − w_i)
     F = np.zeros((s, v + w))
     at = 0
     # w_i(v, w): w_u = T_i (y, r), y_i = y − D w + D w_u, then w_x = (E_i − E₀) y_i.
@@ -210,8 +210,11 @@ def _filter(
 
 
 class ResponseForms(NamedTuple):
-    """V (f, v, w) = v(z); Q (f, w, w) = Ξ* Q₀ Ξ with Q₀ = diag(I, h I), Ξ = ξ(z); and rest
-    (f, w, w) = |rest Ξ|², what is left of the rows."""
+    """The response at f frequencies.
+
+    V (f, v, w) = v(z); Q (f, w, w) = Ξ* Q₀ Ξ with Q₀ = diag(I, h I), Ξ = ξ(z); and rest
+    (f, w, w) = |rest Ξ|², by the part of the rows outside R.
+    """
 
     V: np.ndarray
     Q: np.ndarray
@@ -219,13 +222,13 @@ class ResponseForms(NamedTuple):
 
 
 def frequencies(count: int, step: float, delay: float) -> np.ndarray:
-    """Angles to start from: dense where the loop lives, 0 and π included."""
+    """Initial angles: dense at low frequencies, 0 and π included."""
     low = min(1e-3 / delay * step, 1e-2)
     return np.unique(np.concatenate([[0.0], np.geomspace(low, np.pi, count)]))
 
 
 def fine_frequencies(held: int, step: float, delay: float) -> np.ndarray:
-    """Angles to look for violations at: eight to a wave of z^{−W}, and more where slow."""
+    """Angles to check for violations: eight per period of z^{−W}, and more at low frequencies."""
     low = min(1e-4 / delay * step, 1e-3)
     return np.unique(
         np.concatenate([np.linspace(0.0, np.pi, 8 * held + 65), np.geomspace(low, np.pi, 2000)])
@@ -233,7 +236,8 @@ def fine_frequencies(held: int, step: float, delay: float) -> np.ndarray:
 
 
 def response(model: CentreFloats, angles: np.ndarray, rho: float) -> ResponseForms:
-    """V and Q at z = ρ e^{iω}, ω the angles."""
+    """The response at z = ρ e^{iω}, ω the angles."""
+    # `powers` has an entry per angle and past input: at most some 40 MB at a time.
     chunk = max(1, int(4e7 / (16 * model.setting.past)))
     parts = [
         _response(model, rho * np.exp(1j * angles[at : at + chunk]))
@@ -257,7 +261,7 @@ def _response(model: CentreFloats, z: np.ndarray) -> ResponseForms:
         system[:, :n, s + j] -= centre.E[:, place] * late[:, lag, None]
     system[:, n:, :s] -= centre.row[:, :s]
     g = powers @ G.transpose(1, 0, 2).reshape(W, (q + m) * m)
-    # Of the law's outputs only the inputs, after the q that it remembers, have u on the left.
+    # The law's outputs are (w⁺, u): only the last m rows have u on the left.
     system[:, n:, s:] = np.eye(q + m, m, -q) - g.reshape(len(z), q + m, m)
     inputs = np.eye(s + m)[:, :w]
     both = np.linalg.solve(system, np.broadcast_to(inputs, (len(z), *inputs.shape)))

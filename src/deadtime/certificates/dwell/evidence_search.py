@@ -1,8 +1,7 @@
 """The search for evidence at one decay: frequencies, program, Riccati equation, check.
 
-The search tells rows apart along a few directions only, and P comes from that. For the proof
-the directions must hold every row: with R complete, the best multiplier for the P at hand is the
-partial minimum over ξ of
+The search distinguishes rows along a few directions only, which gives P. The proof needs every row
+exactly: with R complete, the best multiplier for this P is the partial minimum over ξ of
 
     ξᵀ P ξ − (M₀ ξ + B w)ᵀ P (M₀ ξ + B w)/ρ² − slack    for given (v, w),
 
@@ -14,6 +13,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -42,18 +42,18 @@ from deadtime.certificates.proof.transitions import Transition
 from deadtime.numerics.precision import precision
 
 ALL = 10**6
-# (v, w) that no ξ, or hardly any, gives rise to: singular values of Y as parts of the largest,
-# and the weights, as parts of the largest entry of Π, which stand for the partial minimum there.
+# For (v, w) that no ξ, or hardly any, produces: thresholds of singular values of Y relative to the
+# largest, and weights relative to the largest entry of Π, used in place of the partial minimum.
 NONE, HARDLY = 1e-13, 1e-6
 WEIGHT_NONE, WEIGHT_HARDLY = 1e6, 1.0
 LEAST_MARGIN = 1e-9
-ROUNDS = 10  # of adding frequencies
-REPAIRS = 4  # of adding steps where a proof failed
-ENOUGH = 0.5  # of the margin: what must be left between the frequencies looked at
-CLEARLY = 0.8  # of the margin, of a rough solution: so that a better one has enough, too
+ROUNDS = 10  # of additional frequencies
+REPAIRS = 4  # of additional samples after a failed proof
+ENOUGH = 0.5  # of the margin: the least that must remain between the chosen frequencies
+CLEARLY = 0.8  # the same for a rough solution, so that the accurate one has ENOUGH
 FREQUENCIES = 40
 INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-MOST_AGES = 40  # of a (mode, age) table that the search looks at
+MOST_AGES = 40  # of a (mode, age) table, sampled by the search
 
 
 class Sways:
@@ -64,31 +64,33 @@ class Sways:
 
     @cached_property
     def enclosures(self) -> Enclosures | BoxEnclosures:
-        """Made where a step sways."""
+        """Built at first use: only an ellipsoid of plants needs them."""
         return enclosures_of(self.family)
 
     def at(self, order: Any, instants: np.ndarray) -> list[Sway | None]:
-        """One for every sample that `family.corners(order, instants)` gives."""
+        """One for every sample of `family.corners(order, instants)`."""
         us = instants.tolist() if self.family.switches(order) else [0.0]
         ends = self.family.ends(order)
         plants = self.family.plants
         if plants.in_polytope:
             return [None] * (len(us) * len(ends) * len(plants.A))
+        found: list[Sway | None] = []
         with precision():
-            return [self._at(order, u, f) for u in us for f in ends]
-
-    def _at(self, order: Any, u: float, f: float | tuple[float, ...]) -> Sway | None:
-        places = f if isinstance(f, tuple) else (f,) * len(self.family.moving(order))
-        cell = ParameterCell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
-        columns = self.enclosures.sway(cell)
-        return None if columns is None else Sway.of(columns, self.family.states)
+            for u, f in product(us, ends):
+                places = f if isinstance(f, tuple) else (f,) * len(self.family.moving(order))
+                point = tuple((place, place) for place in places)
+                columns = self.enclosures.sway(ParameterCell(order, (u, u), point, np.eye(1)))
+                found.append(None if columns is None else Sway.of(columns, self.family.states))
+        return found
 
 
 def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Evidence | None:
-    """Evidence of this P and S with all directions of the rows, Π from P; None if that fails."""
+    """Evidence with this P and S and all directions of the rows; None if there is no such Π."""
     from scipy.linalg import cho_factor, cho_solve, null_space
 
     setting = evidence.setting
+    # In units in which ξ and the rows of Y are about 1; svd(Y) then separates (v, w) by how well
+    # some ξ reaches it.
     full = CentreFloats.of(setting, model.eigenvectors, ALL)
     P, rho, d = evidence.P, evidence.rho, setting.order
     moved = np.concatenate((full.M, full.B), axis=1) / rho
@@ -124,7 +126,7 @@ def extend(evidence: Evidence, model: CentreFloats, slack: np.ndarray) -> Eviden
 class Proposal:
     """A solution that holds on the fine grid, with its units and its least margin there.
 
-    A rough one tells that there is a better one.
+    A rough one shows that an accurate one exists.
     """
 
     model: CentreFloats
@@ -133,15 +135,11 @@ class Proposal:
     margin: float
     knots: tuple[int, ...]
     rho: float
-    rough: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Freedom:
-    """How much freedom the search has.
-
-    Left eigenvectors per mode, pieces of S in age, and directions of distinct rows.
-    """
+    """Left eigenvectors per mode, pieces of S in age, and directions of distinct rows."""
 
     eigenvectors: int
     segments: int = 1
@@ -149,7 +147,7 @@ class Freedom:
 
 
 class EvidenceSearch:
-    """Looks for evidence in one setting; models and samples are kept between decays."""
+    """A search for evidence in one setting; models and samples are kept between decay rates."""
 
     def __init__(self, setting: Setting, level: Freedom) -> None:
         self.setting, self.level = setting, level
@@ -167,26 +165,23 @@ class EvidenceSearch:
         self.angles = frequencies(FREQUENCIES, setting.step, delay)
         self.fine = fine_frequencies(setting.past, setting.step, delay)
 
-    def propose(self, rho: float) -> Proposal | None:
-        """A solution with a margin at all frequencies looked at, or None."""
-        return self._propose(rho, roughly=False)
+    def propose(self, rho: float, *, roughly: bool = False) -> Proposal | None:
+        """A solution with a margin at all frequencies, or None."""
+        with suppress(np.linalg.LinAlgError):  # an eigenvalue is on |z| = ρ
+            return self._proposal(rho, roughly)
+        return None
 
     def glance(self, rho: float) -> Proposal | None:
-        """As `propose`, but a rough one, in a third of the time, where that leaves no doubt.
+        """As `propose`, but rough and in a third of the time, if the margin is clear.
 
-        In the main thread it is a whole one. What is proposed later is the same after either: the
-        frequencies looked at are left as they were.
+        In the main thread it is an accurate one. The frequencies are restored, so that later
+        proposals do not depend on whether `glance` was called.
         """
         angles = self.angles
         try:
-            return self._propose(rho, roughly=True)
+            return self.propose(rho, roughly=True)
         finally:
             self.angles = angles
-
-    def _propose(self, rho: float, roughly: bool) -> Proposal | None:
-        with suppress(np.linalg.LinAlgError):  # an eigenvalue on |z| = ρ to the last digit
-            return self._proposal(rho, roughly)
-        return None
 
     def _proposal(self, rho: float, roughly: bool) -> Proposal | None:
         fine = response(self.model, self.fine, rho)
@@ -199,8 +194,8 @@ class EvidenceSearch:
             solution, margins = solved
             if margins.min() > ENOUGH * solution.margin:
                 margin = min(solution.margin, float(margins.min()))
-                place = self.knots, rho
-                return Proposal(self.model, units, solution, margin, *place, solution.rough)
+                return Proposal(self.model, units, solution, margin, self.knots, rho)
+            # Add the frequencies of the local minima that violate.
             lows = (margins <= np.roll(margins, 1)) & (margins <= np.roll(margins, -1))
             lows[[0, -1]] = True
             worst = self.fine[lows & (margins < 0.8 * solution.margin)]
@@ -220,9 +215,11 @@ class EvidenceSearch:
         return solution, margins
 
     def prove(self, proposal: Proposal) -> tuple[Evidence | None, Check]:
-        """Evidence from a proposal, and what the check says; steps that fail are added."""
+        """Evidence from a proposal, and the check; samples are added at steps that fail."""
         outcome = Check(False, "no Lyapunov function was found from the multiplier")
-        if proposal.rough:  # the better one is what it was before anything else was looked at
+        if (
+            proposal.solution.rough
+        ):  # from a new search: the result does not depend on earlier attempts
             better = EvidenceSearch(self.setting, self.level).propose(proposal.rho)
             if better is None:
                 return None, outcome
@@ -250,14 +247,14 @@ class EvidenceSearch:
             key = transition.mode, transition.within, transition.instants
             if key not in steps:
                 steps[key] = self._points(transition)
-            samples += [self._sample(transition, *point) for point in steps[key]]
+            samples += [self._sample(transition, E, sway) for E, sway in steps[key]]
             if transition.within == transition.mode:
                 order = self.setting.family.orders(transition.mode, transition.mode)[0]
                 self.looked_at.add((transition, order, 0.0))
         return samples
 
     def _add(self, failed: Transition, u: float) -> bool:
-        """Look at a step at the instant u of the period, too; False if that is done already."""
+        """Add samples of a step at the instant u of the period; False if they are there."""
         family: Any = self.setting.family
         order, inner = family.place(failed.mode, failed.within, u)
         key = failed, order, inner if failed.within != failed.mode else 0.0
@@ -286,7 +283,7 @@ class EvidenceSearch:
 
 
 def _ages_to_visit(setting: Setting) -> set[int] | None:
-    """Ages to look at where the table has very many; None for all."""
+    """The ages to sample where the table has very many; None for all."""
     last = setting.transitions.last
     if setting.context != "mode_age" or last <= MOST_AGES:
         return None
@@ -297,7 +294,7 @@ def _ages_to_visit(setting: Setting) -> set[int] | None:
 
 
 def _margins(response: ResponseForms, units: Units, solution: Solution) -> np.ndarray:
-    """The least t of each frequency: eigenvalues of −Y* Π Y against the weight."""
+    """The margin t at each frequency: the least eigenvalue of −Y* Π Y relative to the weight."""
     Y, weight, rest = units.of_signals(response)
     form = -(Y.conj().transpose(0, 2, 1) @ (solution.Pi @ Y)) - solution.kappa * rest
     inverse = np.linalg.inv(np.linalg.cholesky(weight))
@@ -306,7 +303,7 @@ def _margins(response: ResponseForms, units: Units, solution: Solution) -> np.nd
 
 
 def _evidence(proposal: Proposal) -> Evidence | None:
-    """P by the Riccati equation with half of the margin as slack; nothing rounded is trusted."""
+    """P by the Riccati equation, half of the margin as slack that absorbs its rounding."""
     model, units, rho = proposal.model, proposal.units, proposal.rho
     setting, channels = model.setting, model.channels
     d, v = setting.order, len(units.v)

@@ -1,7 +1,7 @@
-"""Stretches of periods as matrices in floats, for the search: what happens from node to node.
+"""Stretches of periods from node to node as matrices in floats, for the search.
 
-`proof.transitions.Stretch` says what a stretch is. Here its matrix is a product of those of its
-periods, taken at a few instants of the switch; the proof covers the others.
+See `proof.transitions.NodeStretch`. The matrix of a stretch is the product over its periods, at a
+few instants of the switch; the proof covers the other instants.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Leap:
         return place, self.stretch.next_knot
 
     def in_units(self, rho: float, units: np.ndarray, mu: float = 1.0) -> np.ndarray:
-        """M in other units of ξ, divided by ρ to the number of periods; V may rise by μ."""
+        """M in other units of ξ, divided by ρ to the power of its periods and by the rise of V."""
         factor = rho**-self.stretch.periods
         periods = self.setting.periods_per_switch
         if periods is not None:
@@ -49,7 +49,7 @@ class Leap:
 
 
 class Leaps:
-    """Makes leaps of one setting; products of full steps are kept."""
+    """The leaps of one setting; products of full steps are kept."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
@@ -57,7 +57,7 @@ class Leaps:
         self.followed: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
 
     def of(self, stretch: NodeStretch, instants: tuple[float, ...] | None = None) -> list[Leap]:
-        """Leaps at fractions of the period at which it switches; by default at both ends."""
+        """Leaps for switches at these fractions of the period, by default at both ends."""
         step = stretch.step
         before = self.full(step.mode, step.age - stretch.waits, step.age)
         after = self._following(step, stretch.follows)
@@ -80,7 +80,7 @@ class Leaps:
         return self.known[key]
 
     def _following(self, step: Transition, follows: int) -> np.ndarray:
-        """The product of the full steps after a step, the first of which go by what was before."""
+        """The product of the full steps after a step; the first ones have rows of the old mode."""
         rows = tuple(self.setting.transitions.rows_after(step, follows))
         if not rows:
             return self.full(step.after, 0, follows)
@@ -105,6 +105,7 @@ def plant_rows(setting: Setting, step: Transition, instants: tuple[float, ...]) 
     family: Any = setting.family
     rows = []
     for instant in sorted(set(instants)):
+        # The first order of events that contains the instant: at a border both have the same step.
         for order in family.orders(step.mode, step.within):
             share = family.shares(order, (instant, instant))
             if share is not None:

@@ -5,14 +5,13 @@
     [I; Δ]ᵀ (Π + S_{i,a} − Fᵀ S_{j,b} F/ρ²) [I; Δ] ⪰ t I   for sampled steps,
     −I ⪯ Π ⪯ I.
 
-Of an ellipsoid of plants the second is one in (v, q), w_x = Δ v + q, less λ (yᵀ X y − qᵀ W⁻¹ q),
-with a λ ≥ 0 for each sample (`proof.sway`).
+For an ellipsoid of plants the second is a form in (v, q), w_x = Δ v + q, less
+λ (yᵀ X y − qᵀ W⁻¹ q), with a λ ≥ 0 for each sample (`proof.sway`).
 
-Where R leaves something of the rows, w_u = T_c r + δ with |δ| ≤ |rest ξ|: κ |rest Ξ|² is added
+Where the rows have a part outside R, w_u = T_c r + δ with |δ| ≤ |rest ξ|: κ |rest Ξ|² is added
 on the right of the first, and κ |δ|² on the left of the second, which then holds for all (v, δ).
-Everything is in units in which w is as large as Δ makes it and v as large as its peak response.
-What the solver says is a proposal: the frequencies between the chosen ones are looked at, and
-the proof in the end looks at nothing of this.
+The unit of w is the largest Δ, that of v its peak response. The solver's answer is a proposal: the
+frequencies between the chosen ones are checked next, and the proof does not depend on any of this.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from deadtime.certificates.proof.sway import Sway
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.numerics.lmi import pack, packing, unpack
 
-LEAST_UNIT = 1e-6  # of v, as part of the largest
+LEAST_UNIT = 1e-6  # of v, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ class Sample:
     Attributes
     ----------
     sway : Sway or None
-        W and X there; None of plants that are known.
+        W and X there; None without an ellipsoid.
     """
 
     transition: Transition
@@ -47,7 +46,7 @@ class Sample:
 
     @property
     def swayed(self) -> float:
-        """How much the ellipsoid may add to |w_x|, for a v of 1."""
+        """The largest |w_x| by the ellipsoid, for a v of 1."""
         if self.sway is None:
             return 0.0
         return float(np.sqrt(np.linalg.norm(self.sway.W, 2) * np.linalg.norm(self.sway.X, 2)))
@@ -63,7 +62,7 @@ class Units:
 
     @classmethod
     def of(cls, model: CentreFloats, found: ResponseForms, samples: list[Sample]) -> Units:
-        """Units in which the numbers of the program are about 1."""
+        """Units in which the entries of the program are about 1."""
         n = model.setting.states
         deltas = np.stack([sample.delta for sample in samples])
         w = np.empty(deltas.shape[1])
@@ -97,7 +96,7 @@ class Solution:
 
     @property
     def rough(self) -> bool:
-        """Whether the solver was stopped when it was clear that the margin is positive."""
+        """Whether the solver was stopped once the margin was certainly positive."""
         return self.status == STOPPED
 
 
@@ -113,7 +112,7 @@ def solve(
 ) -> Solution | None:
     """Solve the program; None if the solver has no answer.
 
-    `roughly`: only as far as needed to tell whether the margin is positive.
+    `roughly`: stop once the sign of the margin is certain.
     """
     from scipy.sparse import csr_matrix, vstack
 
@@ -126,9 +125,9 @@ def solve(
     unknowns = pi_size + of_S + len(swayed) + 2
     blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
     blocks = [csr_matrix(block) for block in blocks]
-    # The unknowns: Π, S of every place and knot, a λ for each sample that sways, κ, and last t.
+    # The unknowns: | Π | S (place 0, knot 0) | S (0, 1) | … | λ of each sample with sway | κ | t |
     weights = {k: pi_size + of_S + at for at, k in enumerate(swayed)}
-    for k, sample in enumerate(samples):  # each has the S of two nodes, of how many there may be
+    for k, sample in enumerate(samples):  # sparse: each has the S of two nodes only
         block = _at_step(model, sample, units, knots, rho, unknowns)
         if sample.sway is not None:  # λ (qᵀ W⁻¹ q − yᵀ X y), q last in (v, q)
             X, W = _in_units(sample.sway, units)
@@ -185,7 +184,9 @@ def _at_step(
     extra = w - n if len(model.rest) else 0
     free = extra if sample.sway is None else extra + n
     pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
-    # T lays (v, w) out over (v, δ, q): w is Δ v, δ is added to w_u and q to w_x.
+    # (v, w) = T (v, δ, q):   v   [ I  0  0 ]
+    #                         w_x [ Δ  0  I ]
+    #                         w_u [ Δ  I  0 ]
     T = np.eye(v + w, v + free)
     T[v:, :v] = sample.delta * units.v / units.w[:, None]
     T[v:, v:] = np.eye(w)[:, [*range(n, n + extra), *range(free - extra)]]
@@ -213,7 +214,7 @@ def _at_step(
 
 
 def _reach(sway: Sway, units: Units) -> float:
-    """The unit of q: how large it may be for a v of 1, be the ellipsoid as small as it may."""
+    """The unit of q: its largest size for a v of 1, so that a tiny ellipsoid is scaled up, too."""
     X, W = _in_units(sway, units)
     return float(np.sqrt(np.trace(X) * np.linalg.norm(W, 2)))
 

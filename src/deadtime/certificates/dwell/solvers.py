@@ -1,6 +1,6 @@
 """Solvers of the search: semidefinite programs by Clarabel, a Riccati equation by doubling.
 
-Symmetric matrices are packed as `deadtime.numerics.lmi` does it. P follows from Π as the
+Symmetric matrices are packed as in `deadtime.numerics.lmi`. P follows from Π as the
 stabilising solution of a Riccati equation.
 
 K ≻ 0 of `proof.evidence` is a Kalman–Yakubovich–Popov inequality. With slack (t/2) Q₀ and
@@ -22,10 +22,10 @@ import numpy as np
 
 from deadtime.numerics.lmi import library, packing, settings_of
 
-CLEAR = 0.5  # of what is reached: with a smaller gap,
-CLEAR_RESIDUAL = 1e-6  # and such a residual, the maximum is positive
-LEAST = 1e-7  # below it nothing is sure
-STOPPED = "CallbackTerminated"  # what the solver says then
+# The maximum counts as positive if the value reached is above LEAST, the duality gap below this
+# part of it, and the residual small.
+CLEAR, CLEAR_RESIDUAL, LEAST = 0.5, 1e-6, 1e-7
+STOPPED = "CallbackTerminated"  # the status of a stopped solver
 MOST_STEPS = 60
 
 
@@ -42,8 +42,8 @@ def maximise(
 ) -> tuple[np.ndarray, str] | None:
     """Maximise the last unknown subject to b − A x in the cones; None if that fails.
 
-    A is an array or a sparse matrix. `roughly`: stop where the unknown is positive for sure, if the
-    solver can be watched.
+    A is an array or a sparse matrix. `roughly`: stop once the unknown is certainly positive, if the
+    solver has callbacks.
     """
     from scipy.sparse import csc_matrix
 
@@ -56,7 +56,7 @@ def maximise(
     nothing = csc_matrix((unknowns, unknowns))
     try:
         ready = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings)
-        # It is not watched in the main thread, where it would lose a Ctrl-C.
+        # No callback in the main thread: the solver would swallow a Ctrl-C there.
         main = threading.current_thread() is threading.main_thread()
         if roughly and not main and hasattr(ready, "set_termination_callback"):
             ready.set_termination_callback(_is_clear)
@@ -70,7 +70,7 @@ def maximise(
 
 
 def _is_clear(progress: Any) -> bool:
-    """Whether the maximum is known to be positive, after some of the solver's iterations."""
+    """Whether the maximum is certainly positive, between two iterations of the solver."""
     reached = -progress.cost_primal
     return (
         reached > LEAST
@@ -98,9 +98,11 @@ def solve_riccati(
             G = G + A @ lu_solve(factor, G, check_finite=False) @ A.T
             G = 0.5 * (G + G.T)
             A = A @ WA
+            # G and H are kept symmetric against rounding.
             H = H + 0.5 * (step + step.T)
             if not np.isfinite(H).all():
                 return None
+            # Convergence is quadratic, so the last step is far below the accuracy of H.
             if np.abs(step).max() <= 1e-15 * np.abs(H).max():
                 return -0.5 * (H + H.T)
     except np.linalg.LinAlgError:

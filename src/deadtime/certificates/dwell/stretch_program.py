@@ -4,22 +4,21 @@
     Dᵀ (V_here − Mᵀ V_there M) D ⪰ t Dᵀ D    for leaps M with a switch,
     0 ⪯ Y ⪯ I,    SHARE · t < ε ≤ 1           at every node.
 
-D has the directions of ξ in which a leap is looked at. First those that the functionals H see
-before and after it; then, where the inequality fails in full, the directions in which it does.
-A few rounds bring the full inequality with programs of small cones.
+D has the directions of ξ in which a leap is constrained: first those that the functionals H see
+before and after it; then, if the full inequality fails, the directions in which it fails. A few
+rounds give the full inequality with small cones.
 
 V at the nodes is a linear function of the unknowns. Every node (i, k) has X_{i,k} = Hᵀ Y_{i,k} H +
 ε_{i,k} I with Y ⪰ 0 and ε > 0 unknown, in units of ξ in which I is natural. H is all of ξ where the
-order is small; else the few functionals that the loop carries over two stretches, for what else is
-in the delay line is gone by then. Where mode i may last, V at its last node is the sum over what
-comes,
+order is small; else the few functionals that the loop carries over two stretches, since the rest of
+the delay line is gone by then. Where mode i may last, V at its last node is a sum over the future,
 
     V = Σ_k (M_iᵀ)^k X M_i^k/ρ^{2k},    so that    V − M_iᵀ V M_i/ρ² = X ≻ 0;
 
 any V with that inequality is such a sum, of X = V − M_iᵀ V M_i/ρ². At the nodes before it, with L
 the product of the full steps to the next one, V_k = X + Lᵀ V_{k+1} L/ρ^{2·periods}. So the
-stretches without a switch hold for all unknowns, and what V makes of a long delay line is what
-the loop makes of it. Only the stretches with a switch are left to the program.
+inequalities of stretches without a switch hold for all unknowns, and V weighs a long delay line as
+the loop does. Only the stretches with a switch are constraints of the program.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ from deadtime.numerics.lmi import pack, packing, unpack
 
 DOUBLINGS = 60
 FLOOR = 1e-7  # ε at least
-WHOLE, WHOLE_WITH_STATE = 12, 20  # order up to which H is all of ξ; with what a law remembers in it
+WHOLE, WHOLE_WITH_STATE = 12, 20  # order up to which H is all of ξ; for a law with a state
 MOST = 12  # functionals, above it
-CARRIED = 1e-9  # of the strongest: functionals that the loop does not carry on
+CARRIED = 1e-9  # relative to the strongest: weaker functionals are not carried on
 TURNS = 40  # of the power iteration
-SEEN = 1e-2  # of the strongest functional: weaker ones open no direction
+SEEN = 1e-2  # relative to the strongest functional: weaker ones add no direction
 SHARE = 1e-3  # of the margin t, for the stretches without a switch
 ADDED = 4  # directions per leap and round, at most
 
@@ -66,9 +65,9 @@ class LyapunovShape:
     ----------
     H : (s, d)
     basis : (entries + 1, d, d)
-        What each entry of Y, and then ε, adds to X.
+        The contribution to X of each entry of Y, and then of ε.
     sums : mapping
-        From a node at which the mode may last to what they add to V, (entries + 1, d, d).
+        From a node at which the mode may last to their contributions to V, (entries + 1, d, d).
     links : mapping
         From a node to the product L of the full steps to the next node of the mode.
     nodes : tuple
@@ -119,7 +118,7 @@ class LyapunovShape:
         return [(self.start(node), own), *self.form((mode, knot + 1), self.links[node] @ D)]
 
     def values(self, x: np.ndarray) -> dict[Node, np.ndarray]:
-        """V at the nodes, by the last knots first; Y and ε are moved into their range."""
+        """V at the nodes, last knots first; Y and ε are projected to their range."""
         V_at: dict[Node, np.ndarray] = {}
         for node in sorted(self.nodes, key=lambda node: -node[1]):
             at = self.start(node)
@@ -142,7 +141,7 @@ class LyapunovShape:
 def whole(setting: Setting) -> int:
     """The order up to which V along stretches is any matrix.
 
-    What a law remembers is read at once, so all of it counts; a delay line is soon emptied.
+    Larger for a law with a state, all of which acts at once; a delay line is soon emptied.
     """
     return WHOLE_WITH_STATE if setting.memory else WHOLE
 
@@ -157,7 +156,7 @@ def balancing_units(loops: list[np.ndarray]) -> np.ndarray:
 
 
 def metric(lasting: list[np.ndarray], leaps: list[tuple[Node, Node, np.ndarray]]) -> np.ndarray:
-    """T with |T ξ|² what ξ adds up to: in constant modes, or over leaps where no mode may last."""
+    """T with |T ξ|² the sum of |ξ|² over the future, in constant modes or over mean leaps."""
     eye = np.eye(len(leaps[0][2]))
     sums = [future_sums(M, eye) for M in lasting]
     total = [part for part in sums if part is not None]
@@ -198,7 +197,7 @@ def functionals(
 
 @dataclass(eq=False)
 class Looked:
-    """A leap that the program looks at, in its units, and the directions D (d, r)."""
+    """A leap that constrains the program, in its units, and the directions D (d, r)."""
 
     here: Node
     there: Node
@@ -207,7 +206,7 @@ class Looked:
 
     @classmethod
     def at(cls, here: Node, there: Node, M: np.ndarray, shape: LyapunovShape) -> Looked:
-        """In the directions that H sees before it and after it, at the next node too."""
+        """Constrained in the directions that H sees before it, after it, and at the next node."""
         rows = [shape.H, shape.H @ M]
         if there in shape.links:
             rows.append(shape.H @ shape.links[there] @ M)
@@ -215,7 +214,7 @@ class Looked:
         return cls(here, there, M, right[sizes > SEEN * sizes[0]].T)
 
     def widen(self, vectors: np.ndarray) -> None:
-        """Look in these directions, too."""
+        """Add directions."""
         self.D = np.linalg.qr(np.concatenate((self.D, vectors), axis=1))[0]
 
 

@@ -1,10 +1,10 @@
 """The search for evidence along stretches: matrices, program, directions, check.
 
-The nodes are few: the first age at which a mode may be left and the last that is told apart, two
-between them where the order is small. Of an average dwell time there is one per mode, and the
-factor μ by which V may rise at a switch is tried at parts of what the slowest mode allows. Where
-steps are not known (a range of delays, a polytope of plants, samples that may be lost) no stretch
-has one matrix, so every age is a node.
+The nodes are few: the first age at which a mode may be left and the last age with its own node,
+two between them where the order is small. With an average dwell time there is one per mode, and
+several factors μ, by which V may rise at a switch, are tried up to the slowest mode's limit.
+With uncertain steps (a range of delays, a polytope of plants, lost samples) no stretch has one
+matrix, so every age is a node.
 """
 
 from __future__ import annotations
@@ -31,29 +31,30 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
 
 LEAST_MARGIN = 1e-9
-ROUNDS = 6  # of adding directions
-REPAIRS = 4  # of adding instants where a proof failed
-ENOUGH = 0.05  # of the margin: what must be left in all directions
+ROUNDS = 6  # of additional directions
+REPAIRS = 4  # of additional instants after a failed proof
+ENOUGH = 0.05  # of the margin: the least that must remain in all directions
 PIECES = 3  # between the first and the last age, where the order is small
-AT_FIRST = 6  # ages per pair of modes and node that the program starts from
+AT_FIRST = 6  # leaps per pair of nodes in the first program
 WORST = 12  # leaps added in a round
-MOST_STEPS = 400  # of an average dwell time
+MOST_STEPS = 400  # with an average dwell time
 MOST_WORK = 4e8  # leaps times order³
 MOST_UNKNOWNS, MOST_AFTER_LOSSES = 1500, 2400
 MOST_RISE = 60.0  # ln μ
-RISES = (0.75, 0.93, 0.55, 0.97, 0.86, 0.35, 0.99, 0.998, 0.15)  # of ln μ that a held mode allows
+# Tried in this order, relative to the largest ln μ that a held mode allows.
+RISES = (0.75, 0.93, 0.55, 0.97, 0.86, 0.35, 0.99, 0.998, 0.15)
 
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """The leaps of a setting at one ρ that the program has to look at, in units ζ = frame ξ."""
+    """The leaps of a setting at one ρ that constrain the program, in units ζ = frame ξ."""
 
     shape: LyapunovShape
     leaps: list[tuple[Node, Node, np.ndarray]]
     frame: np.ndarray
 
     def look(self, k: int) -> Looked:
-        """The leap k as the program looks at it first."""
+        """The leap k with its first directions."""
         here, there, M = self.leaps[k]
         return Looked.at(here, there, M, self.shape)
 
@@ -74,7 +75,7 @@ def knots_of(setting: Setting) -> tuple[int, ...]:
 
 
 class StretchSearch:
-    """Looks for V at nodes in one setting; instants that a proof asked for are kept."""
+    """A search for V at nodes in one setting; instants at which a proof failed are kept."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting, self.knots = setting, knots_of(setting)
@@ -85,7 +86,7 @@ class StretchSearch:
 
     @staticmethod
     def suits(setting: Setting) -> bool:
-        """Whether there are stretches, and not too much of them."""
+        """Whether there are stretches, and not too many."""
         graph = setting.transitions
         if not setting.plants.in_polytope or (graph.modes == 1 and not graph.losses):
             return False
@@ -93,10 +94,10 @@ class StretchSearch:
             steps = len(setting.F) * graph.modes * graph.places
             return setting.order <= whole(setting) and steps <= MOST_STEPS
         if graph.lag > graph.first or (graph.lag and _unknown(setting)):
-            return False  # at a node it would matter what was before
+            return False  # the loop after a node would depend on the modes before it
         d, most = setting.order, whole(setting)
         if d > most and (_unknown(setting) or 2 * (graph.first + 1) < setting.past):
-            return False  # over two stretches the delay line is not yet emptied
+            return False  # two stretches do not empty the delay line
         entries = min(d, most) * (min(d, most) + 1) // 2 + 1
         unknowns = MOST_AFTER_LOSSES if graph.losses else MOST_UNKNOWNS
         if graph.places * len(knots_of(setting)) * entries > unknowns:
@@ -104,15 +105,15 @@ class StretchSearch:
         return 2 * graph.switching * (2 * graph.losses + 1) * max(d, 8) ** 3 <= MOST_WORK
 
     def propose(self, rho: float) -> StretchEvidence | None:
-        """V at the nodes with a margin at all leaps known, or None."""
+        """V at the nodes with a margin at all leaps, or None."""
         proposals = (self._propose(rho, mu) for mu in self._rises(rho))
         return next((one for one in proposals if one is not None), None)
 
     def _rises(self, rho: float) -> list[float]:
-        """Values of μ to try: 1, but with an average dwell time.
+        """Values of μ to try; 1 without an average dwell time.
 
-        Held in a mode V has to fall by μ^{1/r}/ρ² in each period, so ln μ is below 2 r (ln ρ −
-        ln ρ_i), ρ_i the radius of the mode; and at that a mode that grows leaves none.
+        With a mode held V has to fall by μ^{1/r}/ρ² in each period, so ln μ is below 2 r (ln ρ −
+        ln ρ_i), ρ_i the radius of the mode; a mode that grows allows none.
         """
         periods = self.setting.periods_per_switch
         if periods is None:
@@ -153,11 +154,11 @@ class StretchSearch:
         return None
 
     def glance(self, rho: float) -> StretchEvidence | None:
-        """As `propose`; `Search.glance` has something quicker."""
+        """As `propose`; only `EvidenceSearch.glance` is quicker."""
         return self.propose(rho)
 
     def prove(self, proposal: StretchEvidence) -> tuple[StretchEvidence | None, Check]:
-        """The proposal or a better one, and what the check says; instants that fail are added."""
+        """The proposal or a better one, and the check; instants are added where it fails."""
         outcome = check(proposal)
         for _ in range(REPAIRS):
             if outcome.proven or outcome.failed is None or not self._add(*outcome.failed):
@@ -177,6 +178,7 @@ class StretchSearch:
         units = balancing_units(periods)
         leaps = [(leap.here, leap.there, leap.in_units(rho, units, mu)) for leap in self.known]
         lasting = [M for here, there, M in leaps if here == there]
+        # First balanced, so that Cholesky's factor of the metric is accurate.
         T = metric(lasting, leaps)
         back = np.linalg.inv(T)
         leaps = [(here, there, T @ M @ back) for here, there, M in leaps]
@@ -188,7 +190,7 @@ class StretchSearch:
             for place in range(graph.places)
             for k in range(len(graph.knots_of(place % graph.modes, self.knots)))
         )
-        # A mode that lasts may do so under one row or another.
+        # A mode that lasts may have several rows, and then no single matrix to sum over.
         staying_at = [(one.knot, one.step.mode) for one in self.stretches if not one.step.switches]
         if _unknown(self.setting) or len(staying_at) > len(set(staying_at)):
             shape, moving = LyapunovShape.of(H, {}, {}, nodes), leaps
@@ -201,7 +203,7 @@ class StretchSearch:
     def _lacks_margin(
         self, loops: Loops, V: dict[Node, np.ndarray], margin: float, looked: dict[int, Looked]
     ) -> bool:
-        """Whether leaps lack a part of the margin; the worst are looked at more closely."""
+        """Whether some leaps lack the margin; the worst get their worst directions."""
         low = []
         for k, (here, there, M) in enumerate(loops.leaps):
             values, vectors = np.linalg.eigh(decrease(V, here, there, M))
@@ -217,7 +219,7 @@ class StretchSearch:
         return bool(low)
 
     def _add(self, failed: Transition, instant: float) -> bool:
-        """Look at a step at this instant, too; False if that is done already."""
+        """Add the leaps of a step at this instant; False if they are there."""
         if (failed, instant) in self.added:
             return False
         self.added.add((failed, instant))
@@ -228,6 +230,6 @@ class StretchSearch:
 
 
 def _unknown(setting: Setting) -> bool:
-    """Whether the steps are not known: ranges of delays, a polytope of plants, lost samples."""
+    """Whether the steps are uncertain: ranges of delays, sets of plants, lost samples."""
     known = setting.plants.known and not setting.family.ranges
     return not known or setting.signals.lost_samples > 0

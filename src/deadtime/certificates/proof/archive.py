@@ -1,8 +1,8 @@
 """Certificates on disk: one JSON file, its matrices as base64 of little-endian binary64.
 
-verifier/FORMAT.md says what every entry means and what has to hold. The file also carries a SHA-256
-of its content, which finds accidents; what makes a certificate true is that the check passes on the
-numbers read, and that the file claims no more than they prove.
+verifier/FORMAT.md defines every entry and its conditions. The SHA-256 of the content detects
+accidents only. A certificate is true if the check passes on the numbers of the file, and the file
+claims no more than they prove.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from deadtime.switching.constraint import one_or_each
 
 FORMAT = "deadtime certificate 2"
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
-MOST_BYTES = 2**30  # as the verifier that shares no code with this one
-DEEPEST = 20
+MOST_BYTES = 2**30  # the limit of the second verifier, too: both accept the same files
+DEEPEST = 20  # brackets within brackets: json.loads would exhaust the stack on a hostile file
+# Possessive (++), so that a string without an end costs linear and not quadratic time.
 _BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
@@ -46,7 +47,7 @@ LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P mu"}
 
 @dataclass(frozen=True)
 class Archived:
-    """A certificate's file, read (immutable): its evidence, and what it says of itself."""
+    """The content of a certificate's file (immutable): evidence, claimed decay rate and digest."""
 
     evidence: Evidence | StretchEvidence
     decay_rate: float | None
@@ -54,7 +55,7 @@ class Archived:
 
 
 def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
-    """Write the evidence to `path`."""
+    """Write the evidence to `path`, complete or not at all."""
     setting, signals, limits = evidence.setting, evidence.setting.signals, evidence.setting.limits
     longest = tuple(None if math.isinf(most) else most for most in limits.maximum_dwell)
     counts = {
@@ -91,6 +92,7 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
         "rho": evidence.rho,
         **_function(evidence),
     }
+    # Of all the content but itself, as `_content` computes it again.
     content["sha256"] = digest(content)
     with replacing(path) as place:
         place.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -120,6 +122,7 @@ def load_evidence(path: Path) -> Archived:
         rate = content["decay_rate"]
         evidence = _evidence(content)
         return Archived(evidence, None if rate is None else _float(rate), content["sha256"])
+    # Any entry may be of any type: these are the errors that reading a foreign file can raise.
     except (
         KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, binascii.Error
     ) as error:  # fmt: skip
@@ -137,7 +140,7 @@ def _content(path: Path) -> dict[str, Any]:
     """The JSON of a file whose digest fits."""
     no_json = f"path {str(path)!r} must be a certificate's JSON file: it"
     text = read_text(path, MOST_BYTES, CertificateFileError, called=no_json)
-    depth = 0  # of brackets within brackets
+    depth = 0
     for bracket in _BRACKET.finditer(text):
         depth += (bracket[0] in ("[", "{")) - (bracket[0] in ("]", "}"))
         if depth > DEEPEST:
@@ -151,6 +154,7 @@ def _content(path: Path) -> dict[str, Any]:
             f"path {str(path)!r} is no {FORMAT}: give the JSON file that `save` wrote."
         )
     stored = content.get("sha256")
+    # A half of a surrogate pair is valid JSON, but has no UTF-8 to be hashed.
     try:
         found = digest({key: value for key, value in content.items() if key != "sha256"})
     except UnicodeEncodeError:
@@ -219,14 +223,14 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
 
 
 def _require_keys(name: str, content: dict[str, Any], keys: str) -> None:
-    """Refuse entries that are not checked."""
+    """Refuse unknown entries: the check would not read them, and a reader might believe them."""
     extra = sorted(set(content) - set(keys.split()))
     if extra:
         raise ValueError(f"{extra[0]!r:.40} is no entry of {name or 'a certificate'}")
 
 
 def claims_too_much(archived: Archived) -> str:
-    """The claim of a file beyond what its numbers prove; empty if it has none."""
+    """The claim of a file that exceeds the proof; empty if there is none."""
     proved, claimed = decay_rate(archived.evidence), archived.decay_rate
     if claimed is not None and not 0.0 <= claimed <= proved:
         return f"it claims a decay rate of {claimed!r} 1/s, its numbers prove {proved!r} at most"
@@ -234,7 +238,7 @@ def claims_too_much(archived: Archived) -> str:
 
 
 def _count(law: dict[str, Any], name: str) -> int:
-    """A number of the law; left out where it is 0, so that no loop has two files."""
+    """A number of the law; absent where it is 0, so that one loop has one file."""
     count = law.get(name, 0)
     if name in law and count == 0:
         raise ValueError(f"law.{name} 0 must be left out")
@@ -242,7 +246,7 @@ def _count(law: dict[str, Any], name: str) -> int:
 
 
 def _each(value: Any, read: Callable[[Any], float]) -> float | tuple[float, ...]:
-    """One value, or the tuple of a list of them, which are not all one."""
+    """One value, or one per mode; equal values must be stored as one."""
     if not isinstance(value, list):
         return read(value)
     if len({*value}) < 2:
@@ -251,7 +255,7 @@ def _each(value: Any, read: Callable[[Any], float]) -> float | tuple[float, ...]
 
 
 def _transitions(signals: dict[str, Any]) -> list[list[int]] | None:
-    """Which mode may follow which, a matrix of 0 and 1; None for all."""
+    """The matrix of 0 and 1 of the allowed switches; None if all are."""
     if "transitions" not in signals:
         return None
     matrix = signals["transitions"]
@@ -274,6 +278,7 @@ def _text(value: Any) -> Any:
 def _float(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TypeError(f"{value!r:.40} is no number")
+    # JSON integers have any length; a rounded one would not be the number of the file.
     if isinstance(value, int) and float(value) != value:
         raise ValueError(f"{value!r:.40} is no binary64 number")
     if not math.isfinite(value):
@@ -282,7 +287,7 @@ def _float(value: Any) -> float:
 
 
 def _delays(value: Any) -> Delays:
-    """Low and high of one delay, lists with those of every mode, or low and high of these."""
+    """(low, high) of one delay, the delays of every mode and input, or low and high of these."""
     if isinstance(value, list) and value and isinstance(value[0], list):
         return _array_of(value)
     low, high = value
@@ -311,6 +316,6 @@ def _array(packed: dict[str, Any]) -> np.ndarray:
 
 
 def digest(content: dict[str, Any]) -> str:
-    """SHA-256 of the content, whatever its formatting."""
+    """SHA-256 of the content in a canonical form, independent of white space and key order."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()

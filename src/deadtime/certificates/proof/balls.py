@@ -1,8 +1,7 @@
-"""Ball arithmetic: matrices whose entries are intervals that hold the true value (Arb).
+"""Ball arithmetic: matrices whose entries are intervals that contain the true value (Arb).
 
-Numbers of a plant become balls of half a unit in the last place around the stored float. The
-decimal that prints as the float lies in it, and so does the float: what is proved with it holds
-for both readings.
+Numbers of a plant become balls of half a unit in the last place around the stored float. They
+contain the float and the decimal that prints as it, so a proof holds for both readings.
 
 A large matrix is positive definite beyond doubt if Cholesky's factorisation in floating point of X
 − c I runs to its end, with c ≥ γ_{d+1}/(1 − γ_{d+1}) tr X, γ_k = k ε/(1 − k ε). Its backward error
@@ -10,8 +9,8 @@ is then smaller than c, whatever the order of its sums [Rump, BIT 46 (2006) 433;
 and Stability, Thm 10.3], so X ≻ 0. Powers of two make the diagonal about 1 before, without
 rounding.
 
-A small one, in balls, is if with a lower triangular W of full rank W X Wᵀ has a diagonal that
-dominates (Gershgorin).
+A small ball matrix X is positive definite if W X Wᵀ is diagonally dominant (Gershgorin) for some
+lower triangular W of full rank.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ UNIT = 2.0**-53
 
 
 def exact(array: np.ndarray) -> Any:
-    """A float matrix as it is."""
+    """A float matrix as balls of radius 0."""
     from flint import arb_mat
 
     array = np.atleast_2d(array)
@@ -38,6 +37,7 @@ def decimal(array: np.ndarray) -> Any:
     from flint import arb, arb_mat
 
     array = np.atleast_2d(array)
+    # 0 is exact: an absent coupling must stay absent. Half an ulp of a denormal would round to 0.
     radii = np.where(array == 0.0, 0.0, np.maximum(0.5 * np.spacing(np.abs(array)), 5e-324))
     pairs = zip(array.ravel().tolist(), radii.ravel().tolist(), strict=True)
     rows, columns = array.shape
@@ -50,7 +50,7 @@ def decimal_number(value: float) -> Any:
 
 
 def interval(low: float, high: float) -> Any:
-    """The ball that holds [low, high]."""
+    """The ball that contains [low, high]."""
     from flint import arb
 
     return arb(low).union(arb(high))
@@ -60,6 +60,7 @@ def symmetric(radius: Any) -> Any:
     """[−radius, radius]."""
     from flint import arb
 
+    # float() rounds to nearest, so the next float up is at or above the bound.
     return arb(0.0, float(np.nextafter(float(radius.abs_upper()), np.inf)))
 
 
@@ -94,6 +95,7 @@ def frobenius(matrix: Any, unit: np.ndarray | float = 1.0) -> float:
     centre, error = split(matrix)
     size = centre.size
     sizes = (np.abs(centre) + error) * unit
+    # A sum of `size` squares errs by a relative size · 2⁻⁵³ at most, its root by half of it.
     return norm_above(sizes) * (1.0 + (size + 8) * 2.0**-52)
 
 
@@ -104,7 +106,7 @@ def norm_above(sizes: np.ndarray) -> float:
     """
     if not np.isfinite(sizes).all():
         return np.inf
-    largest = float(sizes.max(initial=0.0))
+    largest = float(sizes.max(initial=0.0))  # squares of numbers near 1e±200 would be lost
     return largest * float(np.sqrt(np.sum((sizes / largest) ** 2))) if largest else 0.0
 
 
@@ -135,6 +137,7 @@ def top(matrix: Any, rows: int) -> Any:
 
 def powers_of_two(diagonal: np.ndarray) -> np.ndarray:
     """Powers of two t with t² · diagonal in [1/2, 2)."""
+    # A diagonal that is not positive fails later; here it only must not raise.
     safe = np.where(diagonal > 0.0, diagonal, 1.0)
     return 2.0 ** -np.round(0.5 * np.log2(safe))
 
@@ -154,12 +157,13 @@ def is_positive_definite(middle: np.ndarray, error: np.ndarray) -> bool:
         return False
     if (np.diag(middle) <= 0.0).any():
         return False
+    # γ_{d+4} and not γ_{d+1}, and twice γ tr X below: the surplus covers the rounding of the trace,
+    # of the shift and of the subtraction, at most UNIT · (largest diagonal entry) of which counts.
     gamma = (d + 4) * UNIT / (1.0 - (d + 4) * UNIT)
     trace = float(np.diag(middle).sum()) * (1.0 + 2.0 * d * UNIT)
     shift = 2.0 * gamma * trace + float(np.max(error)) * (1.0 + 4.0 * d * UNIT)
-    # The subtraction rounds by at most UNIT · (largest diagonal entry), which 2 γ tr covers.
     if not np.isfinite(shift) or np.abs(middle).max() > 4.0:
-        return False  # off the diagonal more than a definite matrix of this diagonal can have
+        return False  # a definite matrix has no entry above its largest diagonal one, about 1
     try:
         factor = np.linalg.cholesky(middle - shift * np.eye(d))
     except np.linalg.LinAlgError:
@@ -167,24 +171,23 @@ def is_positive_definite(middle: np.ndarray, error: np.ndarray) -> bool:
     return bool(np.isfinite(factor).all())
 
 
-def congruence(middle: np.ndarray) -> np.ndarray | None:
-    """W, lower triangular in floats, with W X Wᵀ close to I; None if X is not near ≻ 0."""
-    if not np.isfinite(middle).all() or (np.diag(middle) <= 0.0).any():
+def congruent(X: Any) -> tuple[float, Any] | None:
+    """(a lower bound of the least eigenvalue of W X Wᵀ, Wᵀ) for a small ball X ≻ 0; else None.
+
+    W is lower triangular with W X Wᵀ close to I.
+    """
+    centre = middle(X)
+    if not np.isfinite(centre).all() or (np.diag(centre) <= 0.0).any():
         return None
-    unit = 1.0 / np.sqrt(np.diag(middle))
+    unit = 1.0 / np.sqrt(np.diag(centre))
     try:
-        factor = np.linalg.cholesky(middle * unit * unit[:, None])
+        factor = np.linalg.cholesky(centre * unit * unit[:, None])
     except np.linalg.LinAlgError:
         return None
-    # By numpy.linalg.inv: SciPy's triangular solver waits for threads, even at this size.
+    # By numpy.linalg.inv: SciPy's triangular solver waits for threads, even at this size. That W is
+    # only near the inverse does no harm: any W of full rank proves X ≻ 0.
     W = np.tril(np.linalg.inv(factor)) * unit
-    return W if np.isfinite(W).all() and (np.diag(W) != 0.0).all() else None
-
-
-def congruent(X: Any) -> tuple[float, Any] | None:
-    """(a lower bound of the least eigenvalue of W X Wᵀ, Wᵀ) for a small ball X ≻ 0; else None."""
-    W = congruence(middle(X))
-    if W is None:
+    if not np.isfinite(W).all() or (np.diag(W) == 0.0).any():
         return None
     left = exact(W)
     right = left.transpose()
@@ -201,9 +204,6 @@ def least_dominance(X: Any) -> float:
         for j in range(size):
             if j != i:
                 below = below - X[i, j].abs_upper()
-        bounds.append(_down(below))
+        # float() rounds to nearest, so the next float down is a lower bound.
+        bounds.append(math.nextafter(float(below.lower()), -math.inf))
     return min(bounds) if not any(map(math.isnan, bounds)) else -math.inf
-
-
-def _down(value: Any) -> float:
-    return math.nextafter(float(value.lower()), -math.inf)

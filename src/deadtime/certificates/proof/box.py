@@ -8,16 +8,20 @@ different inputs' arrivals does not matter. With a switch from i to j at s, inpu
     i, lag N_i  until  τ₁ = min(s, φ_i);    i, lag N_i − 1  until  s;
     j, lag N_j  until  τ₂ = max(s, φ_j);    j, lag N_j − 1  until  h,
 
-and E is smooth in s, τ₁ and τ₂. The ends of all intervals cut the period in parts, in which the
-switch falls at s = a + u (b − a). Over one part every τ has one of three forms, f in [0, 1]:
+and E is smooth in s, τ₁ and τ₂:
+
+    0        τ₁            s        τ₂              h
+    |- i, N_i -|- i, N_i − 1 -|- j, N_j -|- j, N_j − 1 -|
+
+The ends of all intervals cut the period in parts, in which the switch falls at s = a + u (b − a).
+Over one part every τ has one of three forms, f in [0, 1]:
 
     the interval before it:    τ₁ = φ,    τ₂ = s,
     the interval after it:     τ₁ = s,    τ₂ = φ,    φ = φ_low + f (φ_high − φ_low),
     or around it:              τ₁ = φ_low + f (s − φ_low),    τ₂ = s + f (φ_high − s),
 
-and the last two reach every min(s, φ) and max(s, φ) that there is, for s on any side of φ. Which of
-the three is taken is a matter of floats; by how much the first two may then be wrong is a ball,
-`TimeNumbers.room`.
+and the last two reach every possible min(s, φ) and max(s, φ), for s on either side of φ. Floats
+decide which of the three is taken; a ball, `TimeNumbers.room`, covers the error of the first two.
 """
 
 from __future__ import annotations
@@ -34,14 +38,14 @@ from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family, Steps
 from deadtime.plant import Window
 from deadtime.plant.plant_set import PlantSet
 
-TOLERANCE = 1e-9  # of a period: marks nearer than that are one
+TOLERANCE = 1e-9  # of a period: marks closer than this are one
 # Directions of a cell: the instant of the switch, the polytope, and from here on the delays.
 U, POLYTOPE, FIRST = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class DelayInterval:
-    """A delay's: N, φ_low and φ_high in seconds, and both ends of the delay as they were given."""
+    """A range of a delay: N, φ_low and φ_high in seconds, and both ends of the delay as given."""
 
     count: int
     low: float
@@ -50,7 +54,7 @@ class DelayInterval:
 
     @classmethod
     def of(cls, low: float, high: float, step: float) -> DelayInterval:
-        """The interval between two delays of one N; low may be the φ = 0 of it."""
+        """The interval between two delays of one N; φ_low may be 0, the end of N − 1 before."""
         first, last = Window.of(low, step), Window.of(high, step)
         phase = first.phase
         if first.count == last.count - 1 and first.phase == step:
@@ -61,7 +65,7 @@ class DelayInterval:
 
     @property
     def ranges(self) -> bool:
-        """Whether the delay is not known."""
+        """Whether the delay has a range."""
         return self.low < self.high
 
 
@@ -78,8 +82,11 @@ class Order(NamedTuple):
 
 
 class InputPiece(NamedTuple):
-    """A stretch of an input: the mode, its lag, when it ends (None: with the period), and how that
-    moves with u and the delays, by direction."""
+    """A constant piece of an input within a period.
+
+    The mode, the lag, the end (None: the end of the period), and the derivatives of the end by u
+    and the delays, by direction.
+    """
 
     mode: int
     lag: int
@@ -89,7 +96,7 @@ class InputPiece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TimeNumbers:
-    """The numbers that times are made of: floats for a search, balls for a proof.
+    """Arithmetic of times: floats for a search, balls for a proof.
 
     Attributes
     ----------
@@ -100,7 +107,7 @@ class TimeNumbers:
     step : number
         h.
     room : callable
-        (a, sign): from 0 to max(0, a) in the direction of the sign; 0 in floats.
+        (a, sign): the interval from 0 to sign · max(0, a); 0 in floats.
     """
 
     number: Callable[[float], Any]
@@ -111,12 +118,7 @@ class TimeNumbers:
 
 @dataclass(frozen=True, eq=False)
 class Box(Steps):
-    """Steps of a plant with each of its delays in an interval.
-
-    Attributes
-    ----------
-    intervals : tuple by mode and input of Interval
-    """
+    """Steps of a plant with each of its delays in an interval, by mode and input."""
 
     intervals: tuple[tuple[DelayInterval, ...], ...]
 
@@ -131,7 +133,7 @@ class Box(Steps):
 
     @property
     def ranges(self) -> bool:
-        """Whether a delay is not known."""
+        """Whether a delay has a range."""
         return any(one.ranges for row in self.intervals for one in row)
 
     @property
@@ -140,6 +142,7 @@ class Box(Steps):
         return max(one.count for row in self.intervals for one in row)
 
     def _received(self) -> set[tuple[int, int]]:
+        # With φ_low = h the delay is N whole periods, and lag N − 1 never acts.
         return {
             (lag, c)
             for row in self.intervals
@@ -157,6 +160,7 @@ class Box(Steps):
         if mode == after:
             return [Order(mode, after, 0.0, self.step)]
         marks, near = [0.0], TOLERANCE * self.step
+        # Ends close to a neighbour are dropped: u of such a part would divide by almost 0.
         ends = {x for i in (mode, after) for one in self.intervals[i] for x in (one.low, one.high)}
         for x in sorted(ends):
             if x - marks[-1] > near and self.step - x > near:
@@ -170,6 +174,7 @@ class Box(Steps):
         found = []
         for mode in dict.fromkeys((i, j)):
             for c, one in enumerate(self.intervals[mode]):
+                # The switch comes before φ of the first mode, or after φ of the second one.
                 unread = i != j and (b <= one.low + near if mode == i else a >= one.high - near)
                 if one.ranges and not unread:
                     found.append((mode, c))
@@ -183,6 +188,7 @@ class Box(Steps):
             return 0.0, 1.0
         width = order.stop - order.start
         least, most = ((part * self.step - order.start) / width for part in instants)
+        # Outwards by more than the rounding error: neighbouring parts overlap and leave no gap.
         wrong = ROUND_OFF + 8.0 * float(np.spacing(self.step)) / width
         least, most = least - wrong, most + wrong
         return (max(0.0, least), min(1.0, most)) if least <= 1.0 and most >= 0.0 else None
@@ -200,7 +206,7 @@ class Box(Steps):
     def pieces(
         self, order: Order, c: int, clock: TimeNumbers, u: Any, f: list[Any]
     ) -> list[InputPiece]:
-        """The pieces of input c over a step in order of time, at u and at f of `moving` delays."""
+        """The pieces of input c over a step in order of time, at u and at the f of `moving`."""
         directions = {at: k for k, at in enumerate(self.moving(order), FIRST)}
         i, j, a, b = order
         first, last = self.intervals[i][c], self.intervals[j][c]
@@ -210,7 +216,8 @@ class Box(Steps):
         width = (clock.step if b == self.step else clock.number(b)) - start
         s, by_u = start + u * width, {U: width}
         low, high = clock.phases(first)
-        if b <= first.low + near:  # τ₁ = min(s, φ) = s but for what b is above φ_low
+        # τ₁ = min(s, φ). `room` widens it by as much as the part exceeds φ_low, in balls.
+        if b <= first.low + near:
             before = s + clock.room(start + width - low, -1), by_u
         elif a >= first.high - near:
             phase, moves = _phase(first, clock, directions.get((i, c)), f)
@@ -219,7 +226,7 @@ class Box(Steps):
             k = directions[i, c]
             part = f[k - FIRST]
             before = low + part * (s - low), {U: part * width, k: s - low}
-        low, high = clock.phases(last)
+        low, high = clock.phases(last)  # τ₂ = max(s, φ), by the same three forms
         if a >= last.high - near:
             later = s + clock.room(high - start, 1), by_u
         elif b <= last.low + near:
@@ -241,7 +248,7 @@ class Box(Steps):
         return [InputPiece(mode, one.count, end, moves), InputPiece(mode, one.count - 1, None, {})]
 
     def generator(self, mode: int, c: int, lag: int) -> Float[np.ndarray, "vertex k k"]:
-        """[[A, b_c where input c is read], [0, 0]] of every corner, over x and its two reads."""
+        """[[A, b_c in the column of this lag], [0, 0]] of every corner, over x and its reads."""
         return self.arranged(self.plants.entries(mode), c, lag)
 
     def arranged(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
@@ -283,6 +290,7 @@ class Box(Steps):
                 Phi, Gamma = discretise(A[piece.mode], B[piece.mode][:, c : c + 1], end - now)
                 now, E = end, Phi @ E
                 E[:, n + self.reads.index((piece.lag, c))] += Gamma[:, 0]
+            # The columns of x are the same for every input, so each may overwrite the last.
             result[:, :n], result[:, self.columns(c)] = E[:, :n], E[:, self.columns(c)]
         return result
 

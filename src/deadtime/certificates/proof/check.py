@@ -1,8 +1,8 @@
-"""The check: whether evidence proves what it claims, in balls and one large factorisation.
+"""The check: whether evidence proves its claim, in balls and by one large factorisation.
 
-Nothing is taken from whoever made the evidence but its numbers. There are two kinds:
-`evidence` has the inequalities of one, `split_inequalities` how they are verified, `stretches`
-those of the other.
+The check uses the numbers of the evidence and nothing else. There are two kinds of evidence:
+`evidence` has the inequalities of the first, `split_inequalities` verifies them, and `stretches`
+has those of the second.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class Check:
     reason : str
         Why not, naming the inequality; empty if proven.
     cells : int
-        How many pieces of steps were enclosed.
+        How many cells of steps were enclosed.
     failed : tuple or None
         (transition, u) of the step where a small inequality fails, u the instant of its switch
         as a fraction of the period.
-    limit: int
-        The least limit with which it is proved.
+    limit : int
+        The least limit with which the proof succeeds.
     """
 
     proven: bool
@@ -62,8 +62,9 @@ class Check:
 def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Check:
     """Verify the evidence; False means that this evidence is no proof, not that none exists.
 
-    `limit` is how many times the work may be done that `work` allows for so many numbers.
+    `limit` is a multiple of the work that `work` allows for evidence of this size.
     """
+    # Before any arithmetic: the estimate of the work relies on sound sizes, too.
     reason = why_malformed(evidence)
     if reason:
         return Check(False, reason)
@@ -72,6 +73,7 @@ def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Chec
     asked = operations(evidence.setting, len(evidence.knots), along)
     if asked > limit * allowed:
         return Check(False, refusal(asked, allowed, limit))
+    # Only now are matrices built: a short file must not cost more than the estimate above.
     work = Work(HALVINGS * limit * allowed)
     try:
         with precision():
@@ -84,6 +86,8 @@ def check(evidence: Evidence | StretchEvidence, limit: float = math.inf) -> Chec
 def _check_split(evidence: Evidence, work: Work) -> Check:
     channels = Channels.of(evidence.setting, evidence.centre)
     inequalities, count = SplitInequalities(evidence, channels, work), 0
+    # The small inequalities first: they are cheap, they name the step that fails, and `large` needs
+    # the forms that they leave in `inequalities.forms`.
     for transition in _spread(evidence.setting.transitions.all(evidence.knots)):
         cells, instant = inequalities.holds(transition)
         count += cells
@@ -109,10 +113,9 @@ def _check_stretches(evidence: StretchEvidence, work: Work) -> Check:
 
 
 def _spread(items: Sequence[T]) -> Iterator[T]:
-    """Every item once, far apart ones first: where a range of them fails, one is met soon.
+    """Every item once, distant ones first.
 
-    Neighbours fail together, so a file that claims too long a sojourn is refused after a few steps
-    instead of after all that hold.
+    Neighbours fail together, so a file that claims too long a sojourn is refused after a few steps.
     """
     yield from items[:1]
     stride = 1 << len(items).bit_length()

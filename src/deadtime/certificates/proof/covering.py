@@ -1,18 +1,18 @@
-"""Quadratic inequalities for every step that the plant can take: the steps covered by cells.
+"""Quadratic inequalities for every possible step of the plant, proved on cells that cover them.
 
     vv + wvᵀ Δ + Δᵀ wv + Δᵀ ww Δ ≻ 0,    Δ = [(E − E₀) L; lower],
 
 for all plant rows E of the steps from a mode to another. Over a cell E = E_c + Σ t_k D_k + R:
-t_k in [−1, 1] (or in a simplex, for a polytope), D_k the middles of the slopes, R what they
-leave, of second order in the size of the cell.
+t_k in [−1, 1] (or in a simplex, for a polytope), D_k the midpoints of the slopes, R the rest, of
+second order in the size of the cell.
 
-As a function of E the form is concave where the block ww_xx of E is ⪯ 0, so its least value over
-the t is at a corner; there R changes it by at most |2 (R L Wᵀ)ᵀ (wv + ww Δ)_x Wᵀ + …| in units
-W in which it is about I. Where ww_xx is not ⪯ 0 the D_k count as part of R.
+As a function of E the form is concave where its block ww_xx is ⪯ 0, so its least value over the t
+is at a corner; there R changes it by at most |2 (R L Wᵀ)ᵀ (wv + ww Δ)_x Wᵀ + …| in units W in
+which it is about I. Where ww_xx is not ⪯ 0 the D_k count as part of R.
 
-A set of plants may add q = δE y: what `sway` proves of it, yᵀ X y − qᵀ W⁻¹ q ≥ 0, is
-subtracted λ times (the S-procedure), and the form in (v, q) has to be ≻ 0. The least value over z
-of a form that is concave in E is concave in E, so corners in the t still decide.
+An ellipsoid of plants adds q = δE y. The bound of `sway`, yᵀ X y − qᵀ W⁻¹ q ≥ 0, is subtracted λ
+times (the S-procedure), and the form in (v, q) has to be ≻ 0. The least value over z of a form
+that is concave in E is concave in E, so the corners in the t still decide.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from deadtime.certificates.proof.sway import Sway, weight_of
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.work import Work, cost
 
-DEEPEST = 20  # bisections of a cell
+DEEPEST = 20  # bisections of a cell, in all directions together
 MOST_CELLS = 1500  # of one inequality
 
 
@@ -49,7 +49,7 @@ def enclosures_of(family: Family | Box) -> Enclosures | BoxEnclosures:
 
 @dataclass(frozen=True, eq=False)
 class QuadraticForm:
-    """A quadratic form in Δ, and how Δ comes from the plant's rows; all in balls.
+    """A quadratic form in Δ = [(E − E₀) L; lower], in balls.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class QuadraticForm:
     E : (n, k)
         E₀.
     L : (k, v)
-        What E is applied to.
+        From v to y, the argument of the plant's rows.
     concave : bool
         Whether ww ⪯ 0 in its first n rows and columns.
     """
@@ -72,7 +72,7 @@ class QuadraticForm:
 
     @classmethod
     def of(cls, vv: Any, wv: Any, ww: Any, E: Any, L: Any) -> QuadraticForm:
-        """The form of its blocks."""
+        """The form with these blocks; whether it is concave is proved, not assumed."""
         from flint import arb_mat
 
         n = E.nrows()
@@ -81,7 +81,7 @@ class QuadraticForm:
 
 
 class Covering:
-    """Checks forms over all steps of a family; what one form needed to enclose serves the next."""
+    """Checks forms over all steps of a family; enclosures are kept, since forms share cells."""
 
     def __init__(self, family: Family | Box, work: Work) -> None:
         self.family = family
@@ -102,18 +102,19 @@ class Covering:
         for whole in cells_of(self.family, step.mode, step.within, step.instants):
             pending = [(whole, 0)]
             while pending:
-                cell, depth = pending.pop()
+                cell, depth = pending.pop()  # depth first: few cells are kept at a time
                 count += 1
                 direction = self._direction(form, lower, cell)
                 if direction is None:
                     continue
+                # Evidence that fails by a hair would be bisected for ever without these limits.
                 if direction < 0 or depth == DEEPEST or count == MOST_CELLS:
                     return count, self.family.instant(cell.order, 0.5 * sum(cell.u))
                 pending += [(half, depth + 1) for half in cell.halves(direction)]
         return count, None
 
     def enclosure(self, cell: ParameterCell) -> Enclosure:
-        """E over a cell; cells of one pair of modes come again in other forms: enclosed once."""
+        """E over a cell, computed once: other ages of the same two modes have the same cells."""
         key = (cell.order, cell.u, cell.f, cell.corners.tobytes())
         if key not in self.known:
             n, k = self.family.states, self.family.states + len(self.family.reads)
@@ -137,13 +138,16 @@ class Covering:
             asked = (form, Delta) if sway is None else swaying(form, Delta, sway)
             definite = None if asked is None else congruent(_value(*asked))
             if asked is None or definite is None:
+                # At the centre itself no bisection helps, unless λ may be better on a smaller cell.
                 if not enclosure.slopes or (len(points) == 1 and sway is None):
                     return -1
+                # The form at a corner is not ≻ 0, so no bound names a direction: bisect the widest.
                 widths = [np.abs(balls.middle(slope)) for _, slope in enclosure.slopes]
                 directions = (k for k, _ in enclosure.slopes)
                 return max(zip(map(balls.norm_above, widths), directions, strict=True))[1]
             least, Wt = definite
             bounds = _changes(*asked, Wt, rest)
+            # `not … <` and not `>=`: a nan must not pass.
             if not sum(bounds.values()) * (1.0 + 1e-12) < least:
                 held = False
                 sizes = {k: max(sizes[k], bound) for k, bound in bounds.items()}
@@ -152,7 +156,7 @@ class Covering:
         return max(sizes, key=lambda k: sizes[k])
 
     def _sway(self, enclosure: Enclosure, n: int) -> Sway | None:
-        """W and X of what z does, if they are proved; once per enclosure."""
+        """W and X of an enclosure, if they are proved; None without an ellipsoid."""
         if enclosure.sway is None:
             return None
         if id(enclosure) not in self.swayed:  # `known` keeps the enclosure
@@ -161,9 +165,9 @@ class Covering:
 
 
 def swaying(form: QuadraticForm, Delta: Any, sway: Sway) -> tuple[QuadraticForm, Any] | None:
-    """The form in (v, q), w_x = Δ v + q, less what is known of q; and Δ of (v, q).
+    """The form in (v, q), w_x = Δ v + q, by the S-procedure; and Δ of (v, q).
 
-    Where vᵀ(form) v > 0 for all q with yᵀ X y − qᵀ W⁻¹ q ≥ 0, it is for every plant.
+    If the form is positive for all q with yᵀ X y − qᵀ W⁻¹ q ≥ 0, it is so for every plant.
     """
     from flint import arb
 
@@ -175,6 +179,7 @@ def swaying(form: QuadraticForm, Delta: Any, sway: Sway) -> tuple[QuadraticForm,
     empty = balls.zeros(v, n), balls.zeros(n, v)
     bare = balls.blocks([[form.vv, empty[0]], [empty[1], balls.zeros(n, n)]])
     wide = QuadraticForm(bare, wv, form.ww, form.E, L, form.concave)
+    # λ by floats: any λ ≥ 0 makes a valid inequality, so only its size is at stake.
     value = balls.middle(_value(wide, Delta))
     weight = weight_of(0.5 * (value + value.T), balls.middle(form.L), sway.W, sway.X)
     if weight is None:
@@ -195,9 +200,10 @@ def _value(form: QuadraticForm, Delta: Any) -> Any:
 
 
 def _changes(form: QuadraticForm, Delta: Any, Wt: Any, rest: dict[int, Any]) -> dict[int, float]:
-    """How far R of each direction may change the form at a corner, in the units W.
+    """Bounds of the change of the form at a corner by R of each direction, in the units W.
 
-    2 (R L)ᵀ (wv + ww Δ)_x + (R L)ᵀ ww_xx (R L), the last with all of R on one side.
+    2 (R L)ᵀ (wv + ww Δ)_x + (R L)ᵀ ww_xx (R L), with all of R on one side of the last term, so
+    that the bounds of the directions add up.
     """
     from flint import arb_mat
 
@@ -224,6 +230,7 @@ def _corners(enclosure: Enclosure, concave: bool) -> tuple[list[Any], dict[int, 
         middle = balls.exact(balls.middle(slope))
         # [−r, r] around 0, r the largest modulus, entry by entry
         left = [balls.symmetric(x) for x in (slope - middle if concave else slope).entries()]
+        # ±D_k of a parameter; of a polytope one D per corner, and R is the hull over them.
         moves.setdefault(k, []).extend([middle] if k == POLYTOPE else [middle, middle * -1])
         if k in rest:
             left = [x.union(y) for x, y in zip(rest[k].entries(), left, strict=True)]

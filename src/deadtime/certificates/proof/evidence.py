@@ -1,17 +1,20 @@
-"""The evidence for a certificate: numbers, exact as stored, that a check can judge on its own.
+"""The evidence for a certificate: numbers, exact as stored, that are enough to check the proof.
 
-The loop. ξ_k = (x_k, w_k, u_{k−1}, …, u_{k−W}) of order d = n + q + W m, w what the law remembers
-besides its inputs, if anything (q = 0). A period under the rows c of the table and the plant's
-rows E is
+The loop. ξ_k = (x_k, w_k, u_{k−1}, …, u_{k−W}) of order d = n + q + W m, where w is the law's own
+state (q = 0 if it has none):
+
+    ξ:  | x (n) | w (q) | u_{k−1} (m) | u_{k−2} (m) | … | u_{k−W} (m) |
+
+A period under the rows c of the table and the plant's rows E is
 
     (w⁺, u_k) = row_c ξ,    x⁺ = E y,    y = (x, the inputs read),    the rest of ξ is shifted.
 
-The centre E₀, row₀ makes of it one linear system with a small feedback Δ around it,
+With a centre E₀, row₀ this is one linear system with a small feedback Δ around it,
 
     ξ⁺ = M₀ ξ + B w,    v = C ξ + D w,    v = (y, r, ψ),  r = R ξ,  ψ = Ψ ξ,
     w = (w_x, w_u),    w_x = (E − E₀) y,    w_u = (row_c − row₀) ξ = T_c (y, r):    w = Δ v,
 
-(no w_u if all rows are one; y reads w_u if u_k itself reaches the plant within the period).
+(no w_u if all rows are equal; y depends on w_u if u_k itself reaches the plant in the period).
 
 The Lyapunov function is V_{i,a}(ξ) = ξᵀ(P + Ψᵀ S_{i,a} Ψ) ξ, S linear in the age a between
 knots. If ψ⁺ = F (v, w) and
@@ -19,7 +22,8 @@ knots. If ψ⁺ = F (v, w) and
     K = [P 0; 0 0] − [M₀ B]ᵀ P [M₀ B]/ρ² − [C D; 0 I]ᵀ Π [C D; 0 I] ≻ 0,
     [I; Δ]ᵀ (Π + [S_{i,a} 0; 0 0]_ψ − Fᵀ S_{j,b} F/ρ²) [I; Δ] ≻ 0 for every step (i, a) → (j, b),
 
-then adding the two up gives V_{j,b}(ξ⁺) < ρ² V_{i,a}(ξ) along every admissible signal.
+then their sum gives V_{j,b}(ξ⁺) < ρ² V_{i,a}(ξ) along every admissible signal. One large inequality
+of order d + w thus serves all modes, ages, rows and instants; each of these costs a small one only.
 """
 
 from __future__ import annotations
@@ -46,27 +50,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Setting(Frozen):
-    """The loop that a certificate is about: plants, a table, and the signals (immutable).
+    """The loop of a certificate: plants, table and signals (immutable).
 
     Attributes
     ----------
     plants : PlantSet
     delays : (low, high), (modes, m), or (2, modes, m)
-        The plant's delay, seconds, equal for a known one; or those of every mode and input; or
-        the lower and the upper end of each.
+        The range of the plant's delay, seconds, a point for a known one; or the delay of every mode
+        and input; or the lower and the upper end of each.
     F : (rows, o, n), G : (rows, taps, o, o)
-        The law's table, of the outputs o = q + m: what it remembers, then the inputs.
+        The law's table, with outputs o = q + m: its own state, then the inputs.
     context, ages, step
         As in `Feedback`.
     signals : SignalClass
-        The admissible signals. Their `mode_lag` is 0 where no row reads the mode, or there is one
-        mode. Where `lost_samples` is 1 or more the table has the rows of lost samples, as many
-        again, after those of measured ones.
+        The admissible signals. Their `mode_lag` is 0 where no row depends on the mode, or there is
+        one mode. With `lost_samples` of 1 or more, the table has the rows of lost samples, equally
+        many, after those of measured samples.
     memory : int
-        q, how many of the table's outputs, the first ones, the law remembers for one period; of
-        these G has nothing beyond the first tap.
+        q: the first q outputs of the table are the law's own state, which it reads one period
+        later; G reads them at its first tap only.
 
-    Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
+    With a table of zeros no input acts: then m = 0, and B and the delay have no effect.
     """
 
     plants: PlantSet
@@ -82,6 +86,7 @@ class Setting(Frozen):
     @cached_property
     def family(self) -> Family | Box:
         """The steps of the plant."""
+        # Without inputs any delay will do; a whole period has the fewest parts, one.
         delays = self.delays if self.inputs else (self.step, self.step)
         return family_of(self.plants.with_inputs(self.inputs), delays, self.step)
 
@@ -120,12 +125,12 @@ class Setting(Frozen):
 
     @cached_property
     def inputs(self) -> int:
-        """m; 0 where no row ever sends one."""
+        """m; 0 where the table is all zero."""
         return self.plants.sizes[2] if np.any(self.F) or np.any(self.G) else 0
 
     @property
     def outputs(self) -> int:
-        """q + m, of the law."""
+        """o = q + m."""
         return self.memory + self.inputs
 
     @property
@@ -140,7 +145,10 @@ class Setting(Frozen):
 
     @cached_property
     def rows(self) -> Float[np.ndarray, "row o order"]:
-        """row_c, exact."""
+        """row_c; every entry is an entry of the table.
+
+        Columns: | F | G tap 1, own state | G tap 1, inputs | G tap 2, inputs | … | 0 |
+        """
         count, m, q, taps = len(self.F), self.inputs, self.memory, self.G.shape[1]
         result = np.zeros((count, self.outputs, self.order))
         if m:
@@ -149,26 +157,41 @@ class Setting(Frozen):
             result[:, :, : self.states + q + taps * m] = np.concatenate(parts, axis=2)
         return result
 
+    def period(
+        self, row: Float[np.ndarray, "o order"]
+    ) -> tuple[Float[np.ndarray, "k order"], Float[np.ndarray, "rest order"]]:
+        """(seen, rest) of a period under a row: ξ⁺ = [E seen; rest] ξ, for any plant rows E.
+
+        x⁺                     = E y,  y = seen ξ
+        w⁺, u_k                | row                       |
+        u_{k−1} … u_{k−W+1}    | ones: the inputs shifted  |
+        """
+        unit = np.eye(self.order)
+        places = [(lag, self.input_at(lag, j)) for lag, j in self.family.reads]
+        read = [(unit if lag else row)[[at]] for lag, at in places]
+        shifted = unit[self.states + self.memory : self.order - self.inputs]
+        return np.concatenate((unit[: self.states], *read)), np.concatenate((row, shifted))
+
     def input_at(self, lag: int, channel: int) -> int:
-        """Where u_{k−lag} of an input is in ξ; of lag 0, which is not there, among the outputs."""
+        """Index of u_{k−lag} of an input in ξ; for lag 0, not in ξ, its index among the outputs."""
         if not lag:
             return self.memory + channel
         return self.states + self.memory + (lag - 1) * self.inputs + channel
 
     @cached_property
     def rows_differ(self) -> bool:
-        """Whether the rows are not all one, so that w_u exists."""
+        """Whether the rows are not all equal, so that w_u exists."""
         return bool(np.any(self.F[0] != self.F) or np.any(self.G[0] != self.G))
 
     @property
     def numbers(self) -> int:
-        """How many numbers the table has, and the set of plants besides its vertices."""
+        """Number of entries of the table, and of the set of plants besides its vertices."""
         return sum(X.size for X in (self.F, self.G, *self.plants.arrays.values()))
 
 
 @dataclass(frozen=True, eq=False)
 class Centre(Frozen):
-    """The system that the loop is written around (immutable); its numbers are choices.
+    """The system around which the loop is written (immutable); any numbers make a valid centre.
 
     Attributes
     ----------
@@ -218,11 +241,11 @@ class Evidence(Frozen):
 
     @property
     def numbers(self) -> int:
-        """How many numbers it holds, but for those of the centre alone."""
+        """Number of entries, without those of the centre but Ψ: the measure of allowed work."""
         return self.setting.numbers + sum(X.size for X in (self.P, self.S, self.centre.Psi))
 
     def lyapunov(self, mode: int, age: int, lost: int = 0) -> Float[np.ndarray, "order order"]:
-        """V_{mode,age} after so many lost samples, in floats; up to the last age told apart."""
+        """V_{mode,age} after some lost samples, in floats; constant past the last age."""
         place = self.setting.transitions.place(mode, lost)
         Psi = self.centre.Psi
         weights = interpolation(self.knots, age)
@@ -236,8 +259,8 @@ class Channels:
 
     C (v, d), D (v, w), and [M₀ B]'s first n + o rows as a product: top = left · right.
 
-    top ζ = (x⁺, the law's outputs) of ζ = (ξ, w); all entries of `left` and `right` are entries of
-    the centre, ones and zeros.
+    top ζ = (x⁺, the law's outputs) of ζ = (ξ, w). All entries of `left` and `right` are entries of
+    the centre, ones and zeros, so the product can be formed in balls without a rounded factor.
     """
 
     C: Float[np.ndarray, "v order"]
@@ -247,7 +270,7 @@ class Channels:
 
     @classmethod
     def of(cls, setting: Setting, centre: Centre) -> Channels:
-        """Lay out the channels of a centre."""
+        """The channels of a centre."""
         n, o, d = setting.states, setting.outputs, setting.order
         reads = setting.family.reads
         w = n + o * setting.rows_differ
@@ -258,10 +281,15 @@ class Channels:
             at = setting.input_at(lag, j)
             if lag:
                 C[place, at] = 1.0
-            else:
+            else:  # u_k itself is read: row₀ ξ + w_u, so v depends on w
                 C[place] = centre.row[at]
                 D[place, n:] = np.eye(o)[at, : w - n]
-        # (x⁺, (w⁺, u)) = [E₀ I 0; 0 0 I] (y, w_x, row₀ ξ + w_u)
+        # (x⁺, (w⁺, u)) = [E₀ I 0; 0 0 I] (y, w_x, row₀ ξ + w_u), and the right factor is
+        #
+        #              ξ       w_x   w_u
+        #     y     [  C           D     ]
+        #     w_x   [  0        I     0  ]
+        #     out   [ row₀      0     I  ]
         left, right = np.zeros((n + o, k + n + o)), np.zeros((k + n + o, d + w))
         left[:n, :k], left[:n, k : k + n], left[n:, k + n :] = centre.E, np.eye(n), np.eye(o)
         right[:k, :d], right[:k, d:] = C, D

@@ -1,19 +1,22 @@
-"""The steps that a plant can take in one period, as products of exponentials.
+"""The possible steps of a plant over one period, as products of exponentials.
 
-Over a period the plant takes y = (x, what it reads) to e^{𝒜_K τ_K} … e^{𝒜_1 τ_1} y. It reads inputs
-of some samples ago: of a delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h, u_{k−N} acts for the first φ and
-u_{k−N+1} for the rest. So marks, 0, the φ of all delays and h, cut the period in parts, and in part
-p mode i reads its inputs `lags[i][p]` samples ago:
+Over a period the plant takes y = (x, the inputs read) to e^{𝒜_K τ_K} … e^{𝒜_1 τ_1} y. With a
+delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h, u_{k−N} acts for the first φ and u_{k−N+1} for the rest.
+So marks, 0, the φ of all delays and h, cut the period in parts, and in part p mode i reads its
+inputs `lags[i][p]` samples ago:
 
-    𝒜 = [[A_i, B_i where these are read], [0, 0]].
+    marks        0            φ₁             φ₂           h
+    lags of i    | lags[i][0] |  lags[i][1]  | lags[i][2] |
 
-Which generators act for how long depends on parameters, each in [0, 1]:
+    𝒜 = [[A_i, B_i in the columns of these inputs], [0, 0]].
+
+The generators and their durations depend on parameters, each in [0, 1]:
 
     the instant of the switch, a fraction u of the part that it falls in,
     the plant's delay, φ = (1 − f) φ_low + f φ_high, where there is one and it has a range,
 
-and on the point of a polytope of plants, Σ λ_k (A^k, B^k). A `Segment` says so for one order of
-events: the generator and the duration, bilinear in u and f.
+and on the point of a polytope of plants, Σ λ_k (A^k, B^k). A `Segment` is a generator and its
+duration, bilinear in u and f, in one order of events.
 """
 
 from __future__ import annotations
@@ -33,12 +36,12 @@ from deadtime.plant import SwitchedSystem, Window
 from deadtime.plant.discretisation import windows_of
 from deadtime.plant.plant_set import PlantSet
 
-ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
+ROUND_OFF = 1e-12  # of a fraction of a part: far above the rounding error of its arithmetic
 
 
 @dataclass(frozen=True, eq=False)
 class Steps(Frozen, ABC):
-    """A set of plants at a period: the steps that they can take in one.
+    """The possible steps of a set of plants over a sampling period.
 
     Attributes
     ----------
@@ -78,13 +81,13 @@ class Steps(Frozen, ABC):
     ) -> Float[np.ndarray, "n k"]:
         """The plant's rows E of x⁺ = E y at one point of the parameters, in floating point.
 
-        Without weights in the middle of the polytope.
+        Without weights at the centre of the polytope.
         """
 
     def corners(self, order: Any, instants: np.ndarray) -> np.ndarray:
         """Samples at the given u, at the ends of the delays, and the corners of the polytope.
 
-        Returns (samples, n, k): what a search for a certificate looks at before the proof.
+        Returns (samples, n, k), the samples on which a search for a certificate is based.
         """
         us = instants if self.switches(order) else np.zeros(1)
         ends, points = self.ends(order), np.eye(len(self.plants.A))
@@ -95,8 +98,8 @@ class Steps(Frozen, ABC):
         return np.full(count, 1.0 / count) if weights is None else weights
 
 
-Lags = tuple[int, ...]  # of every input, how many samples ago the one read was computed
-# A range of the one delay; each of several; or the lower and the upper end of each.
+Lags = tuple[int, ...]  # per input, the age in samples of the value that acts
+# A range of the one delay; one per mode and input; or the lower and the upper end of each.
 Delays = tuple[float, float] | Float[np.ndarray, "mode m"] | Float[np.ndarray, "2 mode m"]
 
 
@@ -127,7 +130,7 @@ class Family(Steps):
         Where the period is cut, seconds: (0, 0), the φ of the delays, (h, h). Only a range of one
         delay has low < high.
     lags : tuple by mode, part and input
-        What is read between one mark and the next.
+        The lags between one mark and the next.
     """
 
     count: int
@@ -147,12 +150,13 @@ class Family(Steps):
                 for row in windows
             )
             count = max(window.count for row in windows for window in row)
+            # φ = h cuts nothing: such a delay reads one lag over the whole period.
             marks = (start, *((p, p) for p in phases), stop)
             return cls(plants, step, count, marks, lags)
         low, high = (Window.of(delay, step) for delay in delays)
         phase, N = low.phase, high.count
         if low.count == N - 1 and low.phase == step:
-            phase = 0.0  # the range starts where u_{k−N+1} is not yet seen: φ = 0 of the next N
+            phase = 0.0  # a delay of whole periods is φ = h of its N, and φ = 0 of the next N
         elif low.count != N:
             raise ValueError("a range of delays must lie in one period")
         if phase == high.phase == step:
@@ -176,7 +180,7 @@ class Family(Steps):
         return marks == sorted(marks) and marks[0] >= 0.0 and marks[-1] <= self.step
 
     def moving(self, order: tuple[Segment, ...]) -> list[str]:
-        """The delays that a step depends on: the one, whether it has a range or not."""
+        """The delays that a step depends on; the cells of this family always have one f."""
         return ["delay"]
 
     def orders(self, mode: int, after: int) -> list[tuple[Segment, ...]]:
@@ -196,7 +200,7 @@ class Family(Steps):
         ]
 
     def _cuts(self, modes: tuple[int, ...], start: int, stop: int) -> list[int]:
-        """The marks from one to another at which these modes go on to other inputs."""
+        """The marks from one to another at which the inputs of one of these modes change."""
         lags = [self.lags[i] for i in modes]
         inner = [p for p in range(start + 1, stop) if any(of[p - 1] != of[p] for of in lags)]
         return [start, *inner, stop]
@@ -217,13 +221,14 @@ class Family(Steps):
         if part is None:
             return 0.0, 1.0
         if part.stop - part.start == len(self.marks) - 1:
-            return instants
+            return instants  # u is the fraction of the period itself, without rounding
         low, high = (fraction * self.step for fraction in instants)
         (a0, a1), (b0, b1) = self.marks[part.start], self.marks[part.stop]
-        # u = (s − a)/(b − a) falls as a mark of a range rises
+        # u = (s − a)/(b − a) decreases in a and in b, so its extremes are at the ends of the range.
         least = (low - a1) / (b1 - a1) if a1 < b1 else 0.0
         most = (high - a0) / (b0 - a0) if a0 < b0 else 1.0
         length = b1 - a1 if part.start else b0 or b1
+        # Outwards by more than the rounding error: neighbouring parts overlap and leave no gap.
         wrong = ROUND_OFF + 8.0 * np.spacing(self.step * (self.count + 1)) / max(length, 1e-300)
         least, most = least - wrong, most + wrong
         return (max(0.0, least), min(1.0, most)) if least <= 1.0 and most >= 0.0 else None
@@ -276,6 +281,7 @@ class Family(Steps):
         n = self.states
         result: np.ndarray = np.eye(n + len(self.reads))
         for part in order:
+            # Later segments multiply from the left.
             part_time = marks[part.stop] - marks[part.start]
             generator = np.tensordot(weights, self.generator(part.mode, part.lags), 1)
             result = expm(generator * (part_time * share[part.share])) @ result

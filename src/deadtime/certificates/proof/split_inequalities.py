@@ -1,10 +1,9 @@
 """The inequalities of evidence of the first kind: small ones for every step, and a large one.
 
-Small: [I; Δ]ᵀ Θ [I; Δ] ≻ 0 for every step that the plant can take, Θ = Π + S_{i,a} on ψ − Fᵀ
-S_{j,b} F/ρ², of a transition (i, a) → (j, b); `covering` has how they are checked for all instants
-of a switch.
+Small: [I; Δ]ᵀ Θ [I; Δ] ≻ 0 for every possible step of the plant, Θ = Π + S_{i,a} on ψ − Fᵀ
+S_{j,b} F/ρ², of a transition (i, a) → (j, b); `covering` checks them for all instants of a switch.
 
-Large: K ≻ 0, and that the Lyapunov function is positive. Two residuals, of the filter (ε = Ψ [M₀ B]
+Large: K ≻ 0, and a positive Lyapunov function. Two residuals, of the filter (ε = Ψ [M₀ B]
 − F Y) and of the rows (η_c ξ = (row_c − row₀) ξ − T_c (y, r)), are not zero in floats. With (v, w)
 = Y ζ they take at most c |ζ̂|² from the sum of the large and a small inequality, ζ̂ = ζ in units in
 which diag K is about 1, and
@@ -51,16 +50,16 @@ class SplitInequalities:
         self.answers: dict[Any, tuple[int, float | None]] = {}
 
     def holds(self, transition: Transition) -> tuple[int, float | None]:
-        """Check all cells of a transition: how many, and the instant where it fails, if it does.
+        """Check all cells of a transition: their number, and the instant of a failure or None.
 
-        The instant is that of the switch as a fraction of the period.
+        The instant is that of the switch, as a fraction of the period.
         """
         lower: list[Any] = []
         row = b""
         if self.evidence.setting.rows_differ:
             row = self.evidence.centre.T[transition.row].tobytes()
             lower = [line + [0] * self.s for line in self.T[transition.row]]
-        # Ages at which rows and S are the same ask for the same inequality.
+        # Ages with the same rows and S have the same inequality.
         ends = self._ends(transition)
         key = ends, transition.mode, transition.after, transition.instants, row
         if key not in self.answers:
@@ -69,7 +68,7 @@ class SplitInequalities:
         return self.answers[key]
 
     def _ends(self, transition: Transition) -> tuple[int, ...]:
-        """Where the transition begins and ends, on which Θ depends; nothing without S."""
+        """The nodes on which Θ depends; without S it depends on none."""
         here, there = self._places(transition)
         ends = (here, transition.age, there, transition.next_age)
         return ends if self.s else ()
@@ -80,7 +79,7 @@ class SplitInequalities:
         return here, place(transition.after, transition.next_lost)
 
     def S(self, place: int, age: int) -> Any:
-        """S_{place, age}, interpolated exactly."""
+        """S_{place, age}, interpolated with rational weights, so that S at a knot is exact."""
         from flint import arb, fmpq
 
         total = balls.zeros(self.s, self.s)
@@ -103,7 +102,7 @@ class SplitInequalities:
             here = self.S(first, transition.age)
             SF = self.S(last, transition.next_age) * self.F
             lines = (self.Pi - self.F.transpose() * SF * (1 / self.rho2)).tolist()
-            at = self.v - self.s
+            at = self.v - self.s  # v = (y, r, ψ): ψ comes last
             for i in range(self.s):
                 for j in range(self.s):
                     lines[at + i][at + j] += here[i, j]
@@ -115,11 +114,12 @@ class SplitInequalities:
         return self.forms[key]
 
     def positive(self) -> bool:
-        """P + Ψᵀ S Ψ ≻ 0 where every walk can end: by the inequalities then everywhere.
+        """P + Ψᵀ S Ψ ≻ 0 where every walk can end, which by the inequalities implies it everywhere.
 
-        V ≻ V(next)/ρ² ⪰ 0 at every step into a place where V ≻ 0. The last age of mode 0 can be
-        reached from everywhere, unless some switches are not allowed; then that of every mode is
-        asked about, which staying leads to.
+        V ≻ V(next)/ρ² ⪰ 0 at every step into a place where V ≻ 0, so one factorisation where the
+        walks end is enough. The last age of mode 0 can be reached from everywhere, unless some
+        switches are not allowed; then the last age of every mode is checked, which a walk reaches
+        by staying.
         """
         graph = self.evidence.setting.transitions
         ends = range(1 if graph.is_free or not self.s else graph.modes)
@@ -134,6 +134,7 @@ class SplitInequalities:
             value, error = balls.split(
                 balls.exact(evidence.P) + Psi.transpose() * self.S(mode, age) * Psi
             )
+            # Symmetric to the last bit, as the factorisation needs it; the change joins the error.
             even = 0.5 * (value + value.T)
             error = error + np.abs(even - value) + np.spacing(np.abs(even))
             value = even
@@ -145,7 +146,7 @@ class SplitInequalities:
     def large(self) -> bool:
         """K − c I ≻ 0."""
         middle, error = self._K()
-        unit = powers_of_two(np.diag(middle))
+        unit = powers_of_two(np.diag(middle))  # scaling by powers of two does not round
         scaled = middle * unit * unit[:, None]
         errors = (error * unit * unit[:, None]).sum(axis=1) * (1.0 + 1e-12)
         return is_positive_definite(scaled, errors + self._residuals(unit))
@@ -153,8 +154,13 @@ class SplitInequalities:
     def _K(self) -> tuple[np.ndarray, np.ndarray]:
         """K as floats and errors, entry by entry.
 
-        [M₀ B] has few full rows; of the others each is a unit vector, so [M₀ B]ᵀ P [M₀ B] is a
-        shifted copy of P and a product of low rank.
+        [M₀ B] has `top` full rows Z; every other row is a unit vector, so [M₀ B]ᵀ P [M₀ B] is a
+        shifted copy of a block of P and a product of rank 2·top. Balls of order d are thus never
+        multiplied with each other, which would cost d³ slow operations.
+
+                 x   w   u_{k−1} … u_{k−W+1}   u_{k−W}   (w_x, w_u)
+            ζ: |   n   |         keep         |    m    |    w     |
+                           shifts to ξ⁺[top:]
         """
         from flint import arb
 
@@ -187,9 +193,10 @@ class SplitInequalities:
         wide, grow = self.channels.wide * unit, 1.0 + 1e-10
         u, worst = self.v + self.evidence.setting.states, 0.0
         largest = float(np.linalg.norm(self.evidence.S)) * grow
-        if not self.forms:
+        if not self.forms:  # `holds` was not called: nothing is known of Θ
             return np.inf
         for form, SF in self.forms.values():
+            # See the module for c: Θ_u. of this form, the residuals η and ε, S at the step's end.
             c = 0.0
             if eta:
                 blocks = balls.blocks([[form.wv, form.ww]])
@@ -200,7 +207,7 @@ class SplitInequalities:
                 pull = _above(balls.split(SF), wide)
                 c += (2.0 * pull * epsilon + largest * epsilon**2) / self.evidence.rho**2
             if not np.isfinite(c):
-                return np.inf
+                return np.inf  # max() below would drop a nan
             worst = max(worst, c)
         return worst * grow
 
@@ -216,7 +223,7 @@ class SplitInequalities:
         for row, T in zip(setting.rows, centre.T, strict=True):
             rest = balls.exact(row) - row0 - balls.exact(T) * R
             residual = balls.frobenius(rest, columns)
-            largest = residual if not residual < largest else largest
+            largest = residual if not residual < largest else largest  # keeps a nan
         return largest
 
     def _filter_residual(self, unit: np.ndarray) -> float:
@@ -235,7 +242,7 @@ class SplitInequalities:
 def _above(left: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> float:
     """A bound of |left right| in the Frobenius norm, left as (centre, error)."""
     centre, error = left
-    # What floats give, their round-off, and the error of the centre.
+    # The norm in floats, a bound of its round-off, and the error of the centre.
     round_off = 1e-13 * balls.norm_above(np.abs(centre) @ np.abs(right))
     rest = balls.norm_above(error @ np.abs(right)) * (1.0 + 1e-10)
     return balls.norm_above(np.abs(centre @ right)) * (1.0 + 1e-10) + round_off + rest

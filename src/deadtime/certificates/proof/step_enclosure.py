@@ -1,4 +1,4 @@
-"""The steps of a family, enclosed: E at a point of the parameters, and its derivatives on a cell.
+"""Enclosures of the steps of a family: E at a point of the parameters, derivatives on a cell.
 
 A cell is one order of events with u in [u₀, u₁], f in [f₀, f₁] and λ in a simplex of the
 polytope. The derivative of the product e^{𝒜_K τ_K} … e^{𝒜_1 τ_1} with respect to a parameter
@@ -8,6 +8,9 @@ is, segment by segment,
     … L(𝒜_k τ_k, 𝒟_k τ_k) …          (the polytope, 𝒟 = 𝒜^corner − 𝒜^centre),
 
 L the Fréchet derivative of the exponential, the top right block of exp [[X, Y], [0, X]].
+
+This mean-value form is tight to second order in the size of a cell; exponentials of wide balls
+alone would be so to first order, and would need far more cells.
 
 Steps of a box of delays are enclosed input by input. The generator X of a piece commutes with its
 exponential, so
@@ -41,7 +44,6 @@ from deadtime.certificates.proof.sway import (
     Entry,
     along_directions,
     entries_of,
-    swelled,
     unit_matrices,
 )
 from deadtime.plant.plant_set import PlantSet
@@ -81,10 +83,11 @@ class ParameterCell:
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
-    """E (n, k) at the centre of a cell, and (direction, D) with E over the cell within
+    """E (n, k) at the centre of a cell, and slopes (direction, D), which enclose E over the cell.
 
-    E + Σ [−1, 1] D over all directions but `POLYTOPE`, plus the convex hull of the D of that, plus
-    Σ z_i L_i over |z| ≤ 1: the columns of `sway` (n k, directions), each row by row, if z moves E.
+    E(cell) lies in E + Σ [−1, 1] D over all directions but `POLYTOPE`, plus the convex hull of the
+    D of `POLYTOPE`, plus Σ z_i L_i over |z| ≤ 1. L_i is a column of `sway` (n k, directions), row
+    by row; `sway` is None if z has no effect.
     """
 
     centre: Any
@@ -114,7 +117,8 @@ class Enclosures:
         from flint import arb
 
         step = balls.decimal_number(family.step)
-        # Room for φ = D − (N − 1) h computed from decimals, not from floats.
+        # φ = D − (N − 1) h of the decimals differs from that of the floats by a few units in the
+        # last place of N h, much more than half a unit in its own.
         slack = arb(0.0, 4.0 * float(np.spacing(family.step * (family.count + 1))))
 
         def ball(mark: float) -> Any:
@@ -125,7 +129,7 @@ class Enclosures:
         self.generators: dict[tuple[int, Lags], list[Any]] = {}
 
     def of(self, cell: ParameterCell) -> Enclosure:
-        """Enclose one cell; E may be split by `ParameterCell.halves` until the slopes are small."""
+        """Enclose one cell."""
         from flint import arb
 
         family = self.family
@@ -141,6 +145,7 @@ class Enclosures:
             (U, cell.u, any(part.share != "all" for part in cell.order)),
             (FIRST, cell.f[0], family.ranges),
         )
+        # Half widths rounded up: the slopes times [−1, 1] must reach both ends of the cell.
         moving = [
             (k, math.nextafter(0.5 * (b - a), math.inf))
             for k, (a, b), there in halves
@@ -161,7 +166,7 @@ class Enclosures:
         return Enclosure(balls.top(centre, n), slopes, self.sway(cell))
 
     def sway(self, cell: ParameterCell) -> Any:
-        """L_i, for all u and f, and for every z; None if it moves nothing."""
+        """L_i on the cell, for every z; None without an ellipsoid."""
         plants, order = self.family.plants, cell.order
         entries = entries_of(plants, tuple(part.mode for part in order))
         if not entries:
@@ -176,11 +181,12 @@ class Enclosures:
         return (self._mark(part.stop, f) - self._mark(part.start, f)) * (u * b + a)
 
     def _mark(self, k: int, f: Any) -> Any:
+        # Without a range not even f · 0 is added: it would widen the ball.
         low, high = self.family.marks[k]
         return self.marks[k][0] + f * self._rise(k) if low < high else self.marks[k][0]
 
     def _rise(self, k: int) -> Any:
-        """How far a mark moves over the range of the delay; 0 if it does not."""
+        """∂mark/∂f, the width of its range; an exact 0 where it has none."""
         (low, high), (first, last) = self.marks[k], self.family.marks[k]
         return high - low if first < last else 0
 
@@ -216,7 +222,7 @@ def combine(corners: list[Any], weights: np.ndarray) -> Any:
 
 
 def hull_of(corners: list[Any], weights: np.ndarray, hull: np.ndarray | None) -> Any:
-    """𝒜 at the weights, or over the simplex of which they are the centre."""
+    """𝒜 at the weights, or its entrywise hull over a simplex with this centre."""
     if len(corners) == 1:
         return corners[0]
     if hull is None:
@@ -260,20 +266,21 @@ def by_entries(
 ) -> dict[Entry, Any]:
     """The first n rows of the derivative of … e^{X_2} e^{X_1} by each entry of A and B, at every z.
 
-    X are the mode of each piece, its generator at the vertex, and its duration; `layouts` tell
-    where the entries of A and B are in the generators.
+    X are the mode of each piece, its generator at the vertex, and its duration; `layouts` place the
+    entries of A and B in the generators.
     """
     n, radius, factors = plants.sizes[1], plants.radius, []
     moves: list[dict[Entry, Any]] = []
     for (mode, generator, tau), arranged in zip(X, layouts, strict=True):
         (room,) = arranged(radius[mode][None])
-        exponent = swelled(generator, room) * tau
+        exponent = (generator + balls.symmetric_matrix(room)) * tau  # every entry in its range
         own = [place for place in entries if place[0] == mode]
         units = zip(own, arranged(unit_matrices(own, radius.shape[1:])), strict=True)
         moves.append({place: frechet(exponent, balls.exact(U) * tau) for place, U in units})
         factors.append(exponent.exp())
     found: dict[Entry, Any] = {}
     for k, of_piece in enumerate(moves):
+        # Only the first n rows are formed, from the left, so later products have n rows, too.
         before = product_of(factors[:k]) if k else None
         after = balls.top(product_of(factors[k + 1 :]), n) if k + 1 < len(X) else None
         for place, derivative in of_piece.items():
@@ -311,6 +318,7 @@ class BoxEnclosures:
         def phases(one: DelayInterval) -> tuple[Any, Any]:
             late = step * (one.count - 1)
             low, high = (balls.decimal_number(delay) - late for delay in one.delays)
+            # At the ends of a period φ is 0 or h exactly, as the loop takes it.
             low = arb(0) if one.low == 0.0 else step if one.low == family.step else low
             return low, step if one.high == family.step else high
 
@@ -318,7 +326,7 @@ class BoxEnclosures:
         self.generators: dict[tuple[int, int, int], list[Any]] = {}
 
     def of(self, cell: ParameterCell) -> Enclosure:
-        """Enclose one cell; E may be split by `ParameterCell.halves` until the slopes are small."""
+        """Enclose one cell."""
         family, n = self.family, self.family.states
         parts = [self._of_input(cell, c) for c in range(family.plants.sizes[2])]
         together: list[tuple[int, Any]] = []
@@ -328,7 +336,7 @@ class BoxEnclosures:
         return Enclosure(centre, together, self.sway(cell))
 
     def sway(self, cell: ParameterCell) -> Any:
-        """L_i on the cell, for every z; each input's columns by its own pieces."""
+        """L_i on the cell, for every z; each input's columns come from its own pieces."""
         family, plants = self.family, self.family.plants
         entries = entries_of(plants, (cell.order.mode, cell.order.after))
         if not entries:
@@ -346,7 +354,10 @@ class BoxEnclosures:
         return along_directions(joined, plants)
 
     def _joined(self, parts: list[Any], n: int) -> Any:
-        """Rows over (x, all reads) from those over x and the reads of each input."""
+        """Rows over (x, all reads) from rows over x and the reads of each input.
+
+        The columns of x are the same for every input; the last one's are kept.
+        """
         from flint import arb_mat
 
         result = arb_mat(n, n + len(self.family.reads))
@@ -382,7 +393,7 @@ class BoxEnclosures:
         return Enclosure(balls.top(centre, n), slopes)
 
     def _moving(self, cell: ParameterCell) -> list[tuple[int, float]]:
-        """The directions in which the cell is not a point, and half of its width."""
+        """The directions in which the cell is not a point, and half of its width, rounded up."""
         full = cell.order.mode == cell.order.after
         ends = [(U, cell.u)] * (not full) + list(enumerate(cell.f, FIRST))
         return [(k, math.nextafter(0.5 * (b - a), math.inf)) for k, (a, b) in ends if b > a]
@@ -407,7 +418,7 @@ class BoxEnclosures:
 
 
 def _slope(pieces: list[InputPiece], factors: list[Any], X: list[Any], direction: int) -> Any:
-    """∂E/∂p of u or a delay, X the generators of the pieces."""
+    """∂E/∂p of u or a delay, X the generators of the pieces: one term per end that p moves."""
     size = X[0].nrows()
     total = balls.zeros(size, size)
     for k, piece in enumerate(pieces[:-1]):
@@ -418,7 +429,7 @@ def _slope(pieces: list[InputPiece], factors: list[Any], X: list[Any], direction
 
 
 def _room(amount: Any, sign: int) -> Any:
-    """From 0 to max(0, a), or to its negative."""
+    """The ball from 0 to sign · max(0, a)."""
     from flint import arb
 
     most = amount.upper()

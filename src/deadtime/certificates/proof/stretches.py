@@ -1,26 +1,25 @@
-"""V at nodes of mode and age, pulled back exactly along stretches of periods; the second kind.
+"""Evidence of the second kind: V at nodes of mode and age, pulled back along stretches of periods.
 
-The nodes are (i, a) with a in `knots`, a_0 < a_1 < …, as far as mode i lasts, and V_{i,k}(ξ) =
-ξᵀ P_{i,k} ξ there. From a node the loop goes along one of these stretches to the next node that it
-meets:
+The nodes are (i, a) with a in `knots`, a_0 < a_1 < …, as long as mode i lasts, and V_{i,k}(ξ) =
+ξᵀ P_{i,k} ξ there. From a node the loop goes along one of these stretches to the next node:
 
     full steps to the next knot; from the last one, where a mode may last, one full step to it;
     full steps to an age at which the plant may switch, a mixed step to j, a_0 full steps there.
 
-If the reported mode is that of L samples ago, the law acts in the first L of these a_0 ≥ L steps by
-what i was, at ages that are known, and j is reported from the node on: so nothing before a node
-matters after it. Where samples may be lost a node is a mode, an age and how many samples were lost
-last, every age is a knot, and every stretch one period.
+If the reported mode is that of L samples ago, the law uses the rows of i, at known ages, in the
+first L of these a_0 ≥ L steps, and j is reported from the node on: nothing before a node matters
+after it. With lost samples a node is a mode, an age and the number of samples lost just before,
+every age is a knot, and every stretch is one period.
 
 With M the product of the matrices of the L periods of a stretch, what is proved is
 
     P_here − Mᵀ P_next M/ρ^{2L} ≻ 0    for every stretch and every instant of its switch,
 
-so V falls by ρ^{2L} from node to node. In between V is what it will be at the next node, nothing is
-lost: for a plant without input these are the inequalities e^{A_iᵀτ} P_j e^{A_iτ} ≺ P_i [Geromel and
-Colaneri, SIAM J. Control Optim. 45 (2006) 1915], at whole periods.
+so V falls by ρ^{2L} from node to node. Between nodes V is its value at the next node, pulled back,
+which loses nothing: for a plant without input these are the inequalities e^{A_iᵀτ} P_j e^{A_iτ} ≺
+P_i [Geromel and Colaneri, SIAM J. Control Optim. 45 (2006) 1915], at whole periods.
 
-Of an average dwell time the nodes are the modes, every stretch is one period, and V may rise at a
+With an average dwell time the nodes are the modes, every stretch is one period, and V may rise at a
 switch [Hespanha and Morse, CDC 1999]. With r periods per switch on average what is proved is
 
     P_i − Mᵀ P_i M μ^{1/r}/ρ² ≻ 0,    P_i − Mᵀ P_j M μ^{1/r − 1}/ρ² ≻ 0    where it switches.
@@ -63,7 +62,7 @@ class StretchEvidence(Frozen):
     rho : float
         ρ, the decay over a period.
     mu : float
-        μ ≥ 1, by which V may rise at a switch, of an average dwell time; else 1.
+        μ ≥ 1, the factor by which V may rise at a switch, for an average dwell time; else 1.
     """
 
     setting: Setting
@@ -74,11 +73,11 @@ class StretchEvidence(Frozen):
 
     @property
     def numbers(self) -> int:
-        """How many numbers it holds."""
+        """Number of entries: the measure of allowed work."""
         return self.setting.numbers + self.P.size
 
     def lyapunov(self, mode: int, age: int, lost: int = 0) -> Float[np.ndarray, "order order"]:
-        """V_{mode,age}, in floats: what it will be at the next node if the mode lasts so long.
+        """V_{mode,age}, in floats: V at the next node of the mode, pulled back.
 
         Between nodes it may be singular, and need not fall over a period with a switch.
         """
@@ -98,6 +97,7 @@ class StretchEvidence(Frozen):
                 f"age must be at most {knots[-1]}, got {age}: after it the mode has to be "
                 "left, and the Lyapunov function depends on when."
             )
+        # For the user, so floats at the end; balls since the check has the same product.
         with precision():
             ahead = StretchInequalities(self).full(mode, age, self.knots[knot])
         M, periods = balls.middle(ahead), self.knots[knot] - age
@@ -105,7 +105,7 @@ class StretchEvidence(Frozen):
 
 
 def decay_rate(evidence: Evidence | StretchEvidence) -> float:
-    """−ln ρ/h, rounded down; 0 for ρ = 1, where the decay is strict but its rate not known."""
+    """−ln ρ/h, rounded down; 0 for ρ = 1, where the decay is strict but its rate is unknown."""
     if evidence.rho >= 1.0:
         return 0.0
     return (-math.log(evidence.rho) / evidence.setting.step) * (1.0 - 1e-12)
@@ -113,14 +113,9 @@ def decay_rate(evidence: Evidence | StretchEvidence) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PeriodMap:
-    """A period under one row of the table, ξ⁺ = (E seen + rest) ξ (immutable), in balls.
+    """`Setting.period` in balls (immutable), `rest` (d, d) with zeros in the plant's rows.
 
-    Attributes
-    ----------
-    seen : (k, d)
-        What the plant's rows E are applied to, y = seen ξ.
-    rest : (d, d)
-        The input sent and the ones that shift; zero in the plant's rows.
+    ξ⁺ = (E seen + rest) ξ.
     """
 
     seen: Any
@@ -129,12 +124,8 @@ class PeriodMap:
     @classmethod
     def of(cls, setting: Setting, row: np.ndarray) -> PeriodMap:
         """Under one row (o, d) of the table."""
-        n, d, unit = setting.states, setting.order, np.eye(setting.order)
-        places = [(lag, setting.input_at(lag, j)) for lag, j in setting.family.reads]
-        read = [(unit if lag else row)[[at]] for lag, at in places]
-        seen = np.concatenate((np.eye(n, d), *read))
-        held = unit[n + setting.memory : d - setting.inputs]
-        rest = np.concatenate((np.zeros((n, d)), row, held))
+        seen, rest = setting.period(row)
+        rest = np.concatenate((np.zeros((setting.states, setting.order)), rest))
         return cls(balls.exact(seen), balls.exact(rest))
 
     def loop(self, E: Any) -> Any:
@@ -173,7 +164,8 @@ class StretchInequalities:
     def holds(self, stretch: NodeStretch) -> tuple[int, float | None]:
         """Check one stretch, for every instant of its switch; as `Covering.holds`.
 
-        ξ⁺ = (E seen + rest) ξ in the one period that may hold a switch: a form in E.
+        ξ⁺ = (E seen + rest) ξ in the one period that may contain a switch, so the inequality is a
+        quadratic form in E, and only this period is covered by cells; the others are one matrix.
         """
         P, n, step = self.evidence.P, self.setting.states, stretch.step
         before = self.full(step.mode, step.age - stretch.waits, step.age)
@@ -192,21 +184,21 @@ class StretchInequalities:
         return self.covering.holds(form, step, [])
 
     def _rise(self, step: Transition) -> Any:
-        """μ to the power of 1/r, less 1 at a switch: what V may rise by is taken from its fall."""
+        """μ^{1/r}, or μ^{1/r − 1} at a switch; 1 without an average dwell time."""
         from flint import arb, fmpq
 
         periods = self.setting.periods_per_switch
         if periods is None:
             return arb(1)
-        power = 1 / periods - step.switches
+        power = 1 / periods - step.switches  # a Fraction: r is rational
         return arb(self.evidence.mu) ** arb(fmpq(power.numerator, power.denominator))
 
     def full(self, mode: int, start: int, end: int) -> Any:
         """The product of the full steps from one age to another.
 
-        By halves: multiplied one by one the balls would grow as the product of norms. From the age
-        on at which the rows no longer change all steps are one, and a product is known by its
-        length.
+        By halves: multiplied one by one, the radii would grow like the product of all norms. From
+        the age on at which the rows no longer change all steps are equal, so a product depends on
+        its length alone and is kept under its earliest ages.
         """
         same = self.setting.ages - 1 + self.setting.signals.mode_lag
         late = max(0, start - same)
@@ -218,13 +210,14 @@ class StretchInequalities:
             elif end == start + 1:
                 product = self._step(mode, self.setting.transitions.row(mode, start))
             else:
+                # Cut where the rows stop changing, so that the second factor is one kept for all.
                 middle = same if start < same < end else (start + end) // 2
                 product = self.full(mode, middle, end) * self.full(mode, start, middle)
             self.known[key] = product
         return self.known[key]
 
     def _following(self, step: Transition, follows: int) -> Any:
-        """The product of the full steps after a step, which begin as if the mode were the last."""
+        """The product of the full steps after a step; the first ones have rows of the old mode."""
         rows = tuple(self.setting.transitions.rows_after(step, follows))
         if not rows:
             return self.full(step.after, 0, follows)
@@ -243,5 +236,6 @@ class StretchInequalities:
         return self.followed[key]
 
     def _step(self, mode: int, row: int) -> Any:
+        # One cell: with a range of delays every stretch is one period, and no product is formed.
         (whole,) = cells_of(self.setting.family, mode, mode)
         return self.rows[row].loop(self.covering.enclosure(whole).centre)

@@ -12,9 +12,9 @@ with every entry in its range Â ± radius. So δE = Σ z_i middle(L_i) + R, and
     (ηᵀ δE y)² ≤ (1 + ε) Σ_i (ηᵀ L_i y)² + (1 + 1/ε) n k Σ_ab η_a² r_ab² y_b² = (η ⊗ y)ᵀ C (η ⊗ y),
     C = (1 + ε) Σ_i vec L_i vec L_iᵀ + (1 + 1/ε) n k diag r².
 
-With any W (n, n) and X (k, k) such that W ⊗ X ⪰ C this is at most (ηᵀ W η) (yᵀ X y): q = δE y,
-which is all that a quadratic form asks of δE, obeys yᵀ X y − qᵀ W⁻¹ q ≥ 0. That is one quadratic
-inequality, however many directions there are. For least squares on measured states
+With any W (n, n) and X (k, k) such that W ⊗ X ⪰ C this is at most (ηᵀ W η) (yᵀ X y): q = δE y, the
+only way in which δE enters a quadratic form, obeys yᵀ X y − qᵀ W⁻¹ q ≥ 0. That is one quadratic
+inequality for any number of directions. For least squares on measured states
 Σ_i vec L_i vec L_iᵀ is about a Kronecker product, and little is lost.
 """
 
@@ -34,7 +34,7 @@ from deadtime.plant.plant_set import PlantSet, norm_of_entries
 ROUNDS = 60  # of fitting W and X in turn
 FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1
 Entry = tuple[int, int, int]  # mode, row and column of [A B]
-ROOM = 0.02  # by what part W ⊗ X is above C, so that a verifier may find others
+ROOM = 0.02  # relative margin of W ⊗ X over C: a verifier's own W and X then suffice, too
 
 
 def entries_of(plants: PlantSet, modes: tuple[int, ...]) -> list[Entry]:
@@ -45,16 +45,11 @@ def entries_of(plants: PlantSet, modes: tuple[int, ...]) -> list[Entry]:
 
 
 def unit_matrices(entries: list[Entry], shape: tuple[int, ...]) -> Float[np.ndarray, "entry n nm"]:
-    """[A B] with a 1 at each entry, whatever its mode."""
+    """[A B] with a 1 at each entry, one matrix per entry."""
     result = np.zeros((len(entries), *shape))
     for at, (_, a, b) in enumerate(entries):
         result[at, a, b] = 1.0
     return result
-
-
-def swelled(generator: Any, radius: np.ndarray) -> Any:
-    """A generator with every entry off by up to a radius."""
-    return generator + balls.symmetric_matrix(radius)
 
 
 def along_directions(by_entry: dict[Entry, Any], plants: PlantSet) -> Any:
@@ -68,12 +63,12 @@ def along_directions(by_entry: dict[Entry, Any], plants: PlantSet) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Sway:
-    """A bound of the change of E that z makes on a cell (immutable).
+    """A bound of the change of E by z on a cell (immutable).
 
     Attributes
     ----------
     W : (n, n), X : (k, k)
-        (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for every z, for sure.
+        (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for every z, proved.
     """
 
     W: Float[np.ndarray, "n n"]
@@ -89,6 +84,7 @@ class Sway:
             return None  # the set is too wide to be enclosed
         rest = norm_of_entries(radius.T) * np.sqrt(len(middle)) * (1.0 + 1e-12)
         sizes = [balls.norm_above(np.abs(each)) for each in (middle, rest)]
+        # ε that balances the two parts of C; any ε > 0 is valid.
         part = float(np.clip(sizes[1] / max(sizes[0], 1e-300), 1e-9, 1.0))
         L = np.concatenate(
             (np.sqrt(1.0 + part) * middle, np.sqrt(1.0 + 1.0 / part) * np.diag(rest)), 1
@@ -99,6 +95,7 @@ class Sway:
             return None
         C, D = balls.exact(middle), balls.exact(np.diag(rest))
         C, D = C * C.transpose() * (1 + arb(part)), D * D * (1 + 1 / arb(part))
+        # W and X are floats found by iteration; this is the proof of W ⊗ X ⪰ C.
         both = W.tolist(), X.tolist()
         whole = arb_mat([[arb(w) * arb(x) for w in a for x in b] for a in both[0] for b in both[1]])
         return cls(W, X) if congruent(whole - C - D) is not None else None
@@ -115,6 +112,7 @@ def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
     n, k, _ = L.shape
     rows, columns = _unit(L, (1, 2)), _unit(L, (0, 2))
     flat = (L / rows[:, None, None] / columns[:, None]).reshape(n * k, -1)
+    # Λ only enters by Λ Λᵀ, so an economic factor of at most n k columns replaces all directions.
     left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
     L = (left * sizes).reshape(n, k, -1)
     W, X, root = np.eye(n), np.eye(k), np.eye(len(sizes))
@@ -126,6 +124,7 @@ def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
         values, vectors = np.linalg.eigh(inside.T @ inside)
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         root = root / max(float(np.linalg.norm(root)), 1e-300) * np.sqrt(len(sizes))
+    # The iteration may end short of feasibility; the scale makes W ⊗ X ⪰ (1 + ROOM) C.
     W = W * np.linalg.norm(_whitened(L, W, X), 2) ** 2 * (1.0 + ROOM)
     W, X = W * rows * rows[:, None], X * columns * columns[:, None]
     return 0.5 * (W + W.T), 0.5 * (X + X.T)
@@ -145,7 +144,7 @@ def _whitened(L: np.ndarray, W: np.ndarray, X: np.ndarray) -> np.ndarray:
 
 
 def _unit(L: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:
-    """The size of every row or column; that of nothing is a little."""
+    """The size of every row or column; never 0."""
     sizes = np.sqrt((L**2).sum(axis=axis))
     return np.maximum(sizes, max(1e-9 * float(sizes.max()), 1e-150))
 
@@ -153,8 +152,8 @@ def _unit(L: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:
 def weight_of(form: np.ndarray, y: np.ndarray, W: np.ndarray, X: np.ndarray) -> float | None:
     """λ > 0 with form + λ (qᵀ W⁻¹ q − yᵀ X y) ≻ 0 by the largest margin, in floats; None if none.
 
-    `form` is one in (v, q), y = `y` v. Its margin is that of what is left of it when q is
-    eliminated, in units in which the form in v alone is I: concave in λ.
+    `form` is one in (v, q), y = `y` v. The margin is the least eigenvalue of the Schur complement
+    after q is eliminated, in units in which the form in v alone is I. It is concave in λ.
     """
     v = y.shape[1]
     try:
@@ -181,7 +180,7 @@ def weight_of(form: np.ndarray, y: np.ndarray, W: np.ndarray, X: np.ndarray) -> 
 
 
 def _highest(value: Any, low: float, high: float) -> tuple[float, float]:
-    """Where a function with one maximum is highest, by golden section."""
+    """(argument, value) at the maximum of a unimodal function, by golden section."""
     part = 0.5 * (np.sqrt(5.0) - 1.0)
     a, b = high - part * (high - low), low + part * (high - low)
     at_a, at_b = value(a), value(b)

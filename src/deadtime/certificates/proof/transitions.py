@@ -1,14 +1,17 @@
 """The transitions that a class of signals allows, as a graph on (mode, age).
 
-Signals are right-continuous, and a switch in (k h, (k + 1) h] belongs to the period k: one that
-falls on a sample is seen by it. At a sample the mode i has been seen for a samples before. Over
-the next period the plant either stays in i, a *full* step to (i, a + 1), or switches once, s into
-it, a *mixed* step to (j, 0). A sojourn of q full steps between two mixed ones lasts
-(h − s) + q h + s', with s, s' ∈ (0, h], so between q h and (q + 2) h, neither included.
+Signals are right-continuous, and a switch in (k h, (k + 1) h] belongs to the period k: the sample
+at its end sees it. The age a of mode i at a sample is the number of earlier samples that saw i.
+Over the next period the plant either stays in i, a *full* step to (i, a + 1), or switches once, at
+s into it, a *mixed* step to (j, 0). A sojourn of q full steps between two mixed ones lasts
+(h − s) + q h + s', with s, s' ∈ (0, h], so between q h and (q + 2) h, neither included:
 
-What counts as admissible is measured by the controller's clock, of which a tolerance δ is known:
-a sojourn lasts at least (1 − δ) τ_d. With r = (1 − δ) τ_d/h, (q + 2) h must exceed r h (and as τ_d
-and h stand for all reals within half a unit in the last place, r is taken 2⁻⁵⁰ of it smaller):
+    |-- other --s-- i --|-- i --| … |-- i --|-- i --s'-- j --|
+         mixed, h − s     age 0     age q−1    age q, mixed
+
+Dwell times are measured by the controller's clock, whose tolerance δ is known: a sojourn lasts at
+least (1 − δ) τ_d. With r = (1 − δ) τ_d/h, (q + 2) h must exceed r h (and as τ_d and h stand for all
+reals within half a unit in the last place, r is taken 2⁻⁵⁰ of it smaller):
 
     q ≥ ⌊r⌋ − 1,
 
@@ -18,32 +21,32 @@ which is τ_d/h − 2 where τ_d/h is whole. At that q the sojourn has to end la
 
 A longest sojourn of (1 + δ) τ_max = R h allows q ≤ ⌈R⌉ − 1, at that q with s' ≤ (R − q) h, for
 h − s ≥ 0; without one a mode may last for any time. All else that s and s' have to do with each
-other is left out, and their range is closed: [0, h]. So the graph has every admissible signal and
-a few more. Where modes have dwell times of their own these numbers are the mode's `LeavingAges`; a
-mixed step leads to the modes that may follow, all others unless the class of signals says less.
+other is ignored, and their range is closed: [0, h]. So the graph contains every admissible signal
+and a few more. With dwell times per mode these numbers are the mode's `LeavingAges`; a mixed step
+leads to the modes that may follow, all others unless the class of signals restricts them.
 
-Where the mode changes at samples only, s = h: in a mixed step the plant is in i all along, and j is
-only what comes next. A sojourn of q full steps lasts (q + 1) h, so q ≥ ⌈r⌉ − 1, and q ≥ 0, and
-q ≤ ⌊R⌋ − 1. The graph then has these signals and no others.
+Where the mode changes at samples only, s = h: in a mixed step the plant stays in i for the whole
+period, and j is the mode of the next one. A sojourn of q full steps lasts (q + 1) h, so
+q ≥ ⌈r⌉ − 1, q ≥ 0 and q ≤ ⌊R⌋ − 1. The graph then has these signals and no others.
 
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
-the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
-takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
-switch per period is not described. In `stretches` V may rise at a switch, and has no level.
+the "age" is the level of a bucket: it gains 1 per period, up to N₀ τ_a/h, and a switch takes r.
+Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. Two switches in one period are
+not covered. In `stretches` V may rise at a switch instead, and does not depend on the level.
 
-If the reported mode is that of L samples ago, the law at (i, a) uses (i, a − L) where a ≥ L. Else
-it uses the mode seen b = L − a samples before i. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
-so that the k-th sojourn back is reported only if b > (k − 1) p, and then at an age of at least k p
-− b. Where b ≤ p that is the mode before, and one row if rows go by the mode and there are two. In
-the graph any row that may be told may act: V knows the mode and its age and not what was before. Of
-dwell times of their own p is the least, and the k-th mode back one from which k switches lead here.
+If the reported mode is that of L samples ago, the law at (i, a) uses (i, a − L) if a ≥ L. Else it
+uses the mode seen b = L − a samples before i. A sojourn spans at least q + 1 ≥ ⌊r⌋ = p samples, so
+the k-th sojourn back is reported only if b > (k − 1) p, and then at an age of at least k p − b. If
+b ≤ p it is the mode before, with one row if rows depend on the mode alone and there are two modes.
+In the graph any row that may be reported may act: V depends on the mode and its age, and not on the
+modes before. With dwell times per mode p is the least, and k switches lead from the k-th mode back.
 
-Where up to L samples in a row may be lost, a node is (i, a, l): the last l samples were lost. A
-step under a row of a measured sample leads to l = 0, one under a row of a lost one, where l < L, to
-l + 1. At the l-th lost sample in a row the law goes by the mode that it was told l samples ago, so
-the modes are those of a lag of l. The age it counts from the first sample of the mode that it was
-told, which is up to L after the first one, and on over lost ones: any age from a − L to a; but any
-age at all of a mode that has ended, and any age above where whole sojourns may be lost, L ≥ p.
+If up to L samples in a row may be lost, a node is (i, a, l): the last l samples were lost. A step
+under a row of a measured sample leads to l = 0; one under a row of a lost sample, with l < L, to
+l + 1. At the l-th lost sample in a row the law uses the mode reported l samples ago, so the modes
+are those of a lag of l. It counts the age from the first measured sample of that mode, up to L
+after the first one, and continues over lost ones: any age from a − L to a; but any age at all of a
+mode that has ended, and any larger age where whole sojourns may be lost, L ≥ p.
 """
 
 from __future__ import annotations
@@ -58,16 +61,16 @@ import numpy as np
 from deadtime.feedback.table import Context, row_of
 from deadtime.switching import SignalClass
 
-READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
+READINGS = Fraction(1, 2**50)  # relative: a ratio of two decimals, of their floats, or of between
 
 
 def decimal(value: float) -> Fraction:
-    """The decimal that prints as a number."""
+    """The decimal that prints as this float: 0.3/0.1 is then exactly 3."""
     return Fraction(repr(float(value)))
 
 
 def least_periods(dwell_time: float, step: float, tolerance: float) -> Fraction:
-    """r: how many periods a dwell time has by the controller's clock, at the least."""
+    """r: the least number of periods of a dwell time by the controller's clock."""
     part = (1 - decimal(tolerance)) * (1 - READINGS)
     return part * decimal(dwell_time) / decimal(step)
 
@@ -81,7 +84,7 @@ class LeavingAges:
     first : int
         The least age from which a step may switch.
     last : int
-        The largest age that is told apart.
+        The largest age with a node of its own.
     ends : bool
         Whether the mode must be left at the age `last` (a maximum dwell time).
     earliest, latest : float
@@ -104,9 +107,9 @@ class LeavingAges:
         signals: SignalClass,
         reported: int,
     ) -> LeavingAges:
-        """Of a mode's dwell time and maximum; `reported` is the last age at which rows may change.
+        """From a mode's dwell time and maximum; rows may change up to the age `reported`.
 
-        A `first` of −1: one period may hold two switches.
+        A `first` of −1: one period may contain two switches.
 
         Examples
         --------
@@ -124,6 +127,7 @@ class LeavingAges:
             last = max(first, reported) if R is None else math.floor(R) - 1
             return cls(first, last, R is not None, 1.0)
         first = math.floor(r) - 1
+        # Rounded outwards, so that float instants contain the exact ones.
         earliest = max(0.0, math.nextafter(float(r - first - 1), 0.0))
         if R is None:
             # The last age stands for all later ones, at which a mode may be left at any instant.
@@ -137,7 +141,7 @@ class Transition:
     """One step of the graph: from (mode, age) under a row to (after, next_age).
 
     `instants` are the first and the last fraction of the period at which it may switch; `lost` and
-    `next_lost` are how many samples in a row were lost before this sample, and before the next.
+    `next_lost` count the samples lost in a row before this sample, and before the next.
     """
 
     mode: int
@@ -162,16 +166,16 @@ class Transition:
 
 @dataclass(frozen=True)
 class NodeStretch:
-    """Periods from one node to the next that the loop meets: full steps, one step, full steps.
+    """Periods from one node to the next: full steps, one step that may switch, full steps.
 
     Attributes
     ----------
     knot, next_knot : int
-        Which of the ages told apart the nodes have, in the modes before and after the step.
+        Indices of the nodes' ages among the knots of the modes before and after the step.
     waits, follows : int
-        How many full steps come before and after the step.
+        Numbers of full steps before and after the step.
     step : Transition
-        The one that may switch.
+        The step that may switch.
     """
 
     knot: int
@@ -192,21 +196,24 @@ class SwitchGraph:
 
     Attributes
     ----------
-    clocks : tuple of Clock
-        When each mode may be left.
+    clocks : tuple of LeavingAges
+        The ages at which each mode may be left.
     following : tuple of tuples of int
-        The modes that each may switch to.
+        The modes that may follow each mode.
     bucket : int or None
-        What a switch takes from the age; None where it sets it to 0.
+        The levels that a switch takes from the age; None if a switch sets it to 0.
     context : str
-        What selects the table's row.
+        The quantities that select the table's row.
     ages : int
         Rows per mode of a (mode, age) table.
     lag : int
-        L, how many samples ago the mode was that the law is told.
+        L: the reported mode is that of L samples ago.
     losses : int
-        How many samples in a row may be lost; the table then has the rows of lost samples, as many
-        again, after those of measured ones. One of `lag` and `losses` is 0.
+        The largest number of samples lost in a row; the rows of lost samples then come after
+        those of measured ones. One of `lag` and `losses` is 0.
+
+            row    | mode 0: age 0 … ages − 1 | mode 1: … | … | the same for lost samples |
+            index    0        …      ages − 1    ages  …        measured … 2·measured − 1
     """
 
     clocks: tuple[LeavingAges, ...]
@@ -224,7 +231,7 @@ class SwitchGraph:
         """The graph of a class of signals at a period, in seconds."""
         limits, lag, losses = signals.limits(modes), signals.mode_lag, signals.lost_samples
         following = limits.following
-        if modes == 1:
+        if modes == 1:  # no switches, but rows may still change with the age
             own = LeavingAges(0, ages - 1 + losses)
             return cls((own,), following, None, context, ages, 0, losses)
         reported = ages - 1 + lag + losses
@@ -251,7 +258,7 @@ class SwitchGraph:
 
     @property
     def last(self) -> int:
-        """The largest age that is told apart in some mode."""
+        """The largest age with a node of its own, over all modes."""
         return max(clock.last for clock in self.clocks)
 
     @property
@@ -261,34 +268,34 @@ class SwitchGraph:
 
     @property
     def switching(self) -> int:
-        """How many (mode, age, mode after) have a switch."""
+        """Number of (mode, age, mode after) with a switch."""
         each = zip(self.clocks, self.following, strict=True)
         return sum(len(after) * (clock.last - clock.first + 1) for clock, after in each)
 
     def knots_of(self, mode: int, knots: tuple[int, ...]) -> tuple[int, ...]:
-        """Those of some ages that a mode comes to."""
+        """The knots that a mode reaches."""
         return tuple(age for age in knots if age <= self.clocks[mode].last)
 
     def row(self, mode: int, age: int) -> int:
-        """The row of the table at (mode, age), where that is what the law is told."""
+        """The row of the table at (mode, age) if the mode is reported after `lag` samples."""
         return row_of(self.context, self.ages, mode, max(0, age - self.lag))
 
     @property
     def measured(self) -> int:
-        """How many rows the table has of measured samples."""
+        """Number of rows of measured samples."""
         return 1 if self.context == "none" else self.modes * self.ages
 
     def place(self, mode: int, lost: int) -> int:
-        """Where V of a mode after so many lost samples stands among all of them."""
+        """Index of V of a mode after some lost samples: all modes for 0 lost, then for 1, …."""
         return lost * self.modes + mode
 
     @property
     def places(self) -> int:
-        """How many pairs of a mode and a number of lost samples there are."""
+        """Number of pairs of a mode and a count of lost samples."""
         return (self.losses + 1) * self.modes
 
     def rows(self, mode: int, age: int) -> list[int]:
-        """The rows that may apply: of what may be told, and of any age at a bucket's level."""
+        """The rows that may act: of all modes that may be reported, and at all possible ages."""
         if self.losses:
             return self._measured_rows(mode, age)
         if self.bucket is not None and self.lag:
@@ -301,7 +308,7 @@ class SwitchGraph:
         return [i * self.ages + a for i, least in sorted(reported) for a in range(least, self.ages)]
 
     def _measured_rows(self, mode: int, age: int, since: int = 0) -> list[int]:
-        """The rows of a measured sample, by the ages that a law may count; `since` samples ago."""
+        """The rows for the ages that a law may have counted by a sample `since` samples ago."""
         if self.context != "mode_age":
             return [row_of(self.context, 1, mode, 0)]
         first, last = max(0, age - since - self.losses) + since, age
@@ -311,7 +318,7 @@ class SwitchGraph:
         return [mode * self.ages + a for a in ages]
 
     def lost_rows(self, mode: int, age: int, lost: int) -> list[int]:
-        """The rows that may apply at the `lost`-th sample in a row that is lost."""
+        """The rows that may act at the `lost`-th sample lost in a row."""
         count = self.measured
         if self.context == "none":
             rows = [0]
@@ -325,19 +332,19 @@ class SwitchGraph:
         return [count + row for row in rows]
 
     def _before(self, mode: int, samples: int) -> dict[int, int]:
-        """Which modes may have been seen so many samples before one was, and their least ages."""
+        """Modes that may have been seen `samples` before this one first was, and least ages."""
         shortest, least, here = self.first + 1, dict[int, int](), {mode}
         for back in range(1, -(-samples // shortest) + 1):
             here = {i for i in range(self.modes) if not here.isdisjoint(self.following[i])}
             age = max(0, back * shortest - samples)
-            if all(least.get(i, 1) == 0 for i in here):  # then it is so of all sojourns before
+            if all(least.get(i, 1) == 0 for i in here):  # earlier sojourns add nothing
                 break
             for i in here:
                 least[i] = min(age, self.ages - 1, least.get(i, age))
         return least
 
     def rows_after(self, step: Transition, follows: int) -> list[int]:
-        """The rows of the first periods after a switch, as far as the mode before it is told.
+        """The rows of the first periods after a switch, while the old mode is still reported.
 
         For a step that begins at an age of `lag` − 1 or more.
         """
@@ -350,24 +357,25 @@ class SwitchGraph:
     def all(self, knots: tuple[int, ...] = (0,)) -> list[Transition]:
         """The transitions to check.
 
-        Between two `knots` all that depends on the age is linear in it, unless the rows change
-        with it, as they do up to the last of them; there the first and the last step of each
-        segment imply the others.
+        Between two `knots` the inequalities are linear in the age if the rows are equal: the first
+        and the last step of each segment then imply the others. Where rows change with the age
+        every age is checked.
         """
         changing = self.ages if self.context == "mode_age" and self.bucket is None else 0
         shared = {*knots, 0, changing + self.lag + self.losses}
-        if self.lag:  # the ages at which what may be told is not what it is a sample before
+        if self.lag:  # ages at which the set of rows that may act changes
             reported = [[self.rows(i, a) for i in range(self.modes)] for a in range(self.lag + 1)]
             shared |= {a for a in range(1, self.lag + 1) if reported[a] != reported[a - 1]}
         if self.losses:
             changing += self.losses
-        # A switch takes `bucket` from the level, so it ends at a knot from so much above it.
+        # A switch takes `bucket` from the level, so it ends at a knot if it starts so far above it.
         shared |= {knot + (self.bucket or 0) for knot in knots}
         transitions = []
         for i, clock in enumerate(self.clocks):
             marks = {*shared, clock.first, clock.first + 1, clock.last}
             ends = {a for mark in marks for a in (mark - 1, mark)}
             for a in range(clock.last + 1):
+                # Every age with changing rows, and both neighbours of every mark.
                 if not (self.lag <= a < self.lag + changing or a in ends):
                     continue
                 for row, lost, next_lost in self._reported(i, a):
@@ -383,7 +391,7 @@ class SwitchGraph:
                 yield row, lost, lost + 1
 
     def _steps(self, mode: int, age: int, row: int, lost: int, next_lost: int) -> list[Transition]:
-        """A step without a switch, where the mode may last, and those with one."""
+        """The step without a switch, if the mode may last, and the steps with one."""
         clock, steps = self.clocks[mode], self.switches(mode, age, row)
         if age < clock.last or not clock.ends:
             steps = [Transition(mode, age, row, mode, min(age + 1, clock.last)), *steps]
@@ -392,9 +400,9 @@ class SwitchGraph:
         return [replace(step, lost=lost, next_lost=next_lost) for step in steps]
 
     def stretches(self, knots: tuple[int, ...]) -> list[NodeStretch]:
-        """The stretches between nodes at these ages, which `validate` found to cover the graph."""
+        """The stretches between nodes at these ages, which `validate` knows to cover the graph."""
         stretches = []
-        if self.bucket is not None:  # a node for each mode, whatever the level
+        if self.bucket is not None:  # one node per mode, for all levels
             full = ((i, clock.last) for i, clock in enumerate(self.clocks))
             reported = ((*at, *one) for at in full for one in self._reported(*at))
             steps = (step for at in reported for step in self._steps(*at))

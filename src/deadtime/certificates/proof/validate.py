@@ -1,7 +1,7 @@
-"""Shapes, kinds and magnitudes that evidence must have before anything is computed with it.
+"""Shapes, types and magnitudes of evidence, checked before anything is computed with it.
 
-A certificate's file may say anything. All this is settled here, so that the arithmetic of the check
-neither overflows nor reads a row that the loop would not.
+A certificate's file may contain anything. After these checks the arithmetic neither overflows nor
+reads a row that the loop would not.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.stretches import StretchEvidence
 
-SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
+SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0: products of three stay in range
 MOST_AGES = 100_000
 MOST_STRETCHES = 5_000
 MOST_REPORTED = 1_000_000  # rows of the table, times the lag of the mode
 
 
 def why_malformed(evidence: Evidence | StretchEvidence) -> str:
-    """The first fault of the evidence, in the order in which parts depend; empty if it has none."""
+    """The first fault of the evidence; empty if it has none.
+
+    In this order, since each check relies on those before it.
+    """
     setting = evidence.setting
     return (
         _numbers(setting)
@@ -80,7 +83,7 @@ def _plants_and_table(setting: Setting) -> str:
     return (
         _misshapen(expected)
         or ("G has no taps" if taps < 1 else "")
-        or ("G reads what the law remembers after more than a period" if late else "")
+        or ("G reads the law's state of more than a period ago" if late else "")
         or ("memory is not 0, though F and G are all zero" if q and not setting.inputs else "")
     )
 
@@ -113,6 +116,7 @@ def _times(setting: Setting) -> str:
     ends = np.array(setting.delays)
     if (isinstance(setting.delays, tuple) or ends.ndim == 3) and np.any(ends[0] > ends[1]):
         return "delays do not ascend"
+    # Both limits before the graph is built: its size is the number of ages.
     chattering = min(signals.chatter, MOST_AGES + 1) * max(limits.dwell_time)
     longest = [most for most in limits.maximum_dwell if math.isfinite(most)]
     longest = max(setting.longest_delay, chattering, *longest)
@@ -134,6 +138,7 @@ def _times(setting: Setting) -> str:
 def _rho_and_knots(rho: object, knots: tuple[object, ...]) -> str:
     if not (isinstance(rho, float) and 0.01 <= rho <= 1.0):
         return "rho is not in [0.01, 1]"
+    # A bool is an int in Python, and 1.0 an index that NumPy refuses.
     ages = [knot for knot in knots if isinstance(knot, int) and not isinstance(knot, bool)]
     if not ages or len(ages) < len(knots):
         return "knots are not whole numbers"
@@ -142,9 +147,26 @@ def _rho_and_knots(rho: object, knots: tuple[object, ...]) -> str:
 
 def _matrices(evidence: Evidence, centre: Centre) -> str:
     setting = evidence.setting
-    sizes = _misshapen(_expected_shapes(evidence, setting, centre))
-    if sizes:
-        return sizes
+    d, rows = setting.order, len(setting.F)
+    n, o = setting.states, setting.outputs
+    y = n + len(setting.family.reads)
+    r, s = centre.R.shape[0], centre.Psi.shape[0]
+    size = y + r + s + n + o * setting.rows_differ
+    misfit = _misshapen(
+        {
+            "E": (centre.E, (n, y)),
+            "row": (centre.row, (o, d)),
+            "R": (centre.R, (r, d)),
+            "T": (centre.T, (rows, o, y + r)),
+            "Psi": (centre.Psi, (s, d)),
+            "filter": (centre.F, (s, size)),
+            "P": (evidence.P, (d, d)),
+            "Pi": (evidence.Pi, (size, size)),
+            "S": (evidence.S, (setting.transitions.places, len(evidence.knots), s, s)),
+        }
+    )
+    if misfit:
+        return misfit
     for name in ("P", "Pi", "S"):
         array = getattr(evidence, name)
         if not np.array_equal(array, np.swapaxes(array, -1, -2)):
@@ -157,7 +179,7 @@ def _matrices(evidence: Evidence, centre: Centre) -> str:
 
 
 def _stretches(evidence: StretchEvidence) -> str:
-    """P, and knots that every path through the graph meets."""
+    """P, and knots that every path through the graph passes."""
     setting, knots = evidence.setting, evidence.knots
     graph, family, d = setting.transitions, setting.family, setting.order
     sizes = _misshapen({"P": (evidence.P, (graph.places, len(knots), d, d))})
@@ -189,32 +211,12 @@ def _stretches(evidence: StretchEvidence) -> str:
     return ""
 
 
-def _expected_shapes(
-    evidence: Evidence, setting: Setting, centre: Centre
-) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
-    d, rows = setting.order, len(setting.F)
-    n, o = setting.states, setting.outputs
-    y = n + len(setting.family.reads)
-    r, s = centre.R.shape[0], centre.Psi.shape[0]
-    size = y + r + s + n + o * setting.rows_differ
-    return {
-        "E": (centre.E, (n, y)),
-        "row": (centre.row, (o, d)),
-        "R": (centre.R, (r, d)),
-        "T": (centre.T, (rows, o, y + r)),
-        "Psi": (centre.Psi, (s, d)),
-        "filter": (centre.F, (s, size)),
-        "P": (evidence.P, (d, d)),
-        "Pi": (evidence.Pi, (size, size)),
-        "S": (evidence.S, (setting.transitions.places, len(evidence.knots), s, s)),
-    }
-
-
 def _misshapen(expected: dict[str, tuple[np.ndarray, tuple[int, ...]]]) -> str:
-    """The first array of another shape, or with a number out of range."""
+    """The first array with a wrong shape or a number out of range."""
     for name, (array, shape) in expected.items():
         if array.shape != shape:
             return f"{name} has the shape {array.shape}, not {shape}"
+        # A nan fails both comparisons.
         size = np.abs(array[array != 0.0])
         if not np.all((size >= SMALLEST) & (size <= LARGEST)):
             return f"{name} holds a number that is not finite, or beyond 1e±100"

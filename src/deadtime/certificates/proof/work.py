@@ -1,6 +1,6 @@
-"""How much work a certificate asks for, counted before a matrix is built, and while it is done.
+"""The work of checking a certificate, counted before a matrix is built and during the check.
 
-verifier/FORMAT.md states the count, which both verifiers make: a short file must not ask for long
+verifier/FORMAT.md defines the count, and both verifiers use it: a short file must not cause long
 work.
 """
 
@@ -15,41 +15,41 @@ import numpy as np
 if TYPE_CHECKING:
     from deadtime.certificates.proof.evidence import Setting
 
-FREE, PER_NUMBER = 3 * 10**7, 10**5  # operations: of every file, and for each number that it holds
-HALVINGS = 100  # how many times as many the halving of cells may take
-OVERHEAD = 12  # what a matrix costs besides its arithmetic, in rows
+FREE, PER_NUMBER = 3 * 10**7, 10**5  # operations allowed to every file, and per number in it
+HALVINGS = 100  # further factor for the bisection of cells
+OVERHEAD = 12  # cost of a matrix besides its arithmetic, as additional rows
 
 
 @dataclass
 class Work:
-    """How many operations may be done, and how many were."""
+    """A budget of operations, and the operations done."""
 
     most: float = math.inf
     done: int = 0
 
     def do(self, operations: int) -> None:
-        """Count some, before they are done."""
+        """Count operations, before they are done."""
         self.done += operations
         if self.done > self.most:
             raise TooMuchWork
 
 
 class TooMuchWork(Exception):
-    """More work is asked for than is allowed; `check` makes an answer of it."""
+    """The budget is exhausted; `check` turns this into a result."""
 
 
 def allowance(numbers: int) -> int:
-    """How many operations a certificate of so many numbers may ask for."""
+    """The operations allowed to a certificate with this many numbers."""
     return FREE + PER_NUMBER * numbers
 
 
 def cost(order: int) -> int:
-    """Of a product of two matrices of an order."""
+    """Operations of a product of two matrices of an order."""
     return (order + OVERHEAD) ** 3
 
 
 def operations(setting: Setting, knots: int, along: bool) -> int:
-    """How many the inequalities take if no cell has to be halved; `along` stretches."""
+    """Operations of the inequalities if no cell is bisected; `along`: of stretches."""
     n, d = setting.states, setting.order
     k = n + len(setting.family.reads)
     cells, corners = _cells(setting)
@@ -58,7 +58,7 @@ def operations(setting: Setting, knots: int, along: bool) -> int:
 
 
 def _cells(setting: Setting) -> tuple[int, int]:
-    """Cells of a step, the parts of a period; and corners of each, both ends of all that varies."""
+    """Cells of a step, one per part of a period, and corners of each, both ends of a parameter."""
     ends, moving = np.array(setting.delays), 0
     if not setting.inputs:
         return 1, 2 * len(setting.plants.A)
@@ -70,7 +70,7 @@ def _cells(setting: Setting) -> tuple[int, int]:
 
 
 def _steps(setting: Setting, knots: int, along: bool) -> int:
-    """Steps of the graph, or stretches, that are asked about, or a few more."""
+    """An upper bound of the number of steps of the graph, or of stretches, to check."""
     graph, total = setting.transitions, 0
     most = 4 + 2 * knots + setting.ages + setting.signals.lost_samples
     most += min(setting.signals.mode_lag, graph.modes * (setting.ages + 1))
@@ -81,7 +81,7 @@ def _steps(setting: Setting, knots: int, along: bool) -> int:
 
 
 def _reported(setting: Setting, ages: int) -> int:
-    """Rows that may act at so many ages of a mode, with what was lost before and is lost next."""
+    """Number of triples of an age of a mode, a row that may act, and a count of lost samples."""
     graph, lag, lost = setting.transitions, setting.signals.mode_lag, setting.signals.lost_samples
     free, rows, own = graph.bucket is not None, graph.measured, 1
     if setting.context == "mode_age" and (free or lost):
@@ -94,12 +94,12 @@ def _reported(setting: Setting, ages: int) -> int:
 
 
 def least_limit(asked: int, done: int, allowed: int) -> int:
-    """How many times what is allowed a check takes that asked for some work and did some."""
+    """The least whole limit for a check with this estimated and this actual work."""
     return max(1, -(-asked // allowed), -(-done // (HALVINGS * allowed)))
 
 
 def refusal(asked: int, allowed: int, limit: float) -> str:
-    """Why a certificate that asks for more operations than it may is not looked at."""
+    """The reason to refuse a certificate before any work."""
     return (
         f"its inequalities take {min(asked, 10**30):.2g} operations, and {limit * allowed:.2g} are "
         f"the limit for a file of its size: where that is worth the time, allow "
@@ -108,7 +108,7 @@ def refusal(asked: int, allowed: int, limit: float) -> str:
 
 
 def exhausted(allowed: int, limit: float) -> str:
-    """Why one is given up that takes more than it seemed to."""
+    """The reason to give up a check that takes more than estimated."""
     return (
         f"it is not proved within {HALVINGS * limit * allowed:.2g} operations: where more are "
         f"worth the time, allow more than {limit:g} times the usual (limit=, --limit)"

@@ -91,6 +91,7 @@ class Backstepping(Frozen):
         closed_loop = read_only(plant.A + plant.B @ self.gains)
         rate = float(max(np.linalg.norm(M, 2) for M in (*plant.A, *closed_loop)))
         edges = merge(np.concatenate((switches, drive.jumps)), -delay, 0.0)
+        # At most 1.5 time constants of the fastest matrix, for which NODES points are enough.
         edges = subdivide(edges, min(1.5 / max(rate, np.finfo(float).tiny), delay))
         middles = (edges[:-1] + edges[1:]) / 2.0
         modes = self.signal(middles + self.time + delay)
@@ -135,12 +136,12 @@ def target_rate(
 
 
 def _modes(run: Trajectory, times: np.ndarray) -> np.ndarray:
-    """σ, a time within round-off before a switch counting as at it, as in the run's record."""
+    """σ; a time within round-off before a switch counts as the switch, as in the run's record."""
     return run.signal(times + _record(run).states.slack)
 
 
 def _record(run: Trajectory) -> IdealRecord:
-    """The run's record, refused when the run is a digital one."""
+    """The record of an ideal run; an ArgumentError for a digital one."""
     if not isinstance(run.record, IdealRecord):
         raise ArgumentError("run must be an ideal one: simulate with step=None.")
     return run.record

@@ -39,7 +39,7 @@ _PER_DECADE = 1.0 / math.log(10.0)
 class TheoremBound:
     r"""The constants of the theorem for one plant (immutable).
 
-    A number that overflows is inf, one that underflows 0.0; `log10_…` is right all the same.
+    A number that overflows is inf, one that underflows 0.0; `log10_…` stays accurate.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class TheoremBound:
     holds : bool
         :math:`\varepsilon < \varepsilon^*`.
     lyapunov : CommonLyapunov
-        The P and Q that the constants use.
+        The P and Q of the constants.
     message : str
         The result in a sentence.
     """
@@ -171,13 +171,13 @@ def theorem_bound(
             "plant must have the same delays in all modes for theorem_bound, got "
             f"delay={plant.delay_text}: the theorem depends on the distance ε of the modes' "
             "matrices, and modes with the same matrices, ε = 0, may grow where their delays "
-            "differ. Ask certify, which looks at this loop."
+            "differ. Use certify for this loop."
         )
     if form not in stated:
         raise ArgumentError(
             f"form must be 'sharp' where inputs have several delays, got {form!r}, which is a "
-            "theorem of one delay: its Lemma 2.4 has x(t + D) as a functional of X(t) and of what "
-            "was sent, and with a second delay what is still to be sent is part of it."
+            "theorem of one delay: its Lemma 2.4 writes x(t + D) as a functional of X(t) and of "
+            "past inputs, and with a second delay it depends on future inputs, too."
         )
     pair = None if lyapunov is None else check_lyapunov(plant, K, lyapunov)
     if not plant.has_one_delay:
@@ -224,7 +224,7 @@ def _decades(log: float | None) -> float | None:
 
 
 def stated_forms(plant: SwitchedSystem) -> tuple[str, ...]:
-    """The forms that the theorem has for a plant with these delays."""
+    """The forms of the theorem for a plant with these delays."""
     if plant.has_one_delay:
         return FORMS
     return ("sharp",) if plant.modes_share_delays else ()

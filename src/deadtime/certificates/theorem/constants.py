@@ -77,7 +77,7 @@ class Constants(ABC):
 
 @dataclass(frozen=True, eq=False)
 class FunctionalConstants(Constants):
-    """Those of a proof by V = XᵀPX + b∫e^{c(θ+D−t)}|W|², of one delay.
+    """The constants of a proof by V = XᵀPX + b∫e^{c(θ+D−t)}|W|², for one delay.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class PaperConstants(FunctionalConstants):
         return x + self.M_A * D + float(outer)
 
     def _log_intervals(self, more: float) -> float:
-        """log(D/τ_d + more); D/τ_d itself may overflow."""
+        """log(D/τ_d + more), by logarithms since D/τ_d may overflow."""
         return log_sum((log(self.delay) - log(self.dwell_time), log(more)))
 
     def decay(self, x: float) -> float:
@@ -172,7 +172,7 @@ def paper_constants(
     allowed = min(allowed, forcing - 0.5 * (math.log(2.0) + D + second))
     found = PaperConstants(
         lyapunov=lyapunov,
-        log_epsilon_star=math.nan,  # until λ is there to be inverted
+        log_epsilon_star=math.nan,  # below: it is the inverse of λ, which needs the sizes
         weight=1.0,
         log_nu1=log_nu1,
         log_nu2=log_nu(M_A),

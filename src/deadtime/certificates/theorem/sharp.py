@@ -46,7 +46,7 @@ Terms = tuple[tuple[float, float], ...]
 
 # Decay rates tried for P, as fractions of the slowest mode's own.
 FRACTIONS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97)
-_HALVINGS = 60  # of the interval in which the rate ξ lies
+_HALVINGS = 60  # bisections of the interval of the rate ξ
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class SharpConstants(FunctionalConstants):
 
 @dataclass(frozen=True)
 class Norm:
-    """One of the two routes: |x|_S along the delay-free loops, and how V uses it.
+    """The norm |x|_S along the delay-free loops, and the constants of V in it.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ def euclidean(plant: SwitchedSystem, gains: Gains, lyapunov: CommonLyapunov) -> 
 
 
 def weighted_norm(plant: SwitchedSystem, gains: Gains, lyapunov: CommonLyapunov) -> Norm | None:
-    """S = P: the norm in which all delay-free loops decay; None if rounding hides the decay."""
+    """S = P, the norm in which all delay-free loops decay; None if rounding hides the decay."""
     P = lyapunov.P
     omega = -growth_in_norm(plant, gains, P)
     if omega <= 0.0:
@@ -235,12 +235,12 @@ def closed_loop_mismatch(plant: SwitchedSystem, gains: Gains, norm: Norm) -> tup
 
 
 def others_share(plant: SwitchedSystem) -> float:
-    """log of l/(l + 1): of the mean over modes of |R_i − R_σ|, the term i = σ is zero."""
+    """log(1 − 1/ℓ): in the mean over ℓ modes of |R_i − R_σ| the term i = σ is zero."""
     return log(1.0 - 1.0 / plant.modes)
 
 
 def _best_weight(plant: SwitchedSystem, gains: Gains, norm: Norm) -> tuple[float, float]:
-    """(c, log 1/ε*²), c by search: every c > 0 gives a valid bound, so a near optimum will do."""
+    """(c, log 1/ε*²), c by a coarse search, since every c > 0 gives a valid bound."""
     if plant.modes == 1:  # W = 0 and every weight will do
         return norm.omega, -math.inf
     D = plant.delay
@@ -252,6 +252,7 @@ def _best_weight(plant: SwitchedSystem, gains: Gains, norm: Norm) -> tuple[float
         )
         return c * D + log_sum((2.0 * log_c1 + norm.log_gamma2, square - math.log(c)))
 
+    # A grid that narrows around the best point: the objective may be flat or have kinks.
     c, width = 1.0 / D, 5.0
     for _ in range(4):
         c = min((c * math.exp(width * i / 20.0) for i in range(-20, 21)), key=objective)
@@ -261,21 +262,21 @@ def _best_weight(plant: SwitchedSystem, gains: Gains, norm: Norm) -> tuple[float
 
 @dataclass(frozen=True)
 class Groups:
-    """The inputs by their delays, and the sizes in which they enter.
+    """Inputs grouped by their delays, and the norms of their gains and columns.
 
     Attributes
     ----------
     delays : (g,)
         d_1 < … < d_g, seconds.
     gain, entry : (g,)
-        M_q and B_q: the largest norms of their rows of K_i, and of their columns of B_i.
+        M_q and B_q: the largest norms of a group's rows of K_i, and of its columns of B_i.
     M_B, M_K : float
-        Of all inputs.
+        The same for all inputs together.
     growth : float
-        a: |e^{F τ}| ≤ e^{aτ}, also for products, F any mode's A_i with the feedback of those that
-        arrive before the last, 1/s.
+        a: |e^{F τ}| ≤ e^{aτ}, also for products, where F is any mode's A_i with the feedback of the
+        groups before some group, 1/s.
     log_share : float
-        log s, s = l/(l + 1).
+        log s, s = 1 − 1/ℓ for ℓ modes.
     """
 
     delays: tuple[float, ...]
@@ -304,7 +305,7 @@ class Groups:
         )
 
     def through(self, log_v: Sequence[float], rate: float) -> list[float]:
-        """log (I − G)⁻¹v at the rate ξ: what the groups before have made is added, in order."""
+        """log (I − G)⁻¹v at the rate ξ by forward substitution, G strictly lower triangular."""
         result: list[float] = []
         for q, (d, gain) in enumerate(zip(self.delays, self.gain, strict=True)):
             before = [
@@ -317,7 +318,7 @@ class Groups:
         return result
 
     def from_state(self, norm: Norm, rate: float) -> list[float]:
-        """log of what |x|_S brings about in each group, m without β/(ω − ξ) and |y|."""
+        """log of the coefficient of |x|_S in each group: m without β/(ω − ξ) and |y|."""
         a, result = self.growth + rate, []
         for d, gain in zip(self.delays, self.gain, strict=True):
             terms = [log(gain * (norm.euclid + norm.gain)) + log_integral(a, d), log(norm.euclid)]
@@ -328,7 +329,7 @@ class Groups:
         return result
 
     def from_mismatch(self, rate: float) -> list[float]:
-        """log of what |y| brings about in each group by itself."""
+        """log of the direct coefficient of |y| in each group."""
         a = self.growth + rate
         return [
             log(gain) + log_integral(a, d) for d, gain in zip(self.delays, self.gain, strict=True)
@@ -375,6 +376,7 @@ class OwnDelayConstants(Constants):
         if x - log_star(self.groups, self.norm, 0.5 * omega) <= used:
             return omega
         low, high = 0.0, 0.5 * omega
+        # ε*(ξ) decreases in ξ, so bisection applies.
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             if x - log_star(self.groups, self.norm, middle) <= used:
@@ -391,7 +393,7 @@ class OwnDelayConstants(Constants):
         own, norm, xi = self.groups, self.norm, 0.5 * self.decay(x)
         left, D = -norm.growth - xi, own.delays[-1]
         a, own_x = own.growth + xi, log(norm.from_euclid)
-        # What X(0), or U₀, brings about in |x|_S by itself, and in each group.
+        # The direct contribution of X(0), or of U₀, to |x|_S, and to each group.
         alone = own_x - 0.5 * math.log(2.0 * left) if state else -math.inf
         start = []
         for d, gain, late in zip(own.delays, own.gain, own.from_state(norm, xi), strict=True):

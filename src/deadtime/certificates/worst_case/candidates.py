@@ -1,10 +1,11 @@
-"""Cycles worth evaluating: from branch and bound and from random cycles, all of them climbed.
+"""Candidate cycles: from branch and bound and from random cycles, improved by hill climbing.
 
-Besides them short rings: two to four modes in turn, each at about its shortest sojourn, over one
-to five rounds, for their own length need be no whole number of periods. Where sojourns last between
-one period and two, no word on the grid is near them. They are evaluated on the loop itself.
+Further candidates are short rings: two to four modes in turn, each at about its shortest sojourn.
+Their length need not be a whole number of periods, so they are repeated up to five times. Where
+sojourns last between one period and two, no word on the grid is near them. They are evaluated on
+the loop itself.
 
-Switches fall on samples; for a law that knows the mode also right after samples, where it sees
+Switches fall on samples; for a law that reads the mode also right after samples, where it sees
 them a period late (`products`), which is often worse.
 """
 
@@ -25,18 +26,18 @@ from deadtime.certificates.worst_case.products import Kinds, Sojourns, compress
 from deadtime.certificates.worst_case.word_search import LETTERS, Word, branch_and_bound, climb
 from deadtime.certificates.worst_case.worst_cycle import COARSE, Rated
 
-LENGTHS = 200  # of sojourns that the compressed loop knows
-DELAYS = 8  # the longest of them, at least
+LENGTHS = 200  # lengths of sojourns of the compressed loop
+DELAYS = 8  # the longest sojourn, in delays, at least
 STARTS = 14  # random cycles per mode
-MOST_SOJOURNS = 6  # in a random cycle, or as many as modes that may not all follow each other
-DRAWS = 100  # for one that closes
+MOST_SOJOURNS = 6  # in a random cycle; with restricted transitions at least the number of modes
+DRAWS = 100  # attempts per random cycle that closes
 TOLERANCE = 1e-2  # of the branch and bound: growth over a delay
-SLOWEST = 2000.0  # samples; slower motions do not make sojourns any longer
-TIGHT = 6  # cycles that are tried over the shortest length, too
-TURNS = 40  # cycles without a grid: how many sojourns at most
-WORDS = 30  # of modes, there
+SLOWEST = 2000.0  # samples; a limit on the slowest motion that sets the longest sojourn
+TIGHT = 6  # cycles that are also tried at the shortest length
+TURNS = 40  # sojourns of a cycle without a grid, at most
+WORDS = 30  # sequences of modes without a grid
 RING = 4  # sojourns of a short ring, at most
-RINGS = 40  # of them
+RINGS = 40  # number of short rings
 ROUNDS = 5
 LONGEST = 60  # periods of all rounds together; a longer ring is near one on the grid
 PHASES = (0.0, 0.25, 0.5, 0.75)
@@ -45,10 +46,10 @@ PHASES = (0.0, 0.25, 0.5, 0.75)
 def candidates(
     loop: SampledLoop, constants: list[Rated], signals: Admissible, budget: int
 ) -> tuple[list[Cycle], list[Rated], float | None, int]:
-    """Cycles that are worth evaluating; `constants` are the constant modes and their growth.
+    """Candidate cycles; `constants` are the constant modes and their growth.
 
-    The most promising first; short rings, the best first; and `WorstCase.upper_estimate` and
-    `evaluated`.
+    Returns the cycles, the most promising first; short rings with their growth, the best first;
+    `WorstCase.upper_estimate`; and the number of cycles evaluated.
     """
     lengths, (rings, turned) = _lengths(loop, constants, signals), _rings(loop, signals)
     if lengths.size == 0:
@@ -82,7 +83,7 @@ def candidates(
 
 
 def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[Rated], int]:
-    """The short rings near the shortest sojourns, the best first; how many were looked at."""
+    """The short rings near the shortest sojourns, the best first, and the number evaluated."""
     words = chain.from_iterable(signals.cycles(count) for count in range(2, RING + 1))
     rated: dict[Cycle, Growth | None] = {}
     for word, rounds in product(islice(words, RINGS), range(1, ROUNDS + 1)):
@@ -102,9 +103,9 @@ def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[Rated], int]:
 def _lengths(
     loop: SampledLoop, constants: list[Rated], signals: Admissible
 ) -> Int[np.ndarray, " length"]:
-    """Sojourns in samples, dense where they are short, over delays and oscillations.
+    """Sojourns in samples, dense where they are short, up to several delays and oscillations.
 
-    All that some mode may have; none where a mode has no sojourn of whole periods.
+    The union over the modes; empty where a mode has no sojourn of whole periods.
     """
     slow = max(2.0 * _period(loop, *rated) for rated in constants)
     found = []
@@ -128,7 +129,7 @@ def _some(lengths: Int[np.ndarray, " length"], count: int) -> Int[np.ndarray, " 
 
 
 def _period(loop: SampledLoop, cycle: Cycle, growth: Growth) -> float:
-    """How many samples the leading direction of a mode takes to turn, or to change by e^{2π}."""
+    """Samples in which the leading direction of a mode turns once, or changes by e^{2π}."""
     plain = SampledLoop.of(loop.plant, loop.feedback, 0.0)
     table, z = plain.table(Cycle(cycle.modes, (1.0,))), growth.vector
     after = plain.after(table, 1, np.real(z).copy()) + 1j * plain.after(table, 1, np.imag(z).copy())
@@ -158,7 +159,7 @@ def _random_words(sojourns: Sojourns, signals: Admissible, number: int) -> Itera
 
 
 def _tight(cycles: list[Cycle], signals: Admissible) -> list[Cycle]:
-    """Cycles of these modes over the shortest whole length, where a dwell time is off the grid."""
+    """The cycles of these modes at the shortest whole length, if a dwell time is off the grid."""
     if all(signals.dwell[i].least == signals.dwell[i].shortest for i in signals.recurring):
         return []
     words = {cycle.modes: cycle for cycle in cycles}
@@ -167,12 +168,13 @@ def _tight(cycles: list[Cycle], signals: Admissible) -> list[Cycle]:
 
 
 def _equal(modes: tuple[int, ...], signals: Admissible, total: int) -> Cycle:
+    """A cycle of about equal sojourns."""
     gaps = signals.near(np.full(len(modes), total / len(modes)), total, modes)
     return Cycle(modes, tuple(gaps.tolist()))
 
 
 def _without_grid(signals: Admissible) -> Iterator[Cycle]:
-    """Cycles of about equal sojourns, where no whole number is admissible."""
+    """Cycles of about equal sojourns, for modes without an admissible whole number of periods."""
     number = 0
     for turns in range(2, TURNS + 1):
         short = turns <= MOST_SOJOURNS
@@ -193,7 +195,7 @@ def _without_grid(signals: Admissible) -> Iterator[Cycle]:
 
 
 def _rounds(signals: Admissible, turns: int) -> Iterator[tuple[int, ...]]:
-    """Two modes, or all modes, in turn; where not all may follow each other, any short cycle."""
+    """Two modes, or all modes, in turn; with restricted transitions any short cycle."""
     longest = max(MOST_SOJOURNS, len(signals.recurring))
     for size in {2, signals.modes} if signals.is_free else range(2, longest + 1):
         word = next(signals.cycles(size), None)

@@ -38,7 +38,7 @@ class Growth(NamedTuple):
 
 
 class Growing(Protocol):
-    """A loop whose growth along cycles can be computed."""
+    """A loop whose growth along cycles can be computed or measured."""
 
     @property
     def step(self) -> float:
@@ -46,7 +46,7 @@ class Growing(Protocol):
         ...
 
     def growth(self, cycle: Cycle, tolerance: float = ...) -> Growth | None:
-        """The growth rate of a cycle and the direction that grows; None where it is not found."""
+        """The growth rate of a cycle and the direction that grows; None if not found."""
         ...
 
 
@@ -59,9 +59,9 @@ class SampledLoop:
     G : (contexts, m, window), window = taps·m
         The table's taps, weighted, the oldest input first.
     shift : float
-        1/s; a rate near those that are sought, so that numbers stay near 1.
+        1/s; a rate near the expected ones, so that numbers stay near 1.
     lag : int
-        How many samples late the mode is reported.
+        Samples by which the mode is reported late.
     """
 
     plant: SwitchedSystem
@@ -102,21 +102,19 @@ class SampledLoop:
         return self.plant.states + self.past * self.plant.inputs
 
     def table(self, cycle: Cycle) -> LoopPeriods:
-        """The periods of a cycle that has been going on without a beginning."""
+        """The periods of a cycle repeated since t = −∞."""
         step, feedback = self.step, self.feedback
         signal, periods = cycle.signal(step), cycle.periods
         seen = modes_at(signal, np.arange(periods) * step, step)
         if cycle.lost:
             lost = np.isin(np.arange(periods), cycle.lost)
             reported = np.where(lost, -1, seen)
-            # The first round tells what the law goes by where the second begins.
-            both, apart, ages = (
-                (np.tile(reported, 2), np.tile(seen, 2)),
-                feedback.apart,
-                feedback.ages,
-            )
-            rows = rows_of_run(*both, ages, apart, ages)[periods:]
-            rows = rows + lost * (len(feedback.state_gain) // 2)  # those of lost samples come last
+            # Two rounds: the first one determines the mode and age last reported.
+            rows = rows_of_run(
+                np.tile(reported, 2), np.tile(seen, 2), feedback.ages, feedback.apart, feedback.ages
+            )[periods:]
+            # The rows of lost samples come after those of measured ones.
+            rows = rows + lost * (len(feedback.state_gain) // 2)
         elif cycle.constant:
             rows = np.full(periods, aged_row(feedback, cycle.modes[0]))
         else:
@@ -149,15 +147,16 @@ class SampledLoop:
         return np.concatenate((p, line[:held]))
 
     def growth(self, cycle: Cycle, tolerance: float = TOLERANCE) -> Growth | None:
-        """The growth rate of a cycle and the direction that grows; None where it is not found.
+        """The growth rate of a cycle and the direction that grows; None if not found.
 
         `tolerance` is relative, of the eigenvalue.
         """
         table = self.table(cycle)
-        start = np.random.default_rng(0).normal(size=self.order)
+        start = np.random.default_rng(0).normal(size=self.order)  # generic, and the same each time
         spanning = max(1, -(-WINDOWS * self.past // table.rows.size))
         dominant, repeats = None, 1
         with np.errstate(over="ignore", invalid="ignore"):
+            # Over several delays the eigenvalues lie far apart; one cycle is the last resort.
             for repeats in (spanning, 3 * spanning, 1):
                 apply = partial(self.after, table, repeats)
                 dominant = leading_eigenvalue(apply, start, tolerance)

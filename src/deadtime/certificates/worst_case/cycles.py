@@ -1,9 +1,9 @@
 """Cycles: periodic switching signals whose length is a whole number of sampling periods.
 
-A cycle is a sequence of modes and of sojourns, in sampling periods, that is gone through again
-and again. Only if its length is a whole number of periods does the loop with its samples repeat
-as the signal does, and has a growth rate: ln(spectral radius over the cycle)/length. Sojourns
-themselves may be any real numbers, and the first switch may fall anywhere in a period.
+A cycle is a periodic sequence of modes and sojourns, in sampling periods. If its length is a whole
+number of periods, the sampled loop is periodic, too, and its growth rate is ln(spectral radius over
+the cycle)/length. The sojourns may be any real numbers, and the first switch may fall anywhere in a
+period.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from jaxtyping import Float
 from deadtime.plant.discretisation import snap
 from deadtime.switching import SignalClass, SwitchingSignal
 
-INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
-LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
-SEEN = 1e-7  # of a period: what is closer to its sample might count as at it
+INSIDE = 1.0 - 1e-6  # of the clock's tolerance: round-off then keeps sojourns admissible
+LATE = 2.0**-10  # of a period: the delay of a late switch after its sample, at most
+SEEN = 1e-7  # of a period: a switch closer to its sample might count as on it
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Cycle:
     offset : float
         Where in its period the switch to the first mode falls, in [0, 1).
     lost : tuple of int
-        The samples of the cycle, 0 the first, that the law does not get.
+        The lost samples of the cycle, 0 the first.
     """
 
     modes: tuple[int, ...]
@@ -90,7 +90,7 @@ class Cycle:
 
     @classmethod
     def on_grid(cls, sojourns: list[tuple[int, int, bool]], late: float) -> Cycle:
-        """From modes, lengths in samples, and whether each begins `late` after its sample.
+        """A cycle from modes, lengths in samples, and flags of a start `late` after the sample.
 
         All rotations give the same cycle.
 
@@ -117,7 +117,7 @@ class Dwell:
     def of(
         cls, dwell_time: float, maximum_dwell: float, step: float, tolerance: float = 0.0
     ) -> Dwell:
-        """From seconds, and how wrong the clock may be; a ratio within 1e-9 of an integer is it."""
+        """From seconds and the clock's relative error; a ratio within 1e-9 of an integer is it."""
         endless = math.isinf(maximum_dwell)
         longest = math.inf if endless else snap(maximum_dwell / step)
         part = tolerance * INSIDE
@@ -130,12 +130,12 @@ class Dwell:
 
     @property
     def longest(self) -> float:
-        """The largest whole number of periods, or inf; below `shortest` if there is none."""
+        """The largest whole number of periods, or inf; less than `shortest` if there is none."""
         return float(math.floor(self.most)) if math.isfinite(self.most) else math.inf
 
     @property
     def spare(self) -> float:
-        """By what part of a period the whole sojourns may be shorter and longer."""
+        """The part of a period by which whole sojourns may be shorter and longer."""
         spare = math.ceil(self.least) - self.least
         if math.isfinite(self.most):
             spare = min(spare, self.most - math.floor(self.most))
@@ -144,9 +144,7 @@ class Dwell:
 
 @dataclass(frozen=True)
 class Admissible:
-    """The sojourns of every mode, and the switches from which a signal can come back (immutable).
-
-    A cycle is made of these alone; a mode that is not left for good is in `recurring`.
+    """The sojourns of every mode, and the switches that can be part of a cycle (immutable).
 
     Examples
     --------
@@ -164,7 +162,7 @@ class Admissible:
 
     @classmethod
     def of(cls, signals: SignalClass, modes: int, step: float) -> Admissible:
-        """The cycles of a class of signals, by its clock."""
+        """The cycles of a class of signals, its clock tolerance included."""
         limits, off = signals.limits(modes), signals.clock_tolerance
         times = zip(limits.dwell_time, limits.maximum_dwell, strict=True)
         dwell = tuple(Dwell.of(least, most, step, off) for least, most in times)
@@ -180,7 +178,7 @@ class Admissible:
 
     @property
     def recurring(self) -> tuple[int, ...]:
-        """The modes that cycles are made of."""
+        """The modes that can be part of a cycle."""
         return tuple(i for i, after in enumerate(self.following) if after)
 
     @property
@@ -194,11 +192,11 @@ class Admissible:
 
     @cached_property
     def late(self) -> tuple[float, bool]:
-        """How long after its sample a late switch falls, in periods, and whether it may be alone.
+        """The delay of a late switch after its sample, in periods, and whether cycles may mix.
 
-        A sojourn that begins late and ends in time is shorter by that than its samples tell, one
-        that begins in time and ends late is longer. Where either is not allowed, all switches of a
-        cycle are late or none.
+        A sojourn that begins late and ends on a sample is shorter by this than its samples suggest,
+        one that begins on a sample and ends late is longer. If either is not admissible, all
+        switches of a cycle are late or none.
 
         Examples
         --------
@@ -240,10 +238,10 @@ class Admissible:
     def near(
         self, gaps: Float[np.ndarray, " sojourn"], total: int, word: tuple[int, ...]
     ) -> Float[np.ndarray, " sojourn"]:
-        """Admissible sojourns of this total near `gaps`: what is missing is shared out evenly.
+        """Admissible sojourns of this total near `gaps`: the difference is shared evenly.
 
-        The total must be one that `totals` allows. Where modes change at samples only all are whole
-        numbers, and what is missing goes to one sojourn after the other.
+        The total must be within `totals`. Where modes change at samples only all are whole numbers,
+        and the difference goes to the sojourns one period at a time.
 
         Examples
         --------
@@ -274,17 +272,17 @@ class Admissible:
         return result
 
     def cycles(self, count: int) -> Iterator[tuple[int, ...]]:
-        """The sequences of `count` modes that may be gone through again and again."""
+        """The cyclic sequences of `count` modes."""
         return mode_cycles(self.following, count)
 
 
 def _sum(lengths: list[float]) -> float:
-    """The sum, each distinct length times how often it comes."""
+    """The sum, with one rounding per distinct length: n equal sojourns sum to n times one."""
     return sum(number * length for length, number in Counter(lengths).items())
 
 
 def mode_cycles(following: Sequence[Sequence[int]], count: int) -> Iterator[tuple[int, ...]]:
-    """Sequences of `count` modes, each with one after it that may follow, one of each rotation.
+    """Cyclic sequences of `count` modes by allowed transitions, one of each rotation.
 
     Examples
     --------

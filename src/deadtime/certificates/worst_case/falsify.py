@@ -37,31 +37,32 @@ def falsify(
     r"""The worst admissible switching signal found for a digital loop, and its growth rate.
 
     Admissible signals stay in every mode for at least the dwell time, as the controller's clock
-    measures it; constant ones are among them. Growth along the signal found is a fact where it
-    is proved (`WorstCase.proven`); where it cannot be, but some constant mode grows provably, that
-    is the answer. That no worse signal exists is not proved: `certify` is for that.
+    measures it; constant signals are included. `WorstCase.proven` says whether growth along the
+    signal is proved; if not, and some constant mode provably grows, that mode is the result. A
+    worse signal may exist: bounds over all signals are for `certify`.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
+        The plant. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
-        A law that needs no preview of the signal. One that is no table is run instead: growth is
-        then measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
-        `OutputFeedback` of a table is one with its estimate and its sums, at a reference of 0.
+        A law that needs no preview of the signal. For a law that is no table growth is measured in
+        runs, to about 1 % of 1/D if the slowest motion dominates, and never proved. An
+        `OutputFeedback` of a table is a table with a state, its estimate and sums, at a reference
+        of 0.
     dwell_time : float, one per mode, or SignalClass
         :math:`\tau_d > 0`, seconds, at least one period unless modes change at samples only: the
-        shortest sojourn; or all that is known of the signals. With an average dwell time those are
-        searched that keep it in every sojourn.
+        shortest sojourn; or the class of signals. With an average dwell time the search covers the
+        signals whose every sojourn is that long.
     step : float
         Sampling period h, seconds.
     budget : int
-        How many cycles and beginnings of cycles may be looked at on the compressed loop, about; for
-        a law that is no table, 400 times the number of runs.
+        About the number of cycles, partial ones included, evaluated on the compressed loop; for a
+        law that is no table, 400 times the number of runs.
     **signals
-        Of the signals besides `dwell_time`, as `certify` takes them. A mode with a `maximum_dwell`
-        is never constant (but for a plant of one mode). `lost_samples` is for a law that is a
-        table: which samples are lost along the worst signals is chosen, too.
+        Further options of the signals, as `certify` takes them. A mode with a `maximum_dwell` is
+        never constant (except in a plant of one mode). `lost_samples` needs a law that is a table;
+        the search then also chooses the lost samples.
 
     Returns
     -------
@@ -138,7 +139,7 @@ def falsify(
     result = worst_case(loop, *about, *worst_of(known, loop), evaluated, upper)
     if result.proven or result.growth_rate <= 0.0:
         return result
-    # Growth that is no fact gives way to that of a constant mode that is one.
+    # Growth that is not proved gives way to a constant mode with a proof.
     constant = [rated for rated in known if rated[0].constant and rated[1].rate > 0.0]
     for rated in sorted(constant, key=lambda rated: -rated[1].rate):
         other = worst_case(loop, *about, *rated, evaluated, upper)

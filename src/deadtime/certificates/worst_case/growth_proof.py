@@ -1,12 +1,12 @@
-"""Proof that a loop grows along a cycle: the numbers as stored, in ball arithmetic (Arb).
+"""Proof that a loop grows along a cycle, for the numbers as stored, in ball arithmetic (Arb).
 
-Over a cycle of K periods the lifted state of order d goes through a matrix M. Its eigenvalues are
-not computed: ill-conditioned ones would come out wrong. From
+Over a cycle of K periods the lifted state of order d is multiplied by a matrix M. Its eigenvalues
+are not computed: balls around ill-conditioned ones would be too wide. From
 
     |tr M^q| = |Σ_i λ_i^q| ≤ d ρ^q
 
-follows ρ ≥ (|tr M^q|/d)^(1/q), so a trace above d proves ρ > 1. It is tried at q = 1, 2, 4, …;
-where the leading eigenvalues turn and their sum happens to vanish, it does not at the next q.
+follows ρ ≥ (|tr M^q|/d)^(1/q), so a trace above d proves ρ > 1. Tried are q = 1, 2, 4, …; if the
+leading eigenvalues are complex and their sum happens to vanish, it does not at the next q.
 Constant modes have bounds of their own, at any order (`deadtime.spectrum.growth`).
 
 The matrices of the plant and the rows of the law's table are the binary64 numbers stored, and the
@@ -31,26 +31,26 @@ from deadtime.spectrum.growth import LARGEST, enclose_growth, exact_matrix, exac
 from deadtime.switching.grid import cuts_of
 
 BITS = (192, 384, 768, 1536)
-BEYOND = 3.0  # ln of what a trace is carried on beyond d
-TURNS = 4  # more squarings, for eigenvalues that turn
-TOGETHER = 32  # periods
+BEYOND = 3.0  # the trace has to exceed d by e³ before squaring stops
+TURNS = 4  # more squarings, for complex eigenvalues
+TOGETHER = 32  # periods multiplied as functions of their first ζ
 PERIOD, SQUARING = 5e-8, 1e-8  # seconds per d² and d³, about
 MOST_SECONDS = 30.0
-LARGE = 200  # order from which any growth that is proved will do
+LARGE = 200  # order from which the first growth proved is the answer
 
 
 @dataclass(frozen=True)
 class GrowthProof:
-    """Whether it is proved that a loop grows along a signal (immutable).
+    """The result of a proof of growth along a signal (immutable).
 
     Attributes
     ----------
     proven : bool
         Whether the loop grows beyond doubt.
     rate : float or None
-        1/s, above 0: it grows at this rate or faster; None if not proven.
+        1/s, above 0: a lower bound of the growth rate; None if not proven.
     reason : str
-        Why it is not proven.
+        The obstacle, if not proven.
     """
 
     proven: bool
@@ -90,7 +90,7 @@ def prove(loop: SampledLoop, cycle: Cycle, rate: float) -> GrowthProof:
 
 
 def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> GrowthProof | None:
-    """None where the balls are too wide to tell."""
+    """The proof at a precision; None if the balls are too wide to decide."""
     from flint import arb
 
     from deadtime.numerics.precision import precision
@@ -104,6 +104,7 @@ def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> Gr
             if trace > d:
                 proved = float(((trace / d).log() / (time * 2**k)).lower())
                 best = max(best, float(np.nextafter(proved, 0.0)))
+            # A ball wider than the trace itself decides nothing any more: more bits are needed.
             worn = not trace.abs_upper() - trace.abs_lower() < max(0.5 * d, trace.abs_lower())
             if worn or k == squarings or (best > 0.0 and d > LARGE):
                 break
@@ -118,7 +119,8 @@ def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> Gr
 def _over(loop: SampledLoop, cycle: Cycle) -> Any:
     """M of ζ = (x, u_{k−W}, …, u_{k−1}) over one cycle, in balls.
 
-    A few periods at a time, as functions of ζ at their beginning.
+    A few periods at a time, as functions of ζ at their beginning: their matrix has few full rows,
+    and only these are multiplied by M.
     """
     from flint import arb_mat
 
@@ -144,9 +146,10 @@ def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) ->
     unit = exact_matrix(np.eye(d)).tolist()
     x, line = unit[:n], unit[n:]
     for count, (gain, move) in enumerate(zip(gains, moves, strict=True)):
-        # Inputs of these periods are at the end of the line; older ones are still entries of ζ.
+        #  line:  | entries of ζ, oldest first … | inputs of these periods |
+        #  gain:      n of x | older                | recent                  |
         recent = min(count * m, len(gain[0]) - n)
-        older = len(gain[0]) - n - recent  # of these the rows are those of the unit matrix
+        older = len(gain[0]) - n - recent  # their rows are unit vectors: no product needed
         short = arb_mat([row[:n] + row[n + older :] for row in gain])
         u = (short * arb_mat(x + line[len(line) - recent :])).tolist()
         for row, full in zip(u, gain, strict=True):

@@ -1,26 +1,26 @@
-"""Sojourns as small matrices: the loop seen where its mode switches, compressed.
+"""Sojourns as small matrices: the loop between its switches, compressed.
 
-Runs from random states under random admissible signals end in a set X of lifted states that is
-nearly of low dimension, for a delay smooths; functionals carried back over such signals end in a
-set Y, too. With Yᵀ X = P S Qᵀ (singular values) the oblique projection
+Runs from random states under random admissible signals end in a set X of lifted states of nearly
+low dimension, since a delay smooths; functionals carried back over such signals end in a set Y of
+this kind. With Yᵀ X = P S Qᵀ (singular values) the oblique projection
 
     V = X Q S^{−1/2},    U = S^{−1/2} Pᵀ Yᵀ,    U V = I,
 
-keeps what is both reached and felt (an empirical form of balanced truncation; Moore, IEEE TAC
-26, 1981). The sojourn of k samples in mode i becomes U M_i(k) V. On the paper's example,
-N = 20 to 1,000, 16 dimensions give growth rates to about 1e-4 1/s, 5e-3 at worst, 2e-2 where
-some switches are seen late and others not. They rank cycles; none is trusted.
+keeps the directions that are both reachable and observable (an empirical form of balanced
+truncation; Moore, IEEE TAC 26, 1981). The sojourn of k samples in mode i becomes U M_i(k) V. On the
+paper's example, N = 20 to 1,000, 16 dimensions give growth rates to about 1e-4 1/s, 5e-3 at worst,
+2e-2 where some switches are seen late and others not. They only rank cycles.
 
-A sojourn on the grid is of a mode, and begins with a switch that the law saw in time or late. A
-switch that falls on its sample is seen at it. One that falls just after its sample is seen a period
-late: at that sample the law still acts for the mode before. Every switch of a cycle may do either.
-A sojourn is cut from sample to sample, so a late one has, at its first sample, the row of the mode
-before, which is taken to have lasted for the shortest sojourn (exact where rows do not depend on
-the age by then; what is found is evaluated on the loop itself).
+A sojourn on the grid has a mode and begins with a switch that the law saw in time or late. A switch
+on a sample is seen at it. A switch just after a sample is seen a period late: at that sample the
+law still uses the row of the mode before. Every switch of a cycle may do either. A sojourn extends
+from sample to sample, so a late one has, at its first sample, the row of the mode before, whose
+sojourn is taken to be the shortest one (exact if rows do not depend on the age by then; the cycles
+found are evaluated on the loop itself).
 
-If the mode is reported L samples late, a law acts for the mode before at the first L samples of
-every sojourn, and at one more of a late one. For a lag longer than sojourns last that is a guess;
-it ranks cycles, and is not trusted.
+If the mode is reported L samples late, the law uses the mode before at the first L samples of every
+sojourn, and at one more of a late one. For a lag longer than a sojourn this is an approximation,
+which only ranks cycles.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ SMALLEST = 1e-10  # singular value that is kept, relative
 
 @dataclass(frozen=True, eq=False)
 class Kinds:
-    """The kinds of sojourn that there are (immutable).
+    """The kinds of sojourns (immutable).
 
     Attributes
     ----------
     mode : (kinds,)
         The mode.
     before : (kinds,)
-        The mode before where the law acts for it at first, else −1.
+        The mode before, if the law uses its rows at first, else −1.
     wait : (kinds,)
-        At how many samples it does.
+        The number of samples at which it does.
     late : (kinds,)
         Whether the switch falls just after its sample.
     follows : (kinds, kinds)
@@ -68,7 +68,7 @@ class Kinds:
 
     @classmethod
     def of(cls, feedback: Feedback, signals: Admissible, lag: int = 0) -> Kinds:
-        """For a law's table and the cycles that are admissible."""
+        """The kinds for a law's table and the admissible cycles."""
         mixed, recurring = signals.late[1], signals.recurring
         each = [(i, p) for i in recurring for p in recurring if i in signals.following[p]]
         found = [(i, -1, 0, 0) for i in recurring]
@@ -98,11 +98,11 @@ class Sojourns:
     matrix : (kinds, lengths, rank, rank)
         Scaled to unit norm.
     log : (kinds, lengths)
-        The logarithm of what was divided by.
+        The logarithm of the norm before scaling.
     kinds : Kinds
-        Of which mode each sojourn is, and what may follow what.
+        Modes of the sojourns, and which kind may follow which.
     low, high : (kinds,)
-        The first and the last length that a kind may have, as indices of `length`.
+        The first and the last length of a kind, as indices of `length`.
     """
 
     length: Int[np.ndarray, " length"]
@@ -145,7 +145,7 @@ def compress(
     for kind, table in enumerate(tables):
         for column in range(rank):
             states, inputs = loop.run(table, 1, V[:, column])
-            # Row k of the windows has the W inputs before the sample k, as ζ has them.
+            # Row k of `line` has the W inputs before the sample k, in the order of ζ.
             line = np.lib.stride_tricks.sliding_window_view(inputs.ravel(), W * m)[::m]
             reached = states[lengths - 1] @ U[:, :n].T + line[lengths] @ U[:, n:].T
             matrix[kind, :, :, column] = reached
@@ -178,7 +178,7 @@ def _projection(
     order = loop.order
     if order <= RANK:
         return np.eye(order), np.eye(order)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(1)  # fixed seeds: the search is deterministic
     X = _snapshots(loop, tables, lengths, kinds, (low, high), rng, back=False)
     Y = _snapshots(loop, tables, lengths, kinds, (low, high), rng, back=True)
     P, S, Qt = np.linalg.svd(Y.T @ X)
@@ -203,6 +203,7 @@ def _snapshots(
         z = rng.normal(size=loop.order)
         kind, time = int(rng.integers(len(tables))), 0
         while True:
+            # Half of the sojourns are the shortest ones, which worst cycles often have.
             wanted = lengths[ends[0][kind]] + rng.exponential(W) * rng.integers(2)
             k = int(lengths[min(np.searchsorted(lengths, wanted), ends[1][kind])])
             part = tables[kind].until(k)
@@ -211,7 +212,7 @@ def _snapshots(
             if not 0.0 < size < math.inf:
                 break
             z, time = z / size, time + k
-            if time > W:
+            if time > W:  # the random inputs of the start have left the delay line
                 snapshots.append(z / np.linalg.norm(z))
             if time > DELAYS * W:
                 break

@@ -1,15 +1,14 @@
 """The worst signal of a law that is no table: a search that measures growth in runs.
 
-A law that decides by a rule, estimates the state or weighs a belief has no matrix over a cycle. It
-can be run. Along a cycle repeated the size of (x, u) is taken over blocks of whole cycles, each a
-delay long or longer; the slope of its logarithm over the later half of the blocks is the growth: of
-a linear loop exact up to what has not yet died out, of another one that of this run.
+A law that decides by a rule, estimates the state or weighs a belief has no matrix over a cycle, but
+can be run. Along a repeated cycle the size of (x, u) is taken over blocks of whole cycles, each a
+delay long or longer; the slope of its logarithm over the later half of the blocks is the growth:
+exact for a linear loop up to decaying transients, and for any other loop the growth of this run.
 
 Cycles are drawn at random, short sojourns more often than long ones; switches fall on samples,
 right after them and elsewhere. The best are improved as those of a table are (`worst_cycle`).
 
-Nothing of this is a proof, and a law that is not linear may grow from other states than that of
-the runs.
+This proves nothing, and a nonlinear law may grow from other initial states.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ from deadtime.switching import SignalClass, SwitchingSignal
 
 BLOCKS, MOST_BLOCKS = 16, 64
 FEWEST = 4  # blocks that tell a slope
-LARGEST = 1e90  # |x|, below what ends a run
-COST = 400  # cycles on the compressed loop of a table for which one run counts
-DELAYS = 4.0  # the longest sojourns tried, beside the dwell time
+LARGEST = 1e90  # |x|, below the limit that ends a run
+COST = 400  # a run counts as this many cycles on the compressed loop of a table
+DELAYS = 4.0  # the longest sojourns tried, in blocks beyond the dwell time
 MOST_SOJOURNS = 4
-SHORT = 3  # the power of a uniform number that what is added to the shortest sojourn goes by
+SHORT = 3  # a sojourn exceeds the shortest one by a uniform number to this power: mostly little
 ON_GRID = 0.8  # of the cycles
 POLISHED = 2  # cycles improved, by half of the runs
 NO_PROOF = "the law is no table, and growth was measured in a run"
@@ -56,7 +55,7 @@ class RunLoop:
 
     @cached_property
     def window(self) -> int:
-        """How many periods a block spans at least."""
+        """The least number of periods in a block."""
         longest = max(self.plant.longest_delay, self.law.plant.longest_delay)
         return math.ceil(longest / self.step) + 1 + self.signals.mode_lag
 
@@ -67,9 +66,9 @@ class RunLoop:
         return x0 / np.linalg.norm(x0)
 
     def growth(self, cycle: Cycle, tolerance: float = 0.0) -> Growth | None:
-        """The growth along a cycle, 1/s, in a run; None where the run ends too soon to tell.
+        """The growth along a cycle, 1/s, in a run; None if the run ends too soon.
 
-        The run is longer where no tolerance is allowed.
+        The run is longer for a tolerance of 0.
         """
         block = cycle.periods * -(-self.window // cycle.periods)
         run = self.run(cycle, (BLOCKS if tolerance else MOST_BLOCKS) * block)
@@ -90,7 +89,7 @@ class RunLoop:
         return Growth(float(np.polyfit(time, np.log(later), 1)[0]), start)
 
     def run(self, cycle: Cycle, periods: int) -> Trajectory:
-        """So many periods along a cycle repeated, or fewer where the run ends before."""
+        """A run along the repeated cycle; shorter if it diverges."""
         lag, signal = self.signals.mode_lag, SwitchingSignal.constant(cycle.modes[0])
         late = [ModeDelay(lag)] if lag else []
         if not cycle.constant:

@@ -1,4 +1,4 @@
-"""`WorstCase`: a switching signal, how fast the loop grows along it, and a run that shows it."""
+"""`WorstCase`: a switching signal, the growth of the loop along it, and a run that shows it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NAMED = 8  # lost samples
 
 @dataclass(frozen=True)
 class LostAt(Relaying, SensorImperfection):
-    """Loses the samples of a pattern that is gone through again and again.
+    """Loses the samples of a periodic pattern.
 
     Parameters
     ----------
@@ -57,27 +57,27 @@ class WorstCase(Frozen):
     signal : SwitchingSignal
         From time 0, several cycles long; constant, without end, where a constant mode is worst.
     growth_rate : float
-        1/s, of the loop along the signal repeated without end, as computed in floating point.
+        1/s, of the loop along the signal repeated for ever, computed in floating point.
     proven : bool
-        Whether it is proved, in ball arithmetic, that the loop grows: that it is not stable.
+        Whether growth, and so instability, is proved in ball arithmetic.
     proof : GrowthProof
-        `.rate`, the growth that is proved, 1/s, and where nothing is, `.reason`.
+        `.rate`, a proved lower bound of the growth, 1/s, or `.reason`.
     modes : tuple of int, sojourns : tuple of float
         The cycle: the modes in turn and how long each lasts, seconds; one mode and inf if constant.
         A sojourn may be below the dwell time by as much as the clock's tolerance allows.
     x0 : (n,), u0 : (m, W)
         State at time 0 and inputs before it, held samples, the oldest first, along the direction
-        that grows; as `simulate` takes them. A law with a memory, `law`, begins along it, too, but
-        for its sums of errors, which begin at 0. Where that direction turns, x0 and u0 are its real
-        part, and :math:`|x|` waxes and wanes about the growth.
+        that grows; as `simulate` takes them. A `law` with a state begins along it, too, except for
+        its sums of errors, which begin at 0. If that direction is complex, x0 and u0 are its real
+        part, and :math:`|x|` oscillates about the growth.
     message : str
-        What was found, in a sentence.
+        The result in a sentence.
     evaluated : int
-        How many cycles were looked at, most of them on a compressed loop.
+        Number of cycles evaluated, most of them on a compressed loop.
     upper_estimate : float or None
-        1/s, where the branch and bound came to an end: no signal whose sojourns are from its
-        coarse grid grows faster, on the compressed loop. No proof (`certify` proves). None where
-        it did not, as is common.
+        1/s, if the branch and bound finished: on the compressed loop no signal with sojourns from
+        its coarse grid grows faster. Not a proof (`certify` proves). None if it did not finish, as
+        is common.
     """
 
     signal: SwitchingSignal
@@ -103,12 +103,12 @@ class WorstCase(Frozen):
 
     @property
     def grows(self) -> bool:
-        """Whether that is proved, and not slower than anyone would wait for (`least_growth`)."""
+        """Whether growth is proved, and fast enough to matter (`least_growth`)."""
         return self.proven and self.growth_rate > least_growth(self.plant)
 
     @property
     def phase(self) -> float:
-        """How long after a sample the first mode of the cycle begins, seconds; 0 if constant."""
+        """Time from a sample to the start of the cycle's first mode, seconds; 0 if constant."""
         return 0.0 if self.cycle.constant else self.cycle.offset * self.step
 
     @property
@@ -124,9 +124,9 @@ class WorstCase(Frozen):
     def simulate(self, cycles: int = CYCLES) -> Trajectory:
         """Run the loop along some cycles of the signal, from x0 and u0.
 
-        A law that is told the mode late is told that of time 0 at first, not the cycle's before it,
-        and one whose first samples are lost knows no mode: the run needs some cycles to come to
-        the growth.
+        If the mode is reported late, the mode at time 0 is reported first, not that of the cycle
+        before it, and if the first samples are lost no mode is reported: the run then reaches the
+        growth after some cycles.
         """
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
@@ -159,7 +159,7 @@ def worst_case(
     evaluated: int,
     upper_estimate: float | None,
 ) -> WorstCase:
-    """The result for the worst cycle of a table; of one with a memory that begins there, too."""
+    """The result for the worst cycle of a table; a law's state begins along the direction, too."""
     feedback, q = loop.feedback, loop.feedback.memory
     aged = feedback.ages * loop.step if feedback.context == "mode_age" else 0.0
     x0, outputs = _direction(growth.vector, plant.states, q + plant.inputs)
@@ -209,7 +209,7 @@ def of_cycle(
 def _pattern(
     modes: tuple[int, ...], sojourns: tuple[float, ...]
 ) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """The modes and sojourns that a cycle repeats, were they no whole number of periods.
+    """The shortest pattern that a cycle repeats, also if it is not a whole number of periods.
 
     Examples
     --------
@@ -237,6 +237,7 @@ def repeat(
         times, modes = np.append(0.0, times), np.append(cycle.modes[-1], modes)
         age = (cycle.gaps[-1] - cycle.offset) * step
         least = dwell_time[modes[0]]
+        # Rounding of `times[1] + age` may still be below: go up until it is not.
         while 0.0 < least - (times[1] + age) < SLACK * step:
             age = float(np.nextafter(age + 1e-16 * least, np.inf))
     for i in range(1 if age == 0.0 else 2, times.size):
@@ -251,6 +252,7 @@ def repeat(
 def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
     """x0 and u0 from a complex eigenvector, turned so that x0 is largest, |x0| = 1."""
     x = vector[:n]
+    # Re(e^{iθ} x) is longest where xᵀx e^{2iθ} is real and positive.
     square = (x**2).sum()
     turned = (vector * np.exp(-0.5j * np.angle(square))).real
     size = float(np.linalg.norm(turned[:n]))
@@ -265,7 +267,7 @@ def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarr
 def _how(
     modes: tuple[int, ...], sojourns: tuple[float, ...], phase: float, dwell_time: tuple[float, ...]
 ) -> str:
-    """The signal in words; a sojourn below the dwell time with all the digits that show it."""
+    """The signal in words; a sojourn below the dwell time with enough digits to show it."""
     if len(modes) == 1:
         return f"mode {modes[0]} is constant"
     parts = [

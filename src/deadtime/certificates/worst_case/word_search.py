@@ -6,10 +6,10 @@ the product of a word's matrices, T_w its length and |·| a norm,
     β(w) = min over prefixes p of w of ln|A_p| / T_p
 
 bounds the rate of every signal that can be cut into words without children: Gripenberg's bound
-("Computing the joint spectral radius", Linear Algebra Appl. 234, 1996), with products weighed by
+("Computing the joint spectral radius", Linear Algebra Appl. 234, 1996), with products weighted by
 their length. A word with β(w) at most the best rate found, plus a tolerance, has no children.
-Where too many words are left the ones of largest bound go on and the rest is given up, so that
-the bound is lost (the modified Gripenberg algorithm; Mejstrik, ACM Trans. Math. Softw. 46, 2020).
+If too many words remain, those of largest bound continue and the rest is dropped, and the bound
+with it (the modified Gripenberg algorithm; Mejstrik, ACM Trans. Math. Softw. 46, 2020).
 The norm is Euclidean in coordinates in which the mean over sojourns of |A z|² is |z|² nearly.
 The best cycles are then improved by changing their lengths (`climb`).
 """
@@ -25,15 +25,15 @@ from jaxtyping import Float, Int
 
 from deadtime.certificates.worst_case.products import Sojourns
 
-KEPT = 5  # cycles of each number of sojourns that are improved,
-ALIKE = 3  # and of them with the same kinds in turn
-NEAR = 20  # part of the range of lengths within which cycles count as the same
-MOST_CLIMBED = 600  # cycles looked at to improve one
-LETTERS = 40  # sojourns a word may be grown by, about
-WIDTH = 100  # words that go on
+KEPT = 5  # cycles improved of each number of sojourns
+ALIKE = 3  # of them with the same sequence of kinds
+NEAR = 20  # cycles within this fraction of the range of lengths count as equal
+MOST_CLIMBED = 600  # cycles evaluated to improve one
+LETTERS = 40  # sojourns by which a word may be extended, about
+WIDTH = 100  # words that continue
 LONGEST = 10  # sojourns in a word
 LIKELY = 200  # cycles of each number of sojourns that are evaluated
-BEGINNING = 3
+BEGINNING = 3  # first kinds by which words are grouped, so that no beginning crowds out the others
 SQUARINGS = 5
 
 
@@ -78,7 +78,7 @@ def _turns(size: int) -> np.ndarray:
 
 
 def climb(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
-    """The cycle improved by longer and shorter sojourns, and how many were looked at.
+    """The cycle improved by longer and shorter sojourns, and the number of cycles evaluated.
 
     One sojourn is changed, two neighbours against each other, or all together.
     """
@@ -155,7 +155,7 @@ class _CycleSearch:
         return _Level(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def close(self, level: _Level) -> None:
-        """Note the growth of the words that are cycles."""
+        """Record the growth of the words that are cycles."""
         cyclic = self.sojourns.kinds.follows[level.kinds[:, -1], level.kinds[:, 0]]
         level = level.only(cyclic & (level.bound > self.best - self.tolerance))
         if not level.time.size:
@@ -186,10 +186,9 @@ def branch_and_bound(
 ) -> tuple[list[Word], float | None, int]:
     """Words of sojourns with `letters` for the indices of their lengths, a list of each kind.
 
-    `floor` is a rate per sample that is known to be reached; `budget` is how many words may be
-    looked at. Returns the best cycles of each number of sojourns, the best first; a rate per sample
-    that no signal of these letters exceeds, None where words were given up; and how many words were
-    looked at.
+    `floor` is a known lower bound of the rate per sample; `budget` the number of words that may be
+    evaluated. Returns the best cycles of each number of sojourns, the best first; an upper bound of
+    the rate per sample for these letters, None if words were dropped; and the number of words.
     """
     search = _CycleSearch(_adapt(sojourns, letters, floor), letters, tolerance, floor)
     level, evaluated, complete = search.first(), 0, True
@@ -210,7 +209,7 @@ def branch_and_bound(
 
 
 def _most_promising(level: _Level) -> np.ndarray:
-    """The words of largest bound, as many from each beginning as there are."""
+    """The words of largest bound, equally many of each beginning."""
     order = np.argsort(-level.bound, kind="stable")
     _, group = np.unique(level.kinds[order, :BEGINNING], axis=0, return_inverse=True)
     group = group.ravel()
@@ -234,6 +233,7 @@ def _adapt(sojourns: Sojourns, letters: list[np.ndarray], floor: float) -> Sojou
     weight = np.exp(np.clip(log - rate * time, -60.0, 60.0))
     A = sojourns.matrix[each] * weight[:, None, None]
     P = np.eye(rank)
+    # Power iteration on X → Σ AᵀXA: its fixed point makes the mean of |A z|² proportional to |z|².
     for _ in range(50):
         P = np.einsum("aji,jk,akl->il", A, P, A, optimize=True)
         P /= np.trace(P)
@@ -253,6 +253,7 @@ def _normalise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _excess(matrix: np.ndarray) -> np.ndarray:
     """The logarithms of bounds on the spectral norms of such matrices: (tr (AᵀA)⁸)^(1/16)."""
     power = np.swapaxes(matrix, -1, -2) @ matrix
+    # (tr X⁸)^{1/16} exceeds the norm by at most the factor rank^{1/16}, and needs no eigenvalues.
     for _ in range(2):
         power = power @ power
     with np.errstate(divide="ignore"):

@@ -1,16 +1,14 @@
 """The worst cycle: candidates evaluated on the loop itself and improved, the simplest kept.
 
-A cycle of n switches over K periods is changed at a reach: one sojourn longer or shorter and the
-cycle with it, all of them, one switch earlier or later, or all switches against the samples. What
-is not admissible is moved to the nearest sojourns that are. A change that helps is kept; where
-none does the reach is halved, from several periods down to 1/64 of one. Below one period the
-length K stays.
+A cycle of n switches over K periods is changed by a step: one sojourn longer or shorter and the
+cycle with it, all of them, one switch earlier or later, or all switches relative to the samples.
+The result is moved to the nearest admissible sojourns. A change that helps is kept; if none does
+the step is halved, from several periods down to 1/64 of one. Below one period the length K stays.
 
-Of the worst cycles, and of the modes that may last, the samples lost are chosen so that the loop
-grows fastest: first every pattern of some lost and some measured in turn, wherever it begins, then
-the best of these is improved by losing or measuring one sample at a time. A cycle is gone through
-as often as a pattern needs to come round. Deterministic; that there is no worse pattern is not
-proved.
+For the worst cycles, and for the modes that may last, the lost samples are chosen so that the loop
+grows fastest: first every pattern of l samples lost and r measured in turn, at every start, then
+the best pattern is improved one sample at a time. A cycle is repeated until the pattern fits a
+whole number of times. Deterministic; a worse pattern may exist.
 """
 
 from __future__ import annotations
@@ -25,22 +23,22 @@ from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycle_growth import Growing, Growth, SampledLoop
 from deadtime.certificates.worst_case.cycles import Admissible, Cycle
 
-REACH = 1.0 / 40.0  # of the longest sojourn: where the search begins
-FINEST = 1.0 / 64.0  # of a period
-LONG = 60  # periods; a longer cycle is fine enough as it is
+REACH = 1.0 / 40.0  # of the longest sojourn: the first step
+FINEST = 1.0 / 64.0  # of a period: the last step
+LONG = 60  # periods; a longer cycle is not repeated by `refine`
 MOST_TIMES = 5
-WORTH = 1e-3  # growth over a cycle for which a longer one is worth it
+WORTH = 1e-3  # least gain of growth over a cycle for which a longer cycle is accepted
 COARSE = 1e-6  # relative error of eigenvalues while searching
-GAIN = 1e-9  # per period; a smaller gain is none
+GAIN = 1e-9  # per period; a smaller gain is ignored
 TRIED = 12  # cycles evaluated on the loop itself
 POLISHED = 3  # of them, cycles whose switches leave the grid
-RINGS = 3  # short rings improved besides
-SHORT = 20  # periods: in so short a cycle the offset matters much
+RINGS = 3  # short rings improved as well
+SHORT = 20  # periods: for a shorter cycle several offsets are tried
 OFFSETS = (0.25, 0.5, 0.75)
-MOVES = 80  # cycles looked at to improve one, per sojourn
-LONGER = 1.25  # how much longer a cycle slower than a constant signal may become
-BETTER = 1e-6  # per period: by how much a cycle must beat a constant signal
-SIMPLER = 2e-4  # growth over a cycle that may be lost for a cycle of fewer sojourns
+MOVES = 80  # cycles evaluated to improve one, per sojourn
+LONGER = 1.25  # factor by which a cycle slower than a constant signal may become longer
+BETTER = 1e-6  # per period: the least gain of a cycle over a constant signal
+SIMPLER = 2e-4  # loss of growth over a cycle accepted for fewer sojourns
 BASES = 4  # cycles in which samples are lost
 ROUND = 3  # samples measured in a row, at most, in the patterns tried first
 LONGEST = 240  # periods of a cycle with its pattern, unless the cycle itself is longer
@@ -56,9 +54,9 @@ def polish(
     most: int,
     longest: float = math.inf,
 ) -> tuple[Cycle, Growth, int]:
-    """The cycle improved, its growth, and how many cycles were evaluated, at most `most`.
+    """The improved cycle, its growth, and the number of cycles evaluated, at most `most`.
 
-    No cycle of more than `longest` periods is looked at.
+    No cycle of more than `longest` periods is evaluated.
     """
     evaluated, scale = 0, 2.0 ** max(0, round(math.log2(max(cycle.gaps) * REACH)))
     gain = GAIN / loop.step
@@ -85,9 +83,9 @@ def polish(
 def refine(
     loop: SampledLoop, signals: Admissible, cycle: Cycle, growth: Growth, most: int
 ) -> tuple[Cycle, Growth, int]:
-    """The cycle repeated a few times over a length that it does not divide, where that is better.
+    """The cycle repeated a few times at a length that is not a multiple of its own, if better.
 
-    So its own length need be no whole number of periods, only a fraction with a small denominator.
+    The length of one repetition is then a fraction of a period with a small denominator.
     """
     best, evaluated = (cycle, growth), 0
     if cycle.periods > LONG or signals.at_samples:
@@ -183,7 +181,7 @@ def improve(
     rated += rings[:RINGS]
     for cycle, growth in [*starts, *list(best.values())[:RINGS]]:
         most, longest = MOVES * len(cycle.modes), math.inf
-        if growth.rate < floor:  # it would grow longer and longer, towards the constant signal
+        if growth.rate < floor:  # such a cycle tends to the constant signal by getting longer
             most, longest = most // 4, LONGER * cycle.periods
         better, faster, looked = polish(loop, signals, cycle, growth, most, longest)
         rated.append((better, faster))
@@ -198,7 +196,7 @@ def improve(
 
 
 def _starts(rated: list[Rated], loop: SampledLoop, signals: Admissible) -> tuple[list[Rated], int]:
-    """The best few cycles, and for short ones, where it matters, the best other offset."""
+    """The best few cycles, and for short ones the best other offset."""
     starts: dict[tuple, Rated] = {}
     for cycle, growth in sorted(rated, key=lambda pair: -pair[1].rate):
         starts.setdefault((cycle.modes, cycle.gaps), (cycle, growth))
@@ -215,7 +213,7 @@ def _starts(rated: list[Rated], loop: SampledLoop, signals: Admissible) -> tuple
 
 
 def worst_of(found: list[Rated], loop: Growing) -> Rated:
-    """The fastest growth: a constant signal, or the simplest cycle, where little is lost."""
+    """The fastest growth: a constant signal, or the simplest cycle of nearly that growth."""
     step = loop.step
     constants = [pair for pair in found if pair[0].constant and not pair[0].lost]
     others = (pair for pair in found if not pair[0].constant or pair[0].lost)
@@ -285,7 +283,7 @@ def _worst_pattern(loop: SampledLoop, cycle: Cycle, most: int) -> tuple[Rated | 
 
 
 def _in_turn(cycle: Cycle, most: int) -> Iterator[Cycle]:
-    """The cycle, as often as need be, with l samples lost and r measured in turn from each on."""
+    """The cycle, repeated as needed, with l samples lost and r measured in turn, at every start."""
     for lost in range(1, most + 1):
         for measured in range(1, ROUND + 1):
             turn = lost + measured
@@ -303,7 +301,7 @@ def _in_turn(cycle: Cycle, most: int) -> Iterator[Cycle]:
 
 
 def _allowed(lost: tuple[int, ...], periods: int, most: int) -> bool:
-    """Whether no more than so many samples in a row are lost, round and round.
+    """Whether at most `most` samples in a row are lost in the cyclic pattern.
 
     Examples
     --------
