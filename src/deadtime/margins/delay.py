@@ -254,18 +254,19 @@ def of_input(input: int | None, names: Sequence[str] | None = None) -> str:
 
 
 def _shifts(lower: _Limit, upper: _Limit, nominal: float, of_one: str) -> str:
-    """The interval of delays that differ, each as wrong as the others, in words."""
+    """The common change of delays that differ from each other, in words."""
+    text = f"if the true delays{of_one} all change by the same time"
     if lower.mode is None and math.isinf(upper.delay):
-        return f"whatever the true delays{of_one}, all wrong by as much"
+        return f"{text}, however long"
     shorter = f"up to {inwards(nominal - lower.delay, 0.0)} s shorter"
     longer = f"up to {inwards(upper.delay - nominal, 0.0)} s longer"
     if lower.mode is None:
-        shorter = "shorter by any time"
+        shorter = "any time shorter"
     if upper.mode is None:
         longer = f"{longer} (more was not tried)"
     if math.isinf(upper.delay):
-        longer = "longer by any time"
-    return f"while the true delays{of_one} are all {shorter} or all {longer}, by as much each"
+        longer = "any time longer"
+    return f"{text}: {shorter} or {longer}"
 
 
 def delay_margin(
@@ -393,8 +394,8 @@ def _range(lower: float, upper: float, constant: DelayMargin) -> str:
     if constant.differ:
         shorter, longer = inwards(nominal - lower, 0.0), inwards(upper - nominal, 0.0)
         return (
-            f"all constant true delays{of_one} from {shorter} s shorter to {longer} s longer, "
-            "all by as much"
+            f"every constant common change of the true delays{of_one} from {shorter} s shorter to "
+            f"{longer} s longer"
         )
     return (
         f"every constant true delay{of_one} between {inwards(lower, nominal)} s and "

@@ -193,7 +193,7 @@ def robustness(
         noise = NoisePrice.unknown("the cost of noise cannot be computed: the runs fail without it")
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
-    margins = "but for the imperfections of every run, " if setting.imperfections else ""
+    margins = "ignoring the imperfections of every run, " if setting.imperfections else ""
     sentences = [sentence_of(margins + part.message) for part in (delay, *alone, gain) if part]
     sentences += [sentence_of(dear[asked]) for asked in left_out]
     sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
