@@ -1,13 +1,13 @@
-"""Tolerances by simulation: how far an imperfection may go before a loop fails to do its work.
+"""Tolerances by simulation: the largest value of an imperfection with which every run succeeds.
 
-An imperfection is tolerated up to a value if every run with it does its work there, and at every
-smaller value that was tried. A run is lost when it diverges, ends early, or its loop grows
-(`simulation.outcome`). One that stays bounded does not settle either when |x| ends above where it
-started. Where a force, noise or a reference pushes x, where limits of the input can keep any
-oscillation bounded, and from rest, that says nothing: there a run must do as the perfect loop does,
-which is pushed alike and has no other imperfection (`keeps_up`). Without limits the loop is linear,
-and where the run ends while its own motion still decays, the horizon is too short, not the loop at
-fault (`still_falls`).
+An imperfection is tolerated up to a value if every run succeeds there and at every smaller value
+that was tried. A run is lost when it diverges, ends early, or its loop grows
+(`simulation.outcome`). A bounded run fails, too, when |x| ends above its start. That test says
+nothing where a force, noise or a reference pushes x, where input limits keep any oscillation
+bounded, and from rest: there a run must end as the run of the perfect loop, which has the same
+force, noise and reference and no other imperfection (`keeps_up`). Without limits the loop is
+linear; if its own motion still decays when the run ends, the horizon is too short and the run does
+not fail (`still_falls`).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _LEVEL = 2.5  # times the base, at twice the doubling: 5 in a linear loop; at 2 
 
 @dataclass(frozen=True, eq=False)
 class RobustnessRuns:
-    """The loop that is run, on which signal, and how often."""
+    """A loop, the signal that it runs on, and the random numbers of its runs."""
 
     plant: SwitchedSystem
     law: Law
@@ -69,24 +69,24 @@ class RobustnessRuns:
 
     @property
     def works(self) -> str:
-        """The words for a run that is neither lost nor fails."""
+        """The verb of a run that succeeds, for sentences."""
         rests = not self.compared or at_rest(self._perfect[0]) is not None
         return "settles" if rests else "stays near the run without imperfections"
 
     @property
     def where(self) -> str:
-        """The time and the signal of all tolerances, in words."""
+        """The horizon and the signal of every tolerance, for sentences."""
         return f"over {self.horizon:g} s of this signal"
 
     def costs(self, more: Sequence[Imperfection]) -> Cost:
-        """The cost of every scenario with more imperfections, as `priced` names it."""
+        """The cost of every scenario with more imperfections; `priced` names it."""
         whole = (*self.imperfections, *more)
         runs = (self._run(self.x0, whole, i) for i in range(self.scenarios))
         return np.array([self._price(run) for run in runs])
 
     @property
     def priced(self) -> str:
-        """The price of noise, in words: of a loop that follows a reference the error."""
+        """The cost of noise, for sentences; of a loop that follows a reference, the error."""
         return "the cost" if Followed.of(self.law) is None else "∫|r − y|²"
 
     def _price(self, run: Trajectory) -> float:
@@ -114,7 +114,7 @@ class RobustnessRuns:
 
     @cached_property
     def compared(self) -> bool:
-        """Whether |x| alone does not tell if a loop does its work."""
+        """Whether |x| alone does not show failure, so that the perfect loop is run as well."""
         pushed = is_pushed(self.law, self.imperfections)
         return self._limited or pushed or not self.x0.any()
 
@@ -124,7 +124,7 @@ class RobustnessRuns:
 
     @cached_property
     def _perfect(self) -> list[Trajectory]:
-        """The runs of every scenario with nothing but what pushes x."""
+        """The run of every scenario with only the imperfections that push x."""
         alone = pushes(self.imperfections)
         return [self._run(self.x0, alone, i) for i in range(self.scenarios)]
 
@@ -149,22 +149,22 @@ class RobustnessRuns:
 
 @dataclass(frozen=True, eq=False)
 class Tolerance(Frozen):
-    """How the runs fare as one imperfection grows (immutable).
+    """The runs with one imperfection at growing values (immutable).
 
     Attributes
     ----------
     values : (k,)
-        What was tried, increasing from 0.
+        Values tried, increasing from 0.
     cost : (k, scenarios)
         The cost of each run.
     lost : (k, scenarios) bool
         Whether a run is lost, or no longer settles.
     bounded : (k, scenarios) bool
-        Which of these stay bounded.
+        Whether a `lost` run stays bounded.
     tolerated : float or None
-        The largest value tried at and below which no run was `lost`; None where one is at 0.
+        The largest value tried at and below which no run was `lost`; None if one is lost at 0.
     failed : float or None
-        The smallest value at which one was; None where none was.
+        The smallest value tried at which a run was `lost`; None if there is none.
     message : str
         The same in a sentence.
     """
@@ -212,24 +212,30 @@ class NoisePrice(Frozen):
         return cls(np.zeros(1), np.zeros((1, 1)), math.nan, math.nan, math.nan, message)
 
 
-def sweep(
+def tolerance_of(
     setting: RobustnessRuns,
     make: Callable[[float], Imperfection],
     values: Sequence[float],
     refine: Callable[[float, float], float | None],
     scenarios: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values until one fails, then between it and the one before while `refine` names one."""
+    sentence: Callable[[float, float | None, bool], str],
+) -> Tolerance:
+    """The tolerance of the imperfection `make(value)`, tried at rising `values` until a run fails.
+
+    Then at values between the last two, while `refine(good, bad)` returns one.
+    `sentence(tolerated, failed, bounded)` states the result; `bounded` says that every run that
+    fails stays bounded.
+    """
     tried: dict[float, tuple[Cost, np.ndarray]] = {}
 
-    def ask(value: float) -> bool:
+    def fails(value: float) -> bool:
         more = [make(value)] if value > 0.0 else []
         tried[value] = setting.runs(more, scenarios)
         return bool((tried[value][1] != KEPT).any())
 
     good, bad = None, None
     for value in values:
-        if ask(value):
+        if fails(value):
             bad = value
             break
         good = value
@@ -237,25 +243,9 @@ def sweep(
         middle = refine(good, bad)
         if middle is None:
             break
-        good, bad = (good, middle) if ask(middle) else (middle, bad)
-    order = sorted(tried)
-    return (
-        np.array(order),
-        np.array([tried[value][0] for value in order]),
-        np.array([tried[value][1] for value in order]),
-    )
-
-
-def tolerance_of(
-    swept: tuple[np.ndarray, np.ndarray, np.ndarray],
-    setting: RobustnessRuns,
-    say: Callable[[float, float | None, bool], str],
-) -> Tolerance:
-    """The tolerance that a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
-
-    `bounded` says that the runs that fail stay bounded.
-    """
-    values, cost, ends = swept
+        good, bad = (good, middle) if fails(middle) else (middle, bad)
+    values = np.array(sorted(tried))
+    cost, ends = (np.array([tried[value][i] for value in values.tolist()]) for i in range(2))
     lost, bounded = ends != KEPT, ends == BOUNDED
     bad = np.flatnonzero(lost.any(axis=1))
     failed = float(values[bad[0]]) if bad.size else None
@@ -266,7 +256,7 @@ def tolerance_of(
             text = f"not every run {setting.works} as it is, with nothing added"
         return Tolerance(values, cost, lost, bounded, None, failed, text)
     tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
-    text = say(tolerated, failed, stays)
+    text = sentence(tolerated, failed, stays)
     return Tolerance(values, cost, lost, bounded, tolerated, failed, text)
 
 
