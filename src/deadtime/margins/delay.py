@@ -198,9 +198,18 @@ def constant_delay_margin(
     if len(modes) < plant.modes:
         only = f", of the modes that may be held ({', '.join(map(str, modes))})"
         message = message + only if modes else "no mode may be held"
-    delays, lost, frequencies = zip(lower, upper, strict=True)
     return DelayMargin(
-        *delays, *lost, *frequencies, growth, nominal, message, input=input, differ=differ
+        lower=lower.delay,
+        upper=upper.delay,
+        lower_mode=lower.mode,
+        upper_mode=upper.mode,
+        lower_frequency=lower.frequency,
+        upper_frequency=upper.frequency,
+        growth=growth,
+        nominal=nominal,
+        message=message,
+        input=input,
+        differ=differ,
     )
 
 

@@ -244,20 +244,20 @@ def tolerance_of(
         if middle is None:
             break
         good, bad = (good, middle) if fails(middle) else (middle, bad)
-    values = np.array(sorted(tried))
-    cost, ends = (np.array([tried[value][i] for value in values.tolist()]) for i in range(2))
+    order = sorted(tried)
+    cost, ends = (np.array([tried[value][i] for value in order]) for i in range(2))
     lost, bounded = ends != KEPT, ends == BOUNDED
     bad = np.flatnonzero(lost.any(axis=1))
-    failed = float(values[bad[0]]) if bad.size else None
+    failed = order[bad[0]] if bad.size else None
     stays = bool(bad.size) and not (ends[bad[0]] == LOST).any()
-    if failed == values[0]:
+    if failed == order[0]:
         text = "the runs are lost as they are, with nothing added"
         if stays:
             text = f"not every run {setting.works} as it is, with nothing added"
-        return Tolerance(values, cost, lost, bounded, None, failed, text)
-    tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
+        return Tolerance(np.array(order), cost, lost, bounded, None, failed, text)
+    tolerated = order[bad[0] - 1] if bad.size else order[-1]
     text = sentence(tolerated, failed, stays)
-    return Tolerance(values, cost, lost, bounded, tolerated, failed, text)
+    return Tolerance(np.array(order), cost, lost, bounded, tolerated, failed, text)
 
 
 def noise_price(setting: RobustnessRuns, unit: float) -> NoisePrice:

@@ -91,7 +91,7 @@ def windows_of(
 def weights(
     windows: Sequence[LawWindow], rate: float
 ) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node m m"]]:
-    """τ_j and taps with W(s) = Σ_j e^{−sτ_j} taps_j to round-off, for |s| + |S| up to `rate`, 1/s."""
+    """τ_j and taps: W(s) = Σ_j e^{−sτ_j} taps_j to round-off for |s| + |S| up to `rate`, 1/s."""
     m = windows[0].C.shape[0]
     parts = [(np.empty(0), np.empty((0, m, m)))]
     parts += [_weights(window, rate) for window in windows if window.far > window.near]

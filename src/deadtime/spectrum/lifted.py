@@ -137,7 +137,7 @@ class LiftedLoop:
         return complex(np.vdot(z, now) / np.vdot(z, z).real)
 
     def doubt(self, values: Complex[np.ndarray, " eigenvalue"]) -> float:
-        """The relative error of the largest of some eigenvalues, by the next step of Newton's method.
+        """The relative error of the largest of some eigenvalues, by a step of Newton's method.
 
         Other eigenvalues count if their errors are so large that they may be the largest. Newton's
         method is for det [[zI − Φ, −Σ_l z^{−l} Γ_l], [−F, I − Σ_j G_j z^{−j}]]. At an eigenvalue
@@ -345,7 +345,7 @@ class LawSide(NamedTuple):
 
 
 class Joined(NamedTuple):
-    """X' = Phi X + …, u_k = gain X + …, X = (x, x̄, s), whose first `true` states are the plant's."""
+    """X' = Phi X + …, u_k = gain X + …, X = (x, x̄, s); the first `true` states are the plant's."""
 
     Phi: Float[np.ndarray, "size size"]
     gain: Float[np.ndarray, "m size"]
