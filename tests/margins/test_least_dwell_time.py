@@ -56,10 +56,10 @@ def test_a_common_lyapunov_function_proves_every_dwell_time_above_a_period():
     assert "the shortest that can be described at this period" in found.message
 
 
-def test_dwell_times_in_proportion_are_asked_about_only_as_far_as_the_longest_can_be_laid_out(
+def test_dwell_times_in_proportion_are_tried_only_up_to_the_longest_that_can_be_described(
     monkeypatch,
 ):
-    monkeypatch.setattr(module, "LAID_OUT", 100.0, raising=False)
+    monkeypatch.setattr(module, "MOST_ROUNDED", 100.0)
     plant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], np.ones((2, 1, 1)), 0.1)
     law = dt.AveragedPredictor(plant, np.zeros((2, 1, 1)), allow_unstable=True)
     found = dt.least_dwell_time(plant, law, 0.1, dwell_time=[0.1, 0.5])

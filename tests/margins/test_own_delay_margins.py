@@ -154,7 +154,7 @@ def test_delays_that_may_be_wrong_by_any_time_are_said_so():
     tolerant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], [[[1.0]], [[1.0]]], [[0.3], [0.5]])
     small = dt.AveragedPredictor(tolerant, [[[-0.1]], [[-0.1]]])
     margin = dt.delay_margin(tolerant, small, STEP)
-    assert margin.message.endswith("whatever the true delays, all wrong by as much")
+    assert margin.message.endswith("if the true delays all change by the same time, however long")
     one = dt.delay_margin(plant, law, STEP, input=0)
     assert "whatever the true delay of input 0" in one.message
     assert "whatever" not in dt.delay_margin(plant, law, STEP, input=1).message
@@ -227,7 +227,7 @@ def test_pieces_of_the_certified_margin_end_at_multiples_of_the_period_of_all_de
         assert (np.floor(ratios[1] - 1e-9) <= np.floor(ratios[0] + 1e-9)).all()
         assert low[0] - low[1] == pytest.approx(plant.delays[0] - plant.delays[1])
     assert "s shorter to" in margin.message
-    assert "all by as much" in margin.message
+    assert "every constant common change of the true delays" in margin.message
 
 
 def test_a_certified_margin_of_all_delays_is_of_a_common_shift():
@@ -242,5 +242,5 @@ def test_a_certified_margin_of_all_delays_is_of_a_common_shift():
     corner = plant.delays + 0.99 * np.array([-margin.shorter, margin.longer])
     apart = dt.SwitchedSystem(plant.A, plant.B, corner)
     assert dt.growth_rate(apart, law, 0, 0.1) > 1.0
-    assert "all by as much" in margin.message
+    assert "every constant common change of the true delays" in margin.message
     assert "whatever the others" not in margin.message

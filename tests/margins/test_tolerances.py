@@ -6,7 +6,7 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.imperfections import LateSamples, Noise, Saturation, StepDisturbance
-from deadtime.margins.tolerance import BOUNDED, KEPT, LOST, RobustnessRuns
+from deadtime.margins.tolerance import BOUNDED, KEPT, LOST, RobustnessRuns, noise_price
 from deadtime.reports.robustness import plot_robustness
 from deadtime.simulation.outcome import outcome_of
 
@@ -95,7 +95,7 @@ def test_a_loop_that_already_oscillates_is_said_not_to_settle():
 
 def test_a_reference_that_never_rests_must_be_kept_up_with():
     of = setting(8.0, law=servo(lambda t: 60.0 * np.sin(3.0 * t)))
-    assert of.works == "keeps up with the perfect loop"
+    assert of.works == "stays near the run without imperfections"
     assert ends(of, (1, 8)) == [KEPT] * 2
     assert KEPT not in ends(of, (15, 20, 60, 100, 400))
 
@@ -163,3 +163,51 @@ def test_a_slow_loop_that_grows_when_samples_are_late_is_lost_all_the_same():
         KEPT,
         LOST,
     ]
+
+
+DOUBLE = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -0.5]]], [[[0.0], [1.0]]], delay=0.1)
+SLOW = plants.scalar([-0.5, -0.3])
+PRICED = {
+    "linear": (SCALAR, HELD, SWITCHED, [1.0], []),
+    "limited": (
+        SLOW,
+        dt.AveragedPredictor(SLOW, dt.place(SLOW, [-2.0])),
+        SWITCHED,
+        [1.0],
+        [Saturation(-1.0, 1.0)],
+    ),
+    "limited integrator": (
+        DOUBLE,
+        dt.SingleModePredictor(DOUBLE, dt.place(DOUBLE, [-2.0, -3.0]), 0),
+        dt.SwitchingSignal.constant(0),
+        [3.0, 0.0],
+        [Saturation(-3.0, 3.0)],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", PRICED)
+def test_the_noise_that_is_said_to_double_the_cost_doubles_it_in_other_runs(case):
+    plant, law, switching, x0, limits = PRICED[case]
+    of = RobustnessRuns(plant, law, switching, np.array(x0), 10.0, 0.05, 20, 0, tuple(limits))
+    price = noise_price(of, float(np.linalg.norm(x0)))
+    assert price.cost[3].mean() == pytest.approx(2.0 * price.base, rel=0.02)
+    other = [
+        dt.simulate(
+            plant, law, switching, x0, 10.0, 0.05,
+            imperfections=[*limits, Noise(price.doubling)], seed=1000 + i,
+        ).metrics()["cost"]
+        for i in range(40)
+    ]  # fmt: skip
+    # Both means have an error: of 20 runs here, of 40 there.
+    error = np.std(other) * np.sqrt(1.0 / 20.0 + 1.0 / 40.0)
+    assert abs(np.mean(other) - 2.0 * price.base) <= 3.0 * error + 0.02 * price.base
+
+
+def test_a_cost_that_levels_off_as_noise_grows_has_no_price():
+    plant, law, switching, _, _ = PRICED["limited"]
+    limits = (Saturation(-2.0, 2.0),)
+    of = RobustnessRuns(plant, law, switching, np.array([10.0]), 10.0, 0.05, 4, 0, limits)
+    price = noise_price(of, 10.0)
+    assert np.isnan(price.doubling)
+    assert "the price of measurement noise could not be computed" in price.message

@@ -2,9 +2,8 @@
 
     (A_i + B_i K_i)ᵀ P + P (A_i + B_i K_i) ≤ −Q  for every mode i,   P = Pᵀ > 0, Q = Qᵀ > 0
 
-Every P that leaves this module was put back into its inequality: Q is recomputed from the
-eigenvalues and lowered by a bound on their rounding errors, so the inequality holds for the
-matrices as they are stored.
+Every P returned by this module is checked in its inequality: Q is recomputed from the eigenvalues
+and lowered by a bound on their rounding errors, so the inequality holds for the matrices as stored.
 """
 
 from __future__ import annotations
@@ -73,8 +72,8 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
     Returns
     -------
     CommonLyapunov
-        `.P` with spectral norm 1 and `.Q` = q I, put back into the inequality. Where the units of
-        the states differ so much that no solver finds the largest q, any common P.
+        `.P` with spectral norm 1 and `.Q` = q I, checked in the inequality. If the units of the
+        states differ so much that no solver finds the largest q, any common P.
 
     Raises
     ------
@@ -83,7 +82,7 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
     InfeasibleError
         If no common P exists, with the solver's verdict.
     SolverError
-        If no solver works: then nothing is known.
+        If no solver works, so that nothing is known.
 
     References
     ----------
@@ -146,7 +145,7 @@ def hurwitz_gains(plant: SwitchedSystem, gains: ArrayLike) -> Float[np.ndarray, 
 def decaying_lyapunov(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], decay_rate: float
 ) -> CommonLyapunov | None:
-    """The best conditioned common P with (…)ᵀP + P(…) ≤ −2·decay_rate·P; None if there is none."""
+    """The best conditioned common P with (…)ᵀP + P(…) ≤ −2·decay_rate·P; None if none is found."""
     H, n = closed_loops(plant, gains), plant.states
     rate = 2.0 * decay_rate
     scale = np.linalg.norm(H, 2, axis=(1, 2)).max()
@@ -156,7 +155,7 @@ def decaying_lyapunov(
     for h in H:
         flow = (h.T @ E + E @ h + rate * E) / scale
         limits.append(Limit(np.concatenate((-flow, none)), np.zeros((n, n))))
-    # One try: whoever asks has other P to fall back on.
+    # One solver only: callers have other candidates for P.
     verdict = next(attempts(_least(limits)))
     return put_back(plant, gains, symmetric_value(verdict.x, n))
 
@@ -164,7 +163,7 @@ def decaying_lyapunov(
 def check_lyapunov(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], lyapunov: object
 ) -> CommonLyapunov:
-    """A user's P and Q, put into the inequality; Q is lowered by what rounding takes.
+    """A user's P and Q, checked in the inequality; Q is lowered by a bound on rounding errors.
 
     `lyapunov` is a CommonLyapunov or a pair (P, Q).
     """
@@ -181,7 +180,7 @@ def check_lyapunov(
     floor = _rounding(plant, gains, P)
     rest = [float(np.linalg.eigvalsh(-(h.T @ P + P @ h) - Q)[0]) - floor for h in H]
     worst = int(np.argmin(rest))
-    # A Q from a Lyapunov equation meets the inequality up to rounding: that is no mistake.
+    # A Q from a Lyapunov equation meets the inequality up to rounding, which is accepted.
     excess = max(0.0, -rest[worst])
     if excess > 1e-8 * np.linalg.norm(Q, 2) + 2.0 * floor:
         raise ArgumentError(
@@ -241,7 +240,7 @@ def growth_in_norm(
 
 
 def _unknowns(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The factors of the entries of P, of a bound, and of a bound that plays no part."""
+    """The coefficient matrices of the entries of P, of a bound, and of a bound that is absent."""
     return symmetric_basis(n), np.eye(n)[None], np.zeros((1, n, n))
 
 
@@ -271,7 +270,7 @@ def _any(H: np.ndarray) -> Program:
 
 
 def _unit(plant: SwitchedSystem) -> float:
-    """Relative rounding error of a product of three matrices and its eigenvalues, generously."""
+    """A generous bound of the relative rounding error of eigenvalues of a three-matrix product."""
     return 16.0 * (plant.states + plant.inputs) ** 2 * float(np.finfo(float).eps)
 
 
@@ -331,11 +330,11 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
         \quad K_i = Y_i X^{-1},
         \quad P = X^{-1}
 
-    For the plant without its delay :math:`\sqrt{x^T P x}` then decays like :math:`e^{-\alpha t}`,
-    however it switches. Of all solutions the one is taken that minimises
+    For the plant without its delay :math:`\sqrt{x^T P x}` then decays like :math:`e^{-\alpha t}`
+    under any switching. The solution minimises
     :math:`\max_i |K_i X^{1/2}|^2 + \text{cond}\, X`, in units of :math:`|A|` and :math:`|B|`, with
     :math:`X \succeq I`: the first term bounds the gains, the second the condition of :math:`P`.
-    Both enter the bounds on the allowed distance of the modes, and left free both tend to infinity.
+    Both enter the bounds on the distance of the modes, and tend to infinity without this objective.
 
     Parameters
     ----------
@@ -356,7 +355,7 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
     InfeasibleError
         If no such gains were found, with the solver's verdicts.
     SolverError
-        If the solver does not work: then nothing is known.
+        If the solver does not work, so that nothing is known.
 
     References
     ----------
@@ -375,7 +374,7 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
     t = balanced_units(plant.A)
     verdicts: list[Verdict] = []
     for units in (np.ones_like(t), t):
-        # A solver meets an inequality up to its tolerance: ask for a little more, then for more.
+        # A solver meets an inequality up to its tolerance only, so the rate is raised step by step.
         for margin in (1e-6, 1e-4, 1e-2):
             program, scale = _joint_program(plant, units, rate * (1.0 + margin))
             for verdict in attempts(program):

@@ -1,4 +1,4 @@
-"""Pole placement for one pair (A, B), with every refusal by name: gains and observers use it."""
+"""Pole placement for one pair (A, B), for gains and observers, with checks of the result."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import brief, require_unmasked
 from deadtime.base.errors import ArgumentError
 
-_LARGEST = 1e150  # beyond, squares are no floats
-_RUNAWAY = 2.0**40  # between units of states: more than users mix
+_LARGEST = 1e150  # squares of larger numbers overflow
+_RUNAWAY = 2.0**40  # ratio of states' units beyond which balancing has diverged
 
 
 def pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
@@ -55,10 +55,10 @@ def place_pair(
     letter: str = "B",
     given: np.ndarray | None = None,
 ) -> Float[np.ndarray, "m n"]:
-    """K with the poles of A + B K, for a controllable pair; put back before it is returned.
+    """K with the poles of A + B K, for a controllable pair; the result is checked.
 
-    `i` and `letter` are how messages call the mode and B, and `given` what they print for the
-    poles, where those asked for are others.
+    Messages name the mode `i`, the matrix B by `letter`, and the poles by `given` if they are
+    transformed ones.
     """
     rank = int(np.linalg.matrix_rank(B))
     for pole, name in zip(poles, poles if given is None else given, strict=True):
@@ -87,11 +87,11 @@ def place_pair(
 
 
 def _place_robustly(A: np.ndarray, B: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """K of several inputs, its freedom spent on eigenvectors far from parallel."""
+    """K for several inputs, with well conditioned eigenvectors."""
     from scipy.signal import place_poles
 
     with warnings.catch_warnings():
-        # It warns when its search for robust gains stops early; the answer is checked below.
+        # It warns when its search for robust gains stops early; the result is checked below.
         warnings.simplefilter("ignore", UserWarning)
         wanted = poles if np.iscomplex(poles).any() else np.real(poles)
         result: Any = place_poles(A, B, wanted)
@@ -99,7 +99,7 @@ def _place_robustly(A: np.ndarray, B: np.ndarray, poles: np.ndarray) -> np.ndarr
 
 
 def _place_one_input(A: np.ndarray, B: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """The K (1, n) of one input: (A − p I) x + B g = 0 gives K x = g for every pole p."""
+    """K (1, n) for one input: (A − p I) x + B g = 0 gives K x = g for every pole p."""
     pairs = A - poles[:, None, None] * np.eye(len(A))
     pairs = np.concatenate((pairs, np.broadcast_to(B, (len(poles), *B.shape))), axis=2)
     null = np.linalg.svd(pairs)[2][:, -1].conj()
@@ -127,10 +127,10 @@ def _refine(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> n
 
 
 def _require_poles(closed: np.ndarray, poles: np.ndarray, i: int) -> None:
-    """Put the answer back: the closed loop has the characteristic polynomial that was asked for.
+    """Check the characteristic polynomial of the closed loop.
 
-    Its coefficients are compared, in units in which the largest pole is 1: unlike the
-    eigenvalues themselves they are well conditioned when poles nearly coincide.
+    Coefficients are compared in units in which the largest pole is 1: unlike the eigenvalues they
+    are well conditioned for nearly equal poles.
     """
     unit = max(float(np.abs(poles).max()), np.finfo(float).tiny)
     asked = np.poly(poles / unit)
@@ -145,16 +145,16 @@ def _require_poles(closed: np.ndarray, poles: np.ndarray, i: int) -> None:
 def reachable(A: Float[np.ndarray, "n n"], B: Float[np.ndarray, "n m"]) -> int:
     """The rank of the controllability matrix [B, AB, …].
 
-    It is that of a staircase: an orthonormal basis of range B, extended by A times its newest
-    directions until nothing new comes. States are balanced and inputs normalised first, so that
-    the answer does not depend on units.
+    Computed by the staircase algorithm: an orthonormal basis of range B, extended by A times its
+    newest directions until there are no new ones. States are balanced and inputs normalised first,
+    so that the rank does not depend on units.
     """
     n = A.shape[0]
     balanced, fresh, _, _ = _balance(A, B)
     size = max(np.linalg.norm(balanced, 2), np.finfo(float).tiny)
     basis = np.zeros((n, 0))
     while fresh.size and basis.shape[1] < n:
-        for _ in range(2):
+        for _ in range(2):  # Gram and Schmidt's method loses orthogonality in one pass
             fresh = fresh - basis @ (basis.T @ fresh)
         U, values, _ = np.linalg.svd(fresh, full_matrices=False)
         new = U[:, values > 1e-12]
@@ -164,7 +164,7 @@ def reachable(A: Float[np.ndarray, "n n"], B: Float[np.ndarray, "n m"]) -> int:
 
 
 def unseen_pole(A: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"]) -> complex | None:
-    """A pole of A that does not decay and that C x does not show (Popov, Belevitch, Hautus)."""
+    """An undetectable pole of A: unstable and unobservable by C (Popov, Belevitch, Hautus test)."""
     n = len(A)
     if reachable(A.T, C.T) == n:
         return None
@@ -190,10 +190,7 @@ def require_controllable(A: np.ndarray, B: np.ndarray, i: int) -> None:
 
 
 def _balance(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A and B in units in which A is balanced and B's columns have length 1, and those units.
-
-    With units t of the states and c of the inputs, A/t·t and B·c/t are returned.
-    """
+    """A·t/t[:, None] and B·c/t[:, None], with t and c: A is balanced, columns of B have norm 1."""
     t = _units_of(A)
     balanced = A * t / t[:, None]
     fresh = B / t[:, None]
@@ -204,9 +201,9 @@ def _balance(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
 def _units_of(A: np.ndarray) -> np.ndarray:
     """Units of the states in which A is balanced.
 
-    Where states drive others that do not act back, as a sum of errors does not, balancing has no
-    end: it shrinks what drives until its effect is lost in round-off. Then only what acts back is
-    balanced.
+    Balancing diverges for a reducible A, as with a sum of errors that has no effect on the plant:
+    it scales the coupling down until round-off hides it. Then each strongly connected component is
+    balanced separately.
     """
     from deadtime.numerics.exponential import balance
 

@@ -1,14 +1,13 @@
-"""Gains for every mode, in the paper's sign u = +K x: designed, and checked as arguments.
+"""Gains for every mode, in the paper's sign u = +K x: design and checks of arguments.
 
 python-control's and SciPy's own functions give u = −K x; here A_i + B_i K_i has the poles.
 
-With a step the gains are designed for the loop that runs at that period. A predictor law holds
-u_k = K P_k, P_k = x(t_k + D); over [t_k + D, t_{k+1} + D) the plant sees that u_k and no other,
-whatever the delay, so
+With a step the gains are designed for the loop at that period. A predictor law holds u_k = K P_k,
+P_k = x(t_k + D); over [t_k + D, t_{k+1} + D) only u_k acts on the plant, so
 
     P_{k+1} = (Φ + Γ K) P_k,    Φ = e^{Ah},  Γ = ∫₀^h e^{As} ds B:
 
-no delay is left in it. Its poles are e^{ph}, and its cost from time D on is a sum over periods.
+without a delay. The poles are e^{ph}, and the cost from time D on is a sum over periods.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from deadtime.plant.weight import weight_matrix
 def check_gains(
     plant: SwitchedSystem, gains: object, allow_unstable: bool
 ) -> Float[np.ndarray, "mode m n"]:
-    """`gains` as a (modes, m, n) array with every A_i + B_i K_i Hurwitz, unless that is waived."""
+    """`gains` as a (modes, m, n) array; without `allow_unstable` every A_i + B_i K_i is Hurwitz."""
     K = real_array("gains", gains, "(modes, m, n)", 3)  # pyright: ignore[reportArgumentType]
     if K.shape[0] != plant.modes:
         raise ArgumentError(
@@ -46,7 +45,7 @@ def check_gains(
 def require_hurwitz(
     name: str, place: str, A: np.ndarray, B: np.ndarray, K: np.ndarray, allow_unstable: bool
 ) -> None:
-    """Refuse a gain that leaves A + B K unstable, unless the caller says it is meant."""
+    """Refuse a gain that leaves A + B K unstable, unless that is allowed."""
     rightmost = rightmost_eigenvalue(name, place, A, B, K)
     if rightmost >= 0.0 and not allow_unstable:
         constant = ~(A.any(axis=1) | B.any(axis=1))
@@ -69,7 +68,7 @@ def require_hurwitz(
 def rightmost_eigenvalue(
     name: str, place: str, A: np.ndarray, B: np.ndarray, K: np.ndarray
 ) -> float:
-    """The largest real part of an eigenvalue of A + B K, 1/s; an error where floats hold none."""
+    """The largest real part of an eigenvalue of A + B K, 1/s; an error if A + B K overflows."""
     with np.errstate(over="ignore", invalid="ignore"):
         loop = A + B @ K
     if not np.isfinite(loop).all():
@@ -140,7 +139,7 @@ def place(
 
 
 def _text_of(pole: complex) -> str:
-    """A pole as it is written, a real one without its imaginary part."""
+    """A pole as text, a real one without its imaginary part."""
     return f"{pole.real:g}" if pole.imag == 0.0 else f"{pole:g}"
 
 
@@ -163,7 +162,7 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | 
 def lqr(
     plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike, step: float | None = None
 ) -> Float[np.ndarray, "mode m n"]:
-    """Gains that minimise a quadratic cost in each mode, its delay and switching aside.
+    """Gains that minimise a quadratic cost in each mode, without delay and switching.
 
     Parameters
     ----------
@@ -175,8 +174,8 @@ def lqr(
         Input weight, symmetric, positive definite.
     step : float, optional
         Sampling period h, in seconds: the same integral is minimised over inputs that are held,
-        exactly, between samples too (C. Van Loan 1978). Of an exact predictor it is the cost from
-        time D on. Such gains need not make :math:`A_i + B_i K_i` Hurwitz where h is long.
+        exact between samples, too (C. Van Loan 1978). For an exact predictor it is the cost from
+        time D on. Such gains need not make :math:`A_i + B_i K_i` Hurwitz if h is long.
 
     Returns
     -------
@@ -227,7 +226,7 @@ def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np
 def _sampled_lqr_mode(
     plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray, step: float
 ) -> np.ndarray:
-    """The discrete Riccati equation with a cross term, put back."""
+    """The solution of the discrete Riccati equation with a cross term, checked by its residual."""
     from scipy.linalg import solve_discrete_are
 
     from deadtime.numerics.exponential import gramian

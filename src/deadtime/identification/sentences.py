@@ -379,7 +379,6 @@ class Margin(Protocol):
 def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> str:
     """The text of `Identification.verdict`, of a law that acts every `step` seconds."""
     from deadtime.margins import drawn_stability
-    from deadtime.margins.drawn_plants import has_rates
 
     if fit.doubts:
         return delays_beside(fit.delays, fit.delay_interval, margin, doubt=fit.doubts[0])
@@ -388,10 +387,10 @@ def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> s
     if law is not None and several and margin.lower is not None:
         failure = failure_of(fit.plant, fit.delay_interval, law, step)
     said = delays_beside(fit.delays, fit.delay_interval, margin, failure)
-    if law is None or margin.lower is None or not has_rates(law):
+    if law is None or margin.lower is None or not law.is_linear:
         return said
     drawn = drawn_stability(fit.uncertain, law, step)
-    if drawn.all_stable:
+    if drawn.stable == len(drawn.growth):
         return f"{said} {drawn.sentence}"
     return (
         f"{said} {drawn.sentence} Not enough: log for longer, or design a law that tolerates more."

@@ -1,41 +1,40 @@
 """The first true delay at which a loop is at the limit of stability.
 
-A root lies there at (ω, D) if an eigenvalue of the loop's gain X(ω, D) is 1, that is, if along one
-of the curves D_k(ω) on which the phase is right,
+With the plant's delay line p at the true delay D (`deadtime.spectrum.response`) a root lies on the
+limit of stability at the frequency ω exactly if
 
-    arg λ(ω, D_k(ω)) = 0 (mod 2π),    the level    G(ω) = ln|λ(ω, D_k(ω))|    is 0.
+    X(ω, D) = M⁻¹ r p    has the eigenvalue λ = 1.
 
-This is one real equation on an interval of frequencies, with a slope that is known. From
+In the ideal loop a longer delay turns λ by e^{−iωD} and does not change |λ|; in the digital loop
+|λ| also depends on where in a period the delay ends, and on no other property of it. So no delay
+puts a root at ω unless some |λ| is 1 there at some fraction of a period: |λ| alone leaves a few
+short bands of frequencies. A perturbation of X gives, for an eigenvalue with left and right vectors
+y, x,
+
+    d ln λ = yᴴ dX x/(λ yᴴ x),    dX = M⁻¹ (d(r p) − dM X).
+
+In a band, let D_k(ω) be the curves on which the phase of λ is 0. A root lies on the limit where
+
+    arg λ(ω, D_k(ω)) = 0 (mod 2π)    and the level    G(ω) = ln|λ(ω, D_k(ω))|    is 0.
+
+This is one real equation on an interval of frequencies, with a known slope. From
 d ln λ = a dω + b dD it follows that
 
     dD_k/dω = −Im a/Im b,    dG/dω = Re a − Re b · Im a/Im b.
 
 Where G changes sign a root crosses the limit. Where G only touches 0, at a maximum or a minimum,
 a root comes to the limit and goes back: the loop is not asymptotically stable at that delay, so
-that the margin ends there as well. Walking along D would crawl towards such a delay, as the root
-does; along ω it is a maximum like any other. Levels within 1e-9 of 0 count as touching: round-off
+the margin ends there as well. A search along D slows down towards such a delay, as the root
+does; along ω it is an ordinary maximum. Levels within 1e-9 of 0 count as touching: round-off
 makes 1e-15 of an exact 0, and no plant is known to 1e-9.
 
-At the Nyquist frequency X is real and the curve is that frequency itself, for a real root passes
-−1. There det(I − X) is a real function of D, of period 2h. All this is double precision on
-samples, not a proof.
+A cell between two frequencies is halved until it is decided: G cannot reach 0 in it, since |G| at
+both ends is above what the slopes there allow; G changes its sign once; or |G| is below `TOUCH`. In
+a digital loop G has a bend wherever D_k passes a multiple of the period.
 
-With the plant's delay line p at the true delay D (`deadtime.spectrum.response`) a root lies on the
-limit of stability at the frequency ω exactly if
-
-    X(ω, D) = M⁻¹ r p    has the eigenvalue λ = 1.
-
-In the ideal loop a longer delay turns λ by e^{−iωD} and leaves |λ| as it is; in the digital loop
-|λ| also depends on where in a period the delay ends, and on nothing else about it. So no delay
-puts a root at ω unless some |λ| is 1 there at some part of a period: the gain alone leaves a
-few short bands. A perturbation of X gives, for an eigenvalue with left and right vectors y, x,
-
-    d ln λ = yᴴ dX x/(λ yᴴ x),    dX = M⁻¹ (d(r p) − dM X).
-
-A cell between two frequencies is cut in halves until it is
-decided: G cannot reach 0 in it, |G| at both ends being above what the slopes there allow; G changes
-its sign once; or G is 0 but for `TOUCH`. In a digital loop G has a bend wherever D_k passes a
-multiple of the period.
+At the Nyquist frequency X is real and the curve is that frequency itself: a real root passes −1.
+There det(I − X) is a real function of D, of period 2h. All this is double precision on samples,
+not a proof.
 """
 
 from __future__ import annotations
@@ -50,13 +49,13 @@ from deadtime.numerics.small_matrices import inverses, matched, traces
 from deadtime.spectrum.response import Response, Samples
 
 _FINE = 0.25  # of |d ln λ/dω|, times the distance of two samples
-_FINEST = 1e-12  # of the highest frequency: closer than this nothing is sampled
 _END = 1e-6  # of the lowest even sample
 _LARGE = 1e150
-_NOTHING = 1e-12  # relative to the largest entry
+_NOTHING = 1e-12  # relative to the largest entry: a smaller eigenvalue is round-off
 TOUCH = 1e-9  # of ln|λ|
 _NEWTON, _PHASE, _RIGHT, _SHORTEST = 40, 1e-12, 1e-6, 1e-4
-_ROUNDS, _MOST, _FINEST = 60, 20_000, 1e-14
+_ROUNDS, _MOST = 60, 20_000
+_FINEST = 1e-14  # relative, of frequencies: closer than this nothing is sampled
 _SECANT, _PART = 60, 1e-11  # of a cell
 _AT_ONCE = 16  # curves
 _RING = 0.05  # of the delay: the width of the first ring
@@ -72,10 +71,10 @@ class Gain(NamedTuple):
 
 
 class Band(NamedTuple):
-    """Frequencies next to each other between which |λ| may be 1 at some delay.
+    """Neighbouring frequencies between which |λ| may be 1 at some delay.
 
-    spread : by how much ln|λ| may differ between delays within a period.
-    around : e^{−iωD} tells where λ turns to but for so many seconds of delay.
+    spread : bound of the change of ln|λ| between delays within a period
+    around : bound, s of delay, of the error of the phase of λ predicted by e^{−iωD}
     """
 
     samples: Samples
@@ -107,10 +106,10 @@ def loop_gain(response: Response, samples: Samples, delay: np.ndarray) -> Gain:
 
 
 def bands(response: Response, delay: float) -> list[Band]:
-    """Where |λ| may be 1 at some delay, in rising order; the first samples are for this delay."""
+    """The bands in which |λ| may be 1 at some delay, in rising order, first sampled for `delay`."""
     count = int(2.0 * response.highest * (response.memory + delay)) + 64
     omega = (np.arange(count) + 0.5) / count * response.highest
-    # Between the outermost samples and the ends of the range there is next to nothing.
+    # Outermost samples so close to the ends of the range that the cells beyond them are decided.
     outer = response.samples(np.array([_END * omega[0], response.highest - _END * omega[0]]))
     inner = response.samples(omega, even=True)
     parts = zip(outer, inner, strict=True)
@@ -136,7 +135,7 @@ def bands(response: Response, delay: float) -> list[Band]:
 
 
 def _levels(response: Response, samples: Samples) -> tuple[np.ndarray, ...]:
-    """The least and the largest ln|λ| over all delays, moduli in order; rate of change; lag."""
+    """The least and largest ln|λ| over all delays, moduli sorted; rate of change; phase error."""
     cuts, points = response.cuts, samples.omega.size
     delay = np.repeat(cuts, points)
     gain = loop_gain(response, samples.repeat(cuts.size), delay)
@@ -144,8 +143,8 @@ def _levels(response: Response, samples: Samples) -> tuple[np.ndarray, ...]:
     rates = np.abs(gain.by_frequency + 1j * delay[:, None]).max(axis=1).reshape(cuts.size, points)
     turns = np.imag(gain.by_delay).reshape(level.shape) / samples.omega[:, None]
     lags = np.abs(1.0 + turns).max(axis=2)
-    # Between two of these delays it may go on by half of what it changed; the first follows the
-    # last, for a delay of a whole period is one of none.
+    # Between two of these delays the level may change by half of their difference; the first
+    # follows the last, since |λ| has period h in the delay.
     slack = 0.5 * np.abs(np.diff(level, axis=0, prepend=level[-1:])).max(axis=0)
     low, high = level.min(axis=0) - slack, level.max(axis=0) + slack
     # Where |λ| is small its zeros make ln|λ| steep but |λ| not; poles make both steep.
@@ -157,12 +156,12 @@ def _levels(response: Response, samples: Samples) -> tuple[np.ndarray, ...]:
 
 
 def _ends(value: np.ndarray, choose: np.ufunc) -> np.ndarray:
-    """Of the values at both ends of every cell, the ones chosen; there is one at the outer two."""
+    """The chosen value of both ends of every cell; the outer two cells have one end each."""
     return np.concatenate((value[:1], choose(value[1:], value[:-1]), value[-1:]))
 
 
 def _runs(samples: Samples, clear: np.ndarray, spread: np.ndarray, lag: np.ndarray) -> list[Band]:
-    """Samples around cells that are not clear, cells next to each other in one band."""
+    """Samples around the cells that are not clear, neighbouring cells in one band."""
     # Cell i lies between the samples i − 1 and i; the outer two have one sample each.
     inside = np.concatenate(([False], ~clear, [False]))
     edges = np.flatnonzero(np.diff(inside.astype(int)))
@@ -175,10 +174,10 @@ def _runs(samples: Samples, clear: np.ndarray, spread: np.ndarray, lag: np.ndarr
 
 
 class Curve(NamedTuple):
-    """Points of pieces of curves D_k: which piece, rising ω, D, G, dG/dω, the band's spread.
+    """Points of pieces of curves D_k: piece number, rising ω, D, G, dG/dω, the band's spread.
 
-    above : by how much G is above the mean of ln|λ| over all eigenvalues, which tells them apart:
-        a change of the delay within a period makes all of them larger or smaller, much alike.
+    above : G less the mean of ln|λ| over all eigenvalues, which identifies the eigenvalue: a change
+        of the delay within a period scales all of them about equally.
     """
 
     piece: np.ndarray
@@ -190,11 +189,9 @@ class Curve(NamedTuple):
     above: np.ndarray
 
     def at(self, index: np.ndarray) -> Curve:
-        """Some of the points."""
         return Curve(*(part[index] for part in self))
 
     def where(self, here: np.ndarray, other: Curve) -> Curve:
-        """These points, or another curve's."""
         return Curve(*(np.where(here, *pair) for pair in zip(self, other, strict=True)))
 
     def with_points(self, other: Curve) -> Curve:
@@ -230,7 +227,7 @@ def follow(
         for kept, part in zip((value, a, b), gain, strict=True):
             kept[moving] = part[which]
         now = np.angle(value[moving])
-        # A step over the curve was too long; without this, two delays may follow on each other.
+        # A step across the curve was too long; without this Newton's method may alternate.
         farthest[moving] *= np.where(now * phase[moving] < 0.0, 0.5, 1.0)
         phase[moving] = now
         far = np.abs(now) > _PHASE * (1.0 + omega[moving] * np.abs(delay[moving]))
@@ -246,14 +243,14 @@ def follow(
         slope = np.real(a) - np.real(b) * np.imag(a) / np.imag(b)
         # Close to the Nyquist frequency the phase is next to 0 at any delay.
         enough = _RIGHT * np.fmin(1.0, period * np.abs(np.imag(b)))
-    # Where the phase does not come right, or turns back, there is no point of the curve.
+    # Where the phase does not converge to 0, or turns back, there is no point of the curve.
     right = (np.abs(phase) < enough) & np.isfinite(slope)
     level, slope = np.where(right, (np.log(np.abs(value)), slope), np.nan)
     return Curve(piece, omega, delay, level, slope, spread, above)
 
 
 def refine(response: Response, curve: Curve, low: float, high: float) -> Curve:
-    """The curve with points so close that every cell with delays in an interval is decided."""
+    """The curve with points added until every cell with delays in [low, high] is decided."""
     most = curve.omega.size + _MOST
     for _ in range(_ROUNDS):
         cells = np.flatnonzero(_judge(curve, response.period)[0])
@@ -268,18 +265,18 @@ def refine(response: Response, curve: Curve, low: float, high: float) -> Curve:
 
 
 def candidates(curve: Curve, period: float | None) -> np.ndarray:
-    """The cells in which the level changes its sign; or, where it is all but 0, its slope."""
+    """The cells in which the level changes sign; or, where it is within `TOUCH` of 0, its slope."""
     _, crossing, touching = _judge(curve, period)
     turning = touching & (curve.slope[1:] * curve.slope[:-1] <= 0.0)
     return np.flatnonzero(crossing | turning)
 
 
 def _judge(curve: Curve, period: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every cell between two points: undecided; with a change of sign; all but 0."""
+    """For every cell between two points: undecided; with a change of sign; touching 0."""
     before, after = curve.level[:-1], curve.level[1:]
     gap = np.diff(curve.omega)
     steep = np.maximum(np.abs(curve.slope[:-1]), np.abs(curve.slope[1:])) * gap
-    # Over a quarter of a period and more, the delay may do to the level what slopes do not tell.
+    # Over a quarter of a period or more the level may bend: slopes at the ends are no bound.
     far = np.zeros(gap.size, bool)
     if period is not None:
         far = np.abs(np.diff(curve.delay)) > 0.25 * period
@@ -295,7 +292,7 @@ def _judge(curve: Curve, period: float | None) -> tuple[np.ndarray, np.ndarray, 
 
 
 def _between(response: Response, one: Curve, other: Curve, omega: np.ndarray) -> Curve:
-    """Points of the curve at frequencies between those of two."""
+    """Points of the curve at frequencies between two points, from interpolated phases."""
     gap = other.omega - one.omega
     part = (omega - one.omega) / np.where(gap == 0.0, 1.0, gap)
     turned = one.omega * one.delay + part * (other.omega * other.delay - one.omega * one.delay)
@@ -310,8 +307,8 @@ def solve(response: Response, curve: Curve, cells: np.ndarray) -> Curve:
     at_low, at_high = (np.where(changes, end.level, end.slope) for end in (low, high))
     point, side, step = low, np.full(cells.size, -1), 0
     while True:
-        # Newton's method where there is a slope and it stays between the ends. Or else a secant,
-        # with the weight of an end that stays halved (Illinois).
+        # Newton's method while it stays between the ends; otherwise a secant, halving the weight
+        # of an end that stays (Illinois).
         with np.errstate(invalid="ignore", divide="ignore"):
             omega = point.omega - point.level / point.slope
             secant = low.omega - at_low * (high.omega - low.omega) / (at_high - at_low)
@@ -358,7 +355,8 @@ def first_crossing(
         return None
     best = _at_nyquist(response, start, end)
     branches = _branches(response, parts, start)
-    # Rings around the start: what is far away need not be followed where something is near.
+    # Rings of growing radius around the start: distant curves need not be followed once a near
+    # crossing is known.
     inner, width = 0.0, max(response.period or 0.0, _RING * start)
     while True:
         far = abs((end if best is None else best.delay) - start)
@@ -377,10 +375,10 @@ def _in_ring(
     end: float,
     best: Crossing | None,
 ) -> Crossing | None:
-    """The first crossing at a distance from the start, or one that is known and nearer."""
+    """The first crossing with |D − D_start| in a ring, or `best` if that is nearer."""
     sign = math.copysign(1.0, end - start)
     inner, outer = ring
-    # Curves in the order in which they may come: the least of |D − D_start|, branch and k.
+    # Curves by the least |D − D_start| that they may have, with their branch and k.
     queue: list[tuple[float, int, int]] = []
     for i, branch in enumerate(branches):
         turns = sign * branch.phase - (inner - branch.around) * branch.omega
@@ -438,12 +436,12 @@ def _branches(response: Response, parts: list[Band], delay: float) -> list[Eigen
 
 
 def _ahead(branch: EigenvalueBranch, k: int, sign: float) -> np.ndarray:
-    """About how far ahead the k-th curve is: the delay turns λ by e^{−iωD}, or nearly so."""
+    """About |D − D_start| on the k-th curve, as if the delay turned λ by e^{−iωD} alone."""
     return (sign * branch.phase - 2.0 * np.pi * k) / branch.omega
 
 
 def _least(branch: EigenvalueBranch, k: int, sign: float, inner: float) -> float:
-    """The k-th curve is no nearer than this, beyond a distance."""
+    """A lower bound of |D − D_start| on the k-th curve, beyond the distance `inner`."""
     ahead = _ahead(branch, k, sign)
     return float(ahead[ahead >= inner - branch.around].min(initial=math.inf)) - branch.around
 
@@ -456,7 +454,7 @@ def _guess(
     ring: tuple[float, float],
     number: int,
 ) -> Curve:
-    """The k-th curve where it may be in a ring, and a point on either side."""
+    """The points of the k-th curve that may lie in a ring, and one on either side."""
     ahead = _ahead(branch, k, sign)
     near = (ahead >= ring[0] - branch.around) & (ahead <= ring[1] + branch.around)
     wide = near.copy()
@@ -473,7 +471,7 @@ def _guess(
 def _nearest(
     response: Response, curve: Curve, start: float, end: float, best: Crossing | None
 ) -> Crossing | None:
-    """The nearest crossing ahead on curves, or one that is known and nearer."""
+    """The nearest crossing ahead on curves, or `best` if that is nearer."""
     limit = end if best is None else best.delay
     cells = candidates(curve, response.period)
     near = np.minimum(np.abs(curve.delay[cells] - start), np.abs(curve.delay[cells + 1] - start))

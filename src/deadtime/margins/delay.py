@@ -1,19 +1,18 @@
-"""The delay margin: how wrong the delay may be, for constant modes or for every signal.
+"""The delay margin: the true delays that a loop tolerates, for constant modes or every signal.
 
-For every admissible signal the true delays around the nominal one are covered by pieces, each
-certified at once for all delays in it (`certify` with `delays`), since the loop's order changes
-where the delay passes a multiple of the period. Of several delays a piece is a box: together the
-boxes hold every common shift, but not one delay from one box with another from the next. What fails
-is halved, down to a small part of the interval that constant modes allow, the most that any
-certificate can reach.
+The law keeps its table, made for its own model's delay; only the delay of the plant changes. If the
+loop of a constant mode is stable at the plant's nominal delay, it stays stable until a root first
+lies on the limit of stability (`deadtime.margins.crossing`).
 
-The law keeps the table that it was given, made for its own model's delay; only the delay of the
-plant changes. Where the loop of a constant mode is stable at the plant's nominal delay, it stays so
-until, on the way to another delay, a root first lies on the limit of stability
-(`deadtime.margins.crossing`).
+For every admissible signal the true delays around the nominal one are covered by pieces. One
+certificate holds for all delays in a piece (`certify` with `delays`), and a piece ends where the
+delay passes a multiple of the period, since the loop's order changes there. Of several delays a
+piece is a box: together the boxes hold every common shift, but not one delay from one box with
+another from the next. A piece that fails is halved, down to a small part of the interval of
+constant modes, the most that any certificate can reach.
 
-Of several delays those of one input move, or all of them, every one by as many seconds. The delay
-that is searched for is the shortest of those that move.
+Of several delays those of one input change, or all of them, by the same time. The search is over
+the shortest delay that changes.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ from deadtime.switching import SignalClass
 from deadtime.switching.constraint import PerMode
 from deadtime.switching.signal_class import SignalOptions
 
-FARTHEST = 10.0  # times the nominal delay: as far as longer delays are tried
-FINEST = 0.04  # of the interval of constant modes
+FARTHEST = 10.0  # times the nominal delay: the longest delay that is tried
+FINEST = 0.04  # of the interval of constant modes: the shortest piece
 MOST_PIECES = 16  # certificates tried on each side
-LEAST_DELAY = 1e-3  # of a period: the shortest delay that is asked about
+LEAST_DELAY = 1e-3  # of a period: the shortest delay that is certified
 
 
 class _Limit(NamedTuple):
-    """An end of the interval, seconds; the mode lost there and the frequency, if one is."""
+    """An end of the interval, seconds; the mode that is lost there and its frequency, or None."""
 
     delay: float
     mode: int | None
@@ -65,26 +64,27 @@ class DelayMargin(Frozen):
     Attributes
     ----------
     lower, upper : float or None
-        The open interval of true delays around the nominal one with every mode stable that may be
-        held, seconds. 0: stable down to no delay. ∞: whatever the delay. None: a mode is unstable
-        at the nominal delay. Of several delays that move together, the interval of the shortest.
+        The open interval of true delays around the nominal one in which every mode that may be
+        held is stable, seconds. 0: stable down to no delay. ∞: stable for any delay. None: a mode
+        is unstable at the nominal delay. Of several delays that change together, the interval of
+        the shortest.
     lower_mode, upper_mode : int or None
-        The mode that is lost there; None where none is. Without an interval, the mode that grows
+        The mode that is lost there; None if none is. Without an interval, the mode that grows
         fastest.
     lower_frequency, upper_frequency : float or None
         The frequency of the root that crosses there, rad/s.
     growth : (modes,)
         The growth rate in each mode at the nominal delay, 1/s.
     nominal : float
-        The plant's delay, seconds; of several that move, the shortest.
+        The plant's delay, seconds; of several that change, the shortest.
     message : str
         The same in a sentence. It says where an `upper` without a mode is the end of the search.
     certified : bool
         Whether this is proved for all admissible switching; False for constant modes.
     input : int or None
-        The input whose delay moves, in all modes; None where those of all inputs do.
+        The input whose delay changes, in all modes; None if the delays of all inputs change.
     differ : bool
-        Whether several delays move that differ: then `message` says `shorter` and `longer`.
+        Whether the delays that change differ; then `message` states `shorter` and `longer`.
     """
 
     lower: float | None
@@ -102,20 +102,20 @@ class DelayMargin(Frozen):
 
     @property
     def shorter(self) -> float | None:
-        """By how much less every delay that moves may be, seconds; None without a margin."""
+        """The largest common decrease of the delays that change, s; None without a margin."""
         return None if self.lower is None else self.nominal - self.lower
 
     @property
     def longer(self) -> float | None:
-        """By how much more every delay that moves may be, seconds; None without a margin."""
+        """The largest common increase of the delays that change, s; None without a margin."""
         return None if self.upper is None else self.upper - self.nominal
 
     @property
     def relative(self) -> float | None:
-        """The smallest error of the delay, relative to it, that loses a mode; None without one.
+        """The smallest relative error of the delay that loses a mode; None without a margin.
 
-        Where none does, as far as longer delays were tried. Of several delays that move, relative
-        to the shortest.
+        If no error does, up to the longest delay that was tried. Of several delays that change,
+        relative to the shortest.
         """
         if self.lower is None or self.upper is None:
             return None
@@ -135,8 +135,8 @@ def constant_delay_margin(
 ) -> DelayMargin:
     """`delay_margin` of constant modes, to 1e-10 relative; to 1e-6 where the gain only touches 1.
 
-    `names` are what inputs are called in `message`, counted by default. `held` are the modes that
-    may be held, by default every one; without any all delays up to `upto` are tolerated.
+    `names` are the inputs' names in `message`, numbers by default. `held` are the modes that may be
+    held, all by default; without any, all delays up to `upto` are tolerated.
 
     A root that touches the limit of stability and goes back ends the interval, too: at that delay
     the loop is not asymptotically stable.
@@ -180,10 +180,10 @@ def constant_delay_margin(
         )
     responses = [_response(plant, law, mode, step, input) for mode in modes]
     parts = [bands(response, nominal) for response in responses]
-    if step is None:  # where the gain is what it is, whatever the delay
+    if step is None:  # |λ| does not depend on the delay: fewer bands remain
         parts = [unit_bands(*each, nominal) for each in zip(responses, parts, strict=True)]
     if upto is None:
-        # In a delay shorter than one radian of every motion that matters, ten times is nothing.
+        # Ten times a delay that is short beside 1/ω of the loop would show no crossing at all.
         radians = [1.0 / part[-1].samples.omega[-1] for part in parts if part]
         upto = FARTHEST * float(max([moving.max(), *radians]))
     lower, upper = _Limit(0.0, None, None), _Limit(upto, None, None)
@@ -192,17 +192,25 @@ def constant_delay_margin(
         lower = lower if found is None else _Limit(found.delay, mode, found.frequency)
         found = first_crossing(response, part, nominal, upper.delay)
         upper = upper if found is None else _Limit(found.delay, mode, found.frequency)
-    if parts and not any(parts):  # no delay has a root
+    if parts and not any(parts):  # no delay puts a root on the limit of stability
         upper = upper._replace(delay=math.inf)
-    stable = _stable(lower, upper, nominal, of_input(input, names), differ)
+    message = _stable(lower, upper, nominal, of_input(input, names), differ)
     if len(modes) < plant.modes:
         only = f", of the modes that may be held ({', '.join(map(str, modes))})"
-        stable = stable + only if modes else "no mode may be held"
-    ends: dict[str, Any] = {}
-    for side, end in (("lower", lower), ("upper", upper)):
-        ends |= {side: end.delay, f"{side}_mode": end.mode, f"{side}_frequency": end.frequency}
-    ends |= {"growth": growth, "nominal": nominal, "message": stable}
-    return DelayMargin(**ends, input=input, differ=differ)
+        message = message + only if modes else "no mode may be held"
+    return DelayMargin(
+        lower=lower.delay,
+        upper=upper.delay,
+        lower_mode=lower.mode,
+        upper_mode=upper.mode,
+        lower_frequency=lower.frequency,
+        upper_frequency=upper.frequency,
+        growth=growth,
+        nominal=nominal,
+        message=message,
+        input=input,
+        differ=differ,
+    )
 
 
 def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray, "mode moving"]:
@@ -212,7 +220,7 @@ def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray,
 def _response(
     plant: SwitchedSystem, law: Law, mode: int, step: float | None, input: int | None
 ) -> Response:
-    """The loop in one mode, as a function of frequency and the shortest delay that moves."""
+    """The loop in one mode, as a function of frequency and the shortest delay that changes."""
     if step is None:
         whole: LoopResponse = IdealResponse.of(plant, law, mode)
     else:
@@ -241,7 +249,7 @@ def _stable(lower: _Limit, upper: _Limit, nominal: float, of_one: str, differ: b
 
 
 def of_input(input: int | None, names: Sequence[str] | None = None) -> str:
-    """Whose delay, in a sentence; nothing where it is that of all inputs.
+    """The input whose delay is meant, for sentences; empty for all inputs.
 
     Examples
     --------
@@ -254,18 +262,19 @@ def of_input(input: int | None, names: Sequence[str] | None = None) -> str:
 
 
 def _shifts(lower: _Limit, upper: _Limit, nominal: float, of_one: str) -> str:
-    """The interval of delays that differ, each as wrong as the others, in words."""
+    """The common change of delays that differ from each other, in words."""
+    text = f"if the true delays{of_one} all change by the same time"
     if lower.mode is None and math.isinf(upper.delay):
-        return f"whatever the true delays{of_one}, all wrong by as much"
+        return f"{text}, however long"
     shorter = f"up to {inwards(nominal - lower.delay, 0.0)} s shorter"
     longer = f"up to {inwards(upper.delay - nominal, 0.0)} s longer"
     if lower.mode is None:
-        shorter = "shorter by any time"
+        shorter = "any time shorter"
     if upper.mode is None:
         longer = f"{longer} (more was not tried)"
     if math.isinf(upper.delay):
-        longer = "longer by any time"
-    return f"while the true delays{of_one} are all {shorter} or all {longer}, by as much each"
+        longer = "any time longer"
+    return f"{text}: {shorter} or {longer}"
 
 
 def delay_margin(
@@ -278,12 +287,12 @@ def delay_margin(
     input: int | None = None,
     **signals: Unpack[SignalOptions],
 ) -> DelayMargin:
-    r"""The true delays that a law tolerates: it keeps its table, the plant's delay differs.
+    r"""The true delays that a law tolerates: its table stays, the plant's delay changes.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth at its nominal delay; the law has a model of its own.
+        The true plant at its nominal delay; the law has a model of its own.
     law : Law
         A law that is a table.
     step : float or None
@@ -291,34 +300,33 @@ def delay_margin(
     dwell_time : float, one per mode, or SignalClass, optional
         Without it, the mode is constant: exact, from the spectrum. With it, proved for every
         switching signal with this dwell time and every constant delay between `lower` and
-        `upper`, in seconds; of several that move, with all of them wrong by the same time. That
-        each is wrong by another time is what `certify` with `delays` proves.
+        `upper`, in seconds; several delays change by the same time. For delays that change by
+        different times, use `certify` with `delays`.
     upto : float, optional
-        The longest true delay that is tried, in seconds. By default ten times the nominal one; or
-        ten times :math:`1/\omega`, :math:`\omega` the highest frequency at which the loop's gain
-        may be 1, where that is longer. Of several delays, that of the shortest that moves, by
-        default ten times the longest.
+        The longest true delay that is tried, in seconds. By default ten times the nominal one or
+        ten times :math:`1/\omega`, whichever is longer, with :math:`\omega` the highest frequency
+        at which the loop's gain may be 1. Of several delays, a value of the shortest that changes,
+        by default ten times the longest.
     input : int, optional
-        The input whose delay moves, in every mode by as many seconds, counted from 0; the other
-        inputs keep theirs. By default those of all inputs move, by as many seconds. Inputs that
-        share one delay have a margin each, too.
+        The input whose delay changes, by the same time in every mode, counted from 0; the other
+        inputs keep their delays. By default the delays of all inputs change by the same time.
     **signals
-        With `dwell_time`: of the signals besides it, as `certify` takes them. A mode with a
-        `maximum_dwell` is never held, so that its own margin limits nothing.
+        With `dwell_time`: further properties of the signals, as `certify` takes them. A mode with
+        a `maximum_dwell` is never held, so its own margin limits nothing.
 
     Returns
     -------
     DelayMargin
-        `lower` and `upper` in seconds, of the one delay or of the shortest that moves; `shorter`
-        and `longer` say by how much every delay that moves may be wrong. None where there is no
-        margin, and `message` says which mode grows, or what could not be certified.
+        `lower` and `upper` in seconds, of the one delay or of the shortest that changes; `shorter`
+        and `longer` bound the common change. None without a margin; `message` then names the mode
+        that grows, or the reason why nothing was certified.
 
     Raises
     ------
     ArgumentError
         As by `growth_rate` and `certify`; if there is no such input; if `signals` are given
         without `dwell_time`; if `upto` is no longer than the nominal delay, or the delay holds so
-        many periods that the answer would take long.
+        many periods that the search would take long.
 
     Examples
     --------
@@ -344,19 +352,15 @@ def delay_margin(
         raise ArgumentError(
             "step must be given with dwell_time: certificates are of the digital loop."
         )
-    asked = SignalClass.of(dwell_time, **signals)
-    lasting = asked.limits(plant.modes).lasting
+    admissible = SignalClass.of(dwell_time, **signals)
+    lasting = admissible.limits(plant.modes).lasting
     constant = constant_delay_margin(plant, law, step, upto, input, held=lasting)
     if constant.lower is None or constant.upper is None:
         return constant
-    nominal = certify(plant, law, asked, step, decay_rate=0.0)
-    if not nominal.stable:
-        return replace(
-            constant,
-            lower=None,
-            upper=None,
-            message=f"There is no certified margin: {nominal.message}",
-        )
+    at_nominal = certify(plant, law, admissible, step, decay_rate=0.0)
+    if not at_nominal.stable:
+        message = f"There is no certified margin: {at_nominal.message}"
+        return replace(constant, lower=None, upper=None, message=message)
     moving, nominal = moving_delays(plant, input), constant.nominal
 
     def holds(low: float, high: float) -> bool:
@@ -364,17 +368,18 @@ def delay_margin(
         if input is not None or constant.differ:
             ends = _moved(plant, input, low - nominal), _moved(plant, input, high - nominal)
         options: dict[str, Any] = {"delays": ends, "decay_rate": 0.0, "search_signals": False}
-        return certify(plant, law, asked, step, **options).stable is True
+        return certify(plant, law, admissible, step, **options).stable is True
 
     offsets = np.unique(moving - nominal).tolist()
     known = bool(lasting)
     lower = _reach(nominal, constant.lower, step, offsets, holds, known)
     upper = _reach(nominal, constant.upper, step, offsets, holds, known)
-    stays, switches = asked.in_words(plant.modes)
-    free = asked.limits(plant.modes).is_free and asked.at == "anywhere"
+    stays, switches = admissible.in_words(plant.modes)
+    limits = admissible.limits(plant.modes)
+    free = limits.is_free and admissible.at == "anywhere"
     words = f"that {stays}" + ("" if free else f", and {switches}")
-    if asked.is_plain(plant.modes):
-        words = f"with a dwell time of {asked.limits(plant.modes).dwell_time[0]:g} s"
+    if admissible.is_plain(plant.modes):
+        words = f"with a dwell time of {limits.dwell_time[0]:g} s"
     message = (
         f"Proved for every signal {words}: stable for {_range(lower, upper, constant)}. "
         f"Without switches: {constant.message}"
@@ -393,8 +398,8 @@ def _range(lower: float, upper: float, constant: DelayMargin) -> str:
     if constant.differ:
         shorter, longer = inwards(nominal - lower, 0.0), inwards(upper - nominal, 0.0)
         return (
-            f"all constant true delays{of_one} from {shorter} s shorter to {longer} s longer, "
-            "all by as much"
+            f"every constant common change of the true delays{of_one} from {shorter} s shorter to "
+            f"{longer} s longer"
         )
     return (
         f"every constant true delay{of_one} between {inwards(lower, nominal)} s and "
@@ -411,11 +416,13 @@ def _reach(
     holds: Callable[..., bool],
     near: bool,
 ) -> float:
-    """The delay up to which, from the nominal one towards a limit, all pieces hold, in seconds.
+    """The farthest delay from the nominal one towards a limit with all pieces certified, seconds.
 
-    A piece ends where the delay plus one of the offsets is a multiple of the period. Where the
-    limit is that of a mode, it is `near`, and pieces begin long. Where no mode may be held the loop
-    may be lost long before: they begin short, and double until one fails.
+        nominal  |--piece--|--piece--|-·-|        limit
+                           a multiple of the period less an offset
+
+    If the limit is that of a mode, it is `near`, and pieces begin long. If no mode may be held the
+    loop may be lost long before it: pieces begin short, and double until one fails.
     """
     sign = 1.0 if limit > nominal else -1.0
     farthest = min(abs(limit - nominal), MOST_PIECES * step)

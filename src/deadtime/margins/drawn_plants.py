@@ -1,4 +1,4 @@
-"""How many of the plants that an uncertain one may be a law keeps stable, each mode held."""
+"""Stability of a law on plants drawn from an uncertain one, each mode held."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DRAWN = 100
 
 @dataclass(frozen=True, eq=False)
 class DrawnStability(Frozen):
-    """How fast the loop grows on plants that were drawn (immutable).
+    """Growth rates of a loop on plants that were drawn (immutable).
 
     Attributes
     ----------
@@ -32,47 +32,43 @@ class DrawnStability(Frozen):
 
     @property
     def stable(self) -> int:
-        """On how many plants every mode decays."""
+        """The number of plants on which every mode decays."""
         return int((self.growth < 0.0).all(axis=1).sum())
 
     @property
-    def all_stable(self) -> bool:
-        """Whether that is all of them."""
-        return self.stable == len(self.growth)
-
-    @property
     def sentence(self) -> str:
-        """In words; it is a sample, and says nothing of switching."""
-        many, worst = len(self.growth), float(self.growth.max())
-        how = "decay" if worst < 0.0 else "grow"
-        slowest = f"the slowest at {as_rate(worst)} /s" if how == "decay" else (
-            f"the fastest grows at {as_rate(worst)} /s"
-        )  # fmt: skip
+        """The result in words; it is a sample, and says nothing of switching."""
+        worst = float(self.growth.max())
+        how = "slowest" if worst < 0.0 else "fastest grows"
         return (
-            f"Of {many} plants drawn from what is known of A, B and delays, {self.stable} decay in "
-            f"every mode held, {slowest}."
+            f"Of {len(self.growth)} plants drawn from what is known of A, B and delays, "
+            f"{self.stable} decay in every mode held, the {how} at {as_rate(worst)} /s."
         )
 
 
 def drawn_stability(
     known: PlantUncertainty, law: Law, step: float = 0.01, *, count: int = DRAWN, seed: int = 0
 ) -> DrawnStability:
-    """Whether a law's loop decays on plants drawn from an uncertain one, with each mode held.
+    """Growth rates of a law's loop on plants drawn from an uncertain one, with each mode held.
 
-    The law, and the model in it, stay what they are. A sample, no proof: were a plant drawn bad
-    with a probability above p, `count` draws would all be good with (1 − p)^count at most, so that
-    of 100 good ones p is below 3 % at 95 %.
+    The law keeps its model. This is a sample, not a proof: if a drawn plant were unstable with a
+    probability above p, `count` draws would all be stable with probability (1 − p)^count at most;
+    100 stable plants show p < 3 % at 95 % confidence.
 
     Parameters
     ----------
     known : UncertainPlant
-        Such as `Identification.uncertain`, or what a problem file says in [uncertainty].
+        Such as `Identification.uncertain`, or [uncertainty] of a problem file.
     law : Law
         A law that is a table, or an `OutputFeedback` of one.
     step : float
         Sampling period, in seconds.
     count, seed : int
-        How many plants, and of the random numbers.
+        The number of plants, and the seed of the random numbers.
+
+    Returns
+    -------
+    DrawnStability
 
     Raises
     ------
@@ -93,7 +89,7 @@ def drawn_stability(
     instance("known", known, PlantUncertainty)
     instance("law", law, Law)
     step = positive("step", step)
-    if not has_rates(law):
+    if not law.is_linear:
         raise ArgumentError(
             f"law must be a table, whose loop has growth rates; a {type(law).__name__} has none: "
             "simulate it on known.draw(…)."
@@ -102,15 +98,3 @@ def drawn_stability(
     modes = range(known.plant.modes)
     rates = [[growth_rate(one, law, mode, step) for mode in modes] for one in plants]
     return DrawnStability(np.array(rates))
-
-
-def has_rates(law: Law) -> bool:
-    """Whether a law's loop has growth rates at a period: whether it, or its inner law, is a table.
-
-    Examples
-    --------
-    >>> import deadtime as dt
-    >>> has_rates(dt.problems.paper().laws["averaged"])
-    True
-    """
-    return law.is_linear

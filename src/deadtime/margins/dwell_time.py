@@ -1,9 +1,9 @@
-"""The least dwell time: how long modes have to last for a loop to be stable, in a bracket.
+"""The least dwell time with which a loop is stable, in a bracket.
 
 Signals with a longer dwell time are among those with a shorter one, so stability is lost once and
-for all as it shrinks: in 1/τ_d this is the search of `bracket`. A growing signal refutes every
-dwell time up to its own shortest sojourn. So it is where modes have dwell times of their own, if
-they shrink together or one of them alone (`DwellShape`).
+for all as the dwell time shrinks: in 1/τ_d this is the search of `bracket`. A growing signal
+refutes every dwell time up to its own shortest sojourn. Both hold for a dwell time per mode, if all
+shrink in proportion or one of them alone (`DwellShape`).
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from deadtime.switching.signal_class import CLOCK_TOLERANCE, MOST_PERIODS, Signa
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
 
-SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described,
-AT_SAMPLES = 1.0 - 1e-10  # and where modes change at samples only there are none
-SHORT = 1e-9  # periods
-CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
-DOUBLINGS = 6  # of that, before giving up
-SAME = 1e-12  # of a dwell time, in 1/τ_d and back
+SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: certificates allow one switch in a period
+AT_SAMPLES = 1.0 - 1e-10  # periods, where modes change at samples only
+SHORT = 1e-9  # periods: a dwell time that stands for "any"
+CALM = 3.0  # time constants of the slowest mode: the first dwell time that is certified
+DOUBLINGS = 6  # of that, before the search ends without a proof
+SAME = 1e-12  # relative: round-off of a dwell time converted to 1/τ_d and back
 MOST_ROUNDED = MOST_PERIODS * (1.0 - 1e-9)  # of the longest dwell time, which round-off may miss
 
 
@@ -46,11 +46,11 @@ class DwellShape:
     weights : tuple of float, one per mode
         Dwell times over T, the least of them 1; 0 where the dwell time is fixed.
     signals : SignalClass
-        What stays of the signals; with a chatter above 1 T is an average dwell time.
+        The properties of the signals that stay; with a chatter above 1 T is an average dwell time.
     limits : SwitchingConstraint
         The longest sojourns, the switches, and the dwell times that are fixed.
     mode : int or None
-        The mode that moves alone.
+        The only mode whose dwell time changes, if not all change.
 
     Examples
     --------
@@ -68,7 +68,7 @@ class DwellShape:
 
     @classmethod
     def of(cls, modes: int, signals: SignalClass, mode: int | None = None) -> DwellShape:
-        """Of dwell times in proportion to those of a class of signals, or of one mode's alone."""
+        """Dwell times in proportion to those of a class of signals, or that of one mode alone."""
         limits = signals.limits(modes)
         if mode is not None and signals.chatter > 1:
             raise ArgumentError(
@@ -82,12 +82,12 @@ class DwellShape:
 
     @property
     def longest(self) -> float:
-        """The longest T, seconds: beyond it a mode would have to last longer than it may."""
+        """The longest T, seconds; beyond it a dwell time would exceed its longest sojourn."""
         pairs = zip(self.weights, self.limits.maximum_dwell, strict=True)
         return min(most / weight for weight, most in pairs if weight)
 
     def dwell_times(self, time: float) -> tuple[float, ...]:
-        """Of every mode, seconds."""
+        """The dwell time of every mode at T, seconds."""
         return tuple(
             min(time * weight, most) if weight else fixed
             for weight, most, fixed in zip(
@@ -100,7 +100,7 @@ class DwellShape:
         return replace(self.signals, dwell_time=one_or_each(self.dwell_times(time)))
 
     def admits(self, worst: WorstCase) -> float:
-        """The longest T with which a signal is admissible, seconds; inf where it always is."""
+        """The longest T with which a signal is admissible, seconds; inf if every T admits it."""
         if len(worst.modes) == 1:
             return math.inf
         visits = zip(worst.modes, worst.sojourns, strict=True)
@@ -109,35 +109,35 @@ class DwellShape:
 
     @property
     def alike(self) -> bool:
-        """Whether one dwell time of all modes is what moves."""
+        """Whether all modes have the same dwell time."""
         return self.mode is None and len(set(self.weights)) == 1
 
 
 @dataclass(frozen=True, eq=False)
 class LeastDwellTime:
-    """The shortest dwell time proved stable and the longest refuted, as `least_dwell_time` found.
+    """The shortest dwell time proved stable and the longest refuted, by `least_dwell_time`.
 
     Attributes
     ----------
     certified : float or None
         Seconds: with this dwell time, and so with any longer one, the loop is certified for every
-        admissible signal. Where modes have dwell times of their own, the shortest; of `mode`, its
-        own. None where no dwell time was certified.
+        admissible signal. If dwell times differ between modes, the shortest; of `mode`, its own.
+        None if no dwell time was certified.
     refuted : float or None
-        Seconds, likewise: with this dwell time, and so with any shorter one, a signal is known that
-        grows. Infinite where no dwell time is long enough; None if nothing was refuted.
+        Seconds, likewise: with this dwell time, and so with any shorter one, a growing signal is
+        known. Infinite if no dwell time is long enough; None if nothing was refuted.
     ratio : float or None
-        certified / refuted; None where one of them is missing.
+        certified / refuted; None if one of them is missing.
     proven : bool
         Whether the certificate is a proof.
     certificate : Certificate or None
-        The certificate at `certified`. It asks for no particular decay rate.
+        The certificate at `certified`, of no particular decay rate.
     witness : WorstCase or None
         The growing signal at `refuted`.
     message : str
-        The bracket in a sentence or two, and what kept it wide.
+        The bracket in a sentence or two, and the reason why it is no narrower.
     evaluations : tuple of (float, bool or None)
-        Every dwell time asked about, in rising order, and the answer: None where there is none.
+        Every dwell time tried, in rising order, and the answer: None for neither proof nor signal.
     certified_each, refuted_each : tuple of float, one per mode, or None
         The dwell times of every mode at `certified` and at `refuted`, seconds.
     """
@@ -169,24 +169,27 @@ def least_dwell_time(
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth, with two modes or more; the law has a model of its own.
+        The true plant, with two modes or more; the law has a model of its own.
     law : Law
-        A law that is a table, or an `OutputFeedback` of one. One that relies on a dwell time keeps
-        relying on its own.
+        A law that is a table, or an `OutputFeedback` of one. The dwell time that a law assumes does
+        not change.
     step : float
         Sampling period h > 0, seconds.
     ratio : float
-        How close is close enough: the search ends when certified / refuted ≤ ratio, or when there
-        is no answer between them.
+        The search ends when certified / refuted ≤ ratio, or when there is no answer between them.
     dwell_time : float, one per mode, or SignalClass, optional
-        The dwell times of the modes, seconds, of which the search keeps the proportions: by how
-        much may they all shrink, or must they grow? By default all modes have the same.
+        The dwell times of the modes, seconds; the search scales all by one factor. By default all
+        modes have the same.
     mode : int, optional
-        Search the dwell time of this mode alone; the others keep theirs of `dwell_time`.
+        Search the dwell time of this mode alone; the others keep their `dwell_time`.
     **signals
-        Of the signals besides `dwell_time`, as `certify` takes them. They stay. A mode with a
+        Further properties of the signals, as `certify` takes them; they stay. A mode with a
         `maximum_dwell` is never held; with `chatter` above 1 the least *average* dwell time is
         sought, and signals that keep it in every sojourn refute it.
+
+    Returns
+    -------
+    LeastDwellTime
 
     Raises
     ------
@@ -197,8 +200,8 @@ def least_dwell_time(
     Notes
     -----
     A few proofs and a few searches for growing signals: seconds for small loops, minutes for
-    N = 100. Dwell times of a period or less are not asked about, unless the mode changes at samples
-    only: then none below a period.
+    N = 100. Dwell times of a period or less are not tried; if the mode changes at samples only,
+    none below a period.
 
     Examples
     --------
@@ -255,7 +258,7 @@ def least_dwell_time(
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
     most = min(shape.longest, MOST_ROUNDED * step / max(shape.weights) / shape.signals.chatter)
-    # After a calm dwell time not much is left of what a switch stirred up.
+    # After a few time constants the transient of a switch has decayed: a proof is likely there.
     calm = max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
     longest = _certified_dwell_time(questions, min(calm if rates else 0.5 * most, most), most)
     if longest is None:
@@ -265,7 +268,7 @@ def least_dwell_time(
 
 
 def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) -> Questions:
-    """The questions of `bracket` about 1/T; answers are remembered."""
+    """The questions of `bracket` about 1/T; certificates and witnesses are kept."""
     from deadtime.certificates import certify, falsify
 
     @cache
@@ -301,7 +304,7 @@ def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) 
 def _without_proof(questions: Questions, worst: WorstCase, shape: DwellShape) -> LeastDwellTime:
     refuted = shape.admits(worst) if worst.grows else None
     evaluations = _evaluations(questions)
-    reason = questions.proof(min(questions.answers)).message  # by its own number: it is remembered
+    reason = questions.proof(min(questions.answers)).message  # cached: the longest that was tried
     each = _each(evaluations[-1][0], shape)
     return LeastDwellTime(
         None,
@@ -361,7 +364,7 @@ def _each(time: float, shape: DwellShape, *, up: bool = False) -> str:
 
 
 def in_words(dwell_time: float, *, up: bool = False) -> str:
-    """Five digits, rounded to the side on which what is said of it stays true.
+    """Five digits, rounded up or down so that the statement stays true.
 
     Examples
     --------

@@ -1,10 +1,10 @@
-"""The gain margin while one mode lasts: inputs that act more or less than the law believes.
+"""The gain margin of constant modes: factors k of the inputs' effect that leave the loop stable.
 
-With every input's effect k times the plant's, the loop of one mode has a root at the frequency ω if
-I − k L(ω) is singular, L = M⁻¹ r p being the loop's gain at the plant's input
-(`deadtime.spectrum.response`). So a root can only cross the limit of stability at a k = 1/λ with
-a positive real eigenvalue λ of L(ω). These are where the curve of an eigenvalue crosses the
-positive real axis, or ends on it at the highest and the lowest frequency.
+With the effect of every input multiplied by k, the loop of one mode has a root at the frequency ω
+if I − k L(ω) is singular, L = M⁻¹ r p being the loop's gain at the plant's input
+(`deadtime.spectrum.response`). So a root can cross the limit of stability only at a k = 1/λ with
+a positive real eigenvalue λ of L(ω). There the curve of an eigenvalue crosses the positive real
+axis, or ends on it at the highest or the lowest frequency.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from deadtime.spectrum.held_mode_checks import require_affordable, require_const
 from deadtime.spectrum.response import IdealResponse, Response
 
 _TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
-_LARGEST = 1e6  # factors beyond are as good as infinite
-_TRIED = 40  # intervals of factors at which an unstable loop may be stable
-_ROUND_OFF = 0.1  # of the least growth: what may become of a loop that only just decays
+_LARGEST = 1e6  # a larger factor counts as infinite
+_TRIED = 40  # intervals of factors in which an unstable loop may be stable
+_ROUND_OFF = 0.1  # of the least growth: growth of a loop that decays, by round-off
 _Factors = tuple[float, float]
 _End = tuple[float, int | None]  # a factor and the mode that is lost there
 
@@ -45,17 +45,17 @@ class GainMargin(Frozen):
     ----------
     lower, upper : float or None
         The open interval of factors around 1 with every constant mode stable. 0: stable down to
-        no effect at all. ∞: however much more. None: a mode is unstable already.
+        no effect at all. ∞: stable for any larger factor. None: a mode is unstable at 1.
     lower_mode, upper_mode : int or None
-        The mode that is lost there; None where none is. Without an interval, the mode that grows
+        The mode that is lost there; None if none is. Without an interval, the mode that grows
         fastest.
     growth : (modes,)
         The growth rate in each mode at the factor 1, 1/s.
     message : str
         The same in a sentence.
     stabilising : (float, float) or None
-        Where a mode is unstable already, the open interval of factors that would make every
-        constant mode stable, the nearest to 1; None where there is none, or no need.
+        If a mode is unstable at 1, the open interval of factors nearest to 1 that makes every
+        constant mode stable; None if there is none, or every mode is stable.
     """
 
     lower: float | None
@@ -68,7 +68,7 @@ class GainMargin(Frozen):
 
 
 def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> GainMargin:
-    """By what factor the inputs' effect B may be wrong under constant switching signals.
+    """The factors of the inputs' effect B with which every constant mode is stable.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
     Raises
     ------
     ArgumentError
-        As by `growth_rate`, and if the delay holds so many periods that the answer would take
+        As by `growth_rate`, and if the delay holds so many periods that the search would take
         long.
 
     Notes
     -----
-    With several modes the loop may be lost earlier, by switching: that needs a certificate
-    (`stability_margin`).
+    Switching between modes may destabilise the loop earlier; `stability_margin` proves a margin
+    for every admissible signal.
 
     Examples
     --------
@@ -112,9 +112,9 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
     if growth.max() >= 0.0:
         worst = int(growth.argmax())
         what = not_decaying(plant, growth[worst])
-        text = f"there is no gain margin: held in mode {worst} the loop {what}"
         factors, stable = _stabilising(plant, law, step)
-        text = f"{text}; {_cure(factors, stable)}"
+        text = f"there is no gain margin: held in mode {worst} the loop {what}; "
+        text += _cure(factors, stable)
         return GainMargin(None, None, worst, worst, growth, text, factors if stable else None)
     lower, upper = _around(plant, law, step)
     return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, _sentence(lower, upper))
@@ -138,7 +138,7 @@ def _interval(
     grown = _ROUND_OFF * least_growth(plant)
 
     def limit(outwards: list[float]) -> float | None:
-        """The first factor beyond which the mode is lost; the last is as far as any matters."""
+        """The first of the factors beyond which the mode is lost; None if it is not at the last."""
 
         def is_lost(factor: float) -> bool:
             return growth_rate(_acting(factor, plant), law, mode, step) >= grown
@@ -171,7 +171,7 @@ def _acting(factor: float, plant: SwitchedSystem) -> SwitchedSystem:
 
 
 def _reaches(step: float | None) -> list[float]:
-    """Up to which factors to look, in turn."""
+    """The largest factors of successive searches: without a step, larger ones cost more."""
     return [_LARGEST] if step is not None else (_LARGEST ** np.linspace(0.2, 1.0, 5)).tolist()
 
 
@@ -188,10 +188,10 @@ def _crossings(
 
 
 def _stabilising(plant: SwitchedSystem, law: Law, step: float | None) -> tuple[_Factors, bool]:
-    """The interval of factors, the nearest to 1, that leaves every constant mode stable, and True.
+    """The interval of factors nearest to 1 that makes every constant mode stable, and True.
 
-    Between two crossings of any mode the number of roots that grow does not change in any. Without
-    one among the `_TRIED` nearest to 1: the factors looked at, and False.
+    The number of growing roots is constant between two neighbouring crossings, so one factor of
+    each interval decides. If none of the `_TRIED` nearest to 1 is stable: the range tried, False.
     """
 
     def decays(factor: float) -> bool:
@@ -217,7 +217,10 @@ def _stabilising(plant: SwitchedSystem, law: Law, step: float | None) -> tuple[_
 
 
 def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"]:
-    """Every factor at which a root lies at the limit of stability, increasing."""
+    """Every factor at which a root lies at the limit of stability, increasing.
+
+    Frequencies are added until no eigenvalue of L turns by more than `_TURN` between two.
+    """
     highest = response.highest
     count = int(8.0 * highest * (response.memory + delay)) + 256
     omega = np.linspace(1e-9, 1.0 - 1e-9, count) * highest
@@ -237,7 +240,7 @@ def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"
     crossing = (imag[1:] * imag[:-1] < 0.0) & (real[1:] + real[:-1] > 0.0)
     found: list[Any] = []
     for end in (0.0, highest):
-        # A plant that integrates has an infinite gain at frequency 0: no factor ends there.
+        # An integrating plant has an infinite gain at frequency 0, so no factor there.
         with np.errstate(over="ignore", invalid="ignore"):
             values: Any = _gains(response, np.array([end]), delay).ravel().tolist()
         found += [z.real for z in values if abs(z.imag) <= 1e-9 * abs(z) < math.inf]
@@ -289,7 +292,7 @@ def _sentence(lower: _End, upper: _End) -> str:
 
 
 def _cure(factors: _Factors, stable: bool) -> str:
-    """Say which effect of the inputs would make an unstable loop stable, or the range tried."""
+    """The factors that would make an unstable loop stable, or the range tried, for sentences."""
     low, high = factors
     if not stable:
         tried = f"{inwards(low, 1.0)} to {inwards(high, 1.0)}"

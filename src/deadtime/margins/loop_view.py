@@ -1,14 +1,14 @@
-"""A loop as engineers look at it: loci, sensitivity, and its margins of phase and disk, by mode.
+"""Frequency responses of a loop: loci, sensitivities, phase and disk margins, by mode.
 
-With one mode held let L be what goes round the loop (`loop_transfer`, python-control's sign) and
-λ_j its eigenvalues. All inputs k times as strong are on the limit of stability where k λ_j = −1,
-all with a phase lag φ more where e^{−iφ} λ_j = −1. With S = (I + L)⁻¹ and T = I − S,
+With one mode held let L be the loop transfer function (`loop_transfer`, python-control's sign) and
+λ_j its eigenvalues. With a factor k at all inputs the loop is at the limit of stability where
+k λ_j = −1, with an additional phase lag φ where e^{−iφ} λ_j = −1. With S = (I + L)⁻¹ and T = I − S,
 
     α = 1/max_ω σ((S − T)/2):
 
-L changed by any factor of the disk {(1 + δ/2)/(1 − δ/2): |δ| < α} is stable (Seiler, Packard and
-Gahinet, IEEE Control Systems Magazine 40(5), 2020, section 5, with skew 0). For one channel no
-larger disk is; for several, each with a factor of its own, this is a lower bound.
+L times any factor of the disk {(1 + δ/2)/(1 − δ/2): |δ| < α} is stable (Seiler, Packard and
+Gahinet, IEEE Control Systems Magazine 40(5), 2020, section 5, with skew 0). For one channel this is
+the largest such disk; for several, each with its own factor, it is a lower bound.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ def loop_transfer(
     at: str = "input",
     frequencies: ArrayLike | None = None,
 ) -> Any:
-    r"""The transfer function of a loop cut open, with one mode held, for python-control.
+    r"""The loop transfer function with one mode held, for python-control.
 
     The sign is python-control's: the closed loop is `control.feedback(L)`, and a single loop
-    encircles −1. With the plant from its inputs to what is measured, :math:`P`, and the law from
-    what is measured to the inputs that it asks for, K (the law's own past inputs are within it),
+    encircles −1. With the plant P from its inputs to the measurement and the law K from the
+    measurement to the commanded inputs (K contains the feedback of past inputs),
 
     .. math::
 
@@ -68,11 +68,11 @@ def loop_transfer(
         Sampling period h, s: the loop at samples, delays of any length included exactly. None
         for the ideal loop, which is no finite system and is given at `frequencies`.
     at : "input" or "output"
-        Where it is cut: at the m inputs of the plant, or at the n states, or p outputs, that are
-        measured.
+        The point at which the loop is opened: the m inputs of the plant, or the n measured states
+        or p outputs.
     frequencies : array_like, shape (K,), optional
-        rad/s, positive, increasing, up to :math:`\pi/h`: the response there, exactly. It costs no
-        more for a delay of many periods, as a system with all inputs in flight as states does.
+        rad/s, positive, increasing, up to :math:`\pi/h`: the exact response at these. Its cost does
+        not depend on the delay, while the order of a state-space model grows with it.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def loop_response(
 
 
 def check_frequencies(frequencies: ArrayLike, step: float | None) -> Float[np.ndarray, " point"]:
-    """Positive, increasing frequencies that a period tells apart, rad/s."""
+    """Positive, increasing frequencies up to the Nyquist frequency, rad/s, checked."""
     omega = real_array("frequencies", frequencies, "(K,)", 1)
     if not omega.size or omega[0] <= 0.0 or (np.diff(omega) <= 0.0).any():
         raise ArgumentError("frequencies must be positive and increase, in rad/s.")
@@ -166,14 +166,14 @@ class ModeView(Frozen):
     sensitivity, complementary : (K,)
         The largest singular values of S and T.
     phase : float or None
-        How much more lag every channel may have, degrees; None where no eigenvalue has
-        modulus 1, and where the loop is not stable.
+        Phase margin: the additional lag of every channel that is tolerated, degrees; None if no
+        eigenvalue has modulus 1, or the loop is not stable.
     phase_frequency : float or None
-        Where, rad/s.
+        Its frequency, rad/s.
     disk : float or None
-        α; None where the loop is not stable.
+        Disk margin α; None if the loop is not stable.
     disk_frequency : float or None
-        Where the disk is smallest, rad/s.
+        The frequency of the smallest disk, rad/s.
     """
 
     mode: int
@@ -187,14 +187,14 @@ class ModeView(Frozen):
 
     @property
     def disk_gain(self) -> float | None:
-        """The factor by which every channel may be stronger, or weaker, within the disk."""
+        """The largest real factor of every channel within the disk; its inverse is the smallest."""
         if self.disk is None:
             return None
         return (2.0 + self.disk) / (2.0 - self.disk) if self.disk < 2.0 else math.inf
 
     @property
     def disk_phase(self) -> float | None:
-        """The phase by which every channel may be off within the disk, degrees."""
+        """The largest phase error of every channel within the disk, degrees."""
         return None if self.disk is None else 2.0 * math.degrees(math.atan(self.disk / 2.0))
 
 
@@ -212,7 +212,7 @@ class LoopView(Frozen):
     delay : DelayMargin
         `deadtime.delay_margin`, of constant modes.
     at : "input" or "output"
-        Where the loop is cut; gain and delay margins are those at the plant's input.
+        Where the loop is opened; gain and delay margins are those at the plant's input.
     """
 
     omega: Float[np.ndarray, " K"]
@@ -229,7 +229,7 @@ def loop_view(
     at: str = "input",
     frequencies: ArrayLike | None = None,
 ) -> LoopView:
-    """Loci, sensitivity and margins of a loop in every mode that is held.
+    """Loci, sensitivities and margins of a loop with each mode held.
 
     Parameters
     ----------
@@ -240,15 +240,15 @@ def loop_view(
     step : float or None
         Sampling period h, s; None for the ideal loop.
     at : "input" or "output"
-        Where the loop is cut open.
+        Where the loop is opened.
     frequencies : array_like, shape (K,), optional
-        rad/s; by default from a tenth of the slowest motion up to π/h, or to where nothing goes
-        round any more, close enough for the turns of the longest delay.
+        rad/s; by default from a tenth of the slowest motion up to π/h, or 100 times the fastest
+        motion of an ideal loop, close enough for the phase of the longest delay.
 
     Returns
     -------
     LoopView
-        Margins of phase and disk are refined between the frequencies to 1e-9.
+        Phase and disk margins are refined between the frequencies to 1e-9.
 
     Examples
     --------
@@ -328,7 +328,7 @@ def _disk_margin(response: partial, omega: np.ndarray, S: np.ndarray) -> tuple[f
 
 
 def _default(plant: SwitchedSystem, law: Law, step: float | None) -> Float[np.ndarray, " K"]:
-    """From a tenth of the slowest motion to the highest frequency, close enough for every turn."""
+    """From a tenth of the slowest motion up, close enough for the phase of the longest delay."""
     rates = np.abs(np.linalg.eigvals(plant.A)).ravel()
     slowest = min(float(rates[rates > 0.0].min(initial=np.inf)), 1.0 / plant.longest_delay)
     fastest = max(float(rates.max()), 1.0 / plant.shortest_delay)

@@ -1,7 +1,7 @@
-"""The longest lag of the mode: how late a law may be told it, proved and refuted.
+"""The longest mode detection delay (mode lag) that a loop tolerates, proved and refuted.
 
-A longer lag is not a harsher one: stability need not be lost once and for all as it grows. So what
-is proved is proved lag by lag, and the bracket is about the lags that were asked about.
+Stability need not be monotone in the lag. So each lag has its own proof, and the bracket is about
+the lags that were tried.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from deadtime.switching.signal_class import SignalOptions
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
 
-DELAYS = 2.0  # and as many dwell times: lags that are tried
+DELAYS = 2.0  # the longest lag that is tried, in sums of the delay and the longest dwell time
 
 
 @dataclass(frozen=True, eq=False)
 class LongestModeLag:
-    """How late a law may be told the mode, as `longest_mode_lag` found it; lags are in periods.
+    """The mode detection delays that a loop tolerates, in periods, by `longest_mode_lag`.
 
     Attributes
     ----------
     certified : int or None
-        With this lag, and with every shorter one that was asked about, the loop is proved stable
-        for every admissible signal. None where not even without a lag.
+        With this lag, and with every shorter one that was tried, the loop is proved stable for
+        every admissible signal. None if it is not proved even without a lag.
     refuted : int or None
-        The shortest lag asked about with which a signal is known that grows.
+        The shortest lag tried with which a growing signal is known.
     step : float
         The period, seconds.
     reads_mode : bool
-        Whether the law reads the mode at all; if not any lag is as good as none, and `certified` is
-        the longest that was allowed.
+        Whether the law reads the mode; if not, no lag has an effect, and `certified` is the longest
+        lag that was allowed.
     certificate : Certificate or None
         The proof at `certified`, of no particular decay rate.
     witness : WorstCase or None
@@ -52,7 +52,7 @@ class LongestModeLag:
     message : str
         The same in a sentence or two.
     evaluations : tuple of (int, bool or None)
-        Every lag asked about, ascending, and the answer: None where there is none.
+        Every lag tried, ascending, and the answer: None for neither proof nor growing signal.
     """
 
     certified: int | None
@@ -84,24 +84,28 @@ def longest_mode_lag(
     upto: int | None = None,
     **signals: Unpack[SignalOptions],
 ) -> LongestModeLag:
-    """The longest lag with which the law may be told the mode, proved, and the shortest refuted.
+    """The longest mode detection delay proved stable, and the shortest refuted.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth.
+        The true plant.
     law : Law
         A law that is a table, as `certify` takes it.
     dwell_time : float, one per mode, or SignalClass
-        Shortest sojourn, seconds; or all that is known of the signals.
+        Shortest sojourn, seconds; or the class of admissible signals.
     step : float
         Sampling period h > 0, seconds.
     upto : int, optional
-        The longest lag to ask about, in periods; by default twice the delay and twice the longest
-        dwell time together.
+        The longest lag to try, in periods; by default twice the sum of the delay and the longest
+        dwell time.
     **signals
-        Of the signals besides `dwell_time`, as `certify` takes them; without `mode_lag`, which is
+        Further properties of the signals, as `certify` takes them, without `mode_lag`, which is
         sought, and `lost_samples`.
+
+    Returns
+    -------
+    LongestModeLag
 
     Raises
     ------
@@ -110,9 +114,9 @@ def longest_mode_lag(
 
     Notes
     -----
-    Lags 0, 1, 2, 4, … until one is not proved, then by halves; so with a gap that is asked about
-    at both ends `certified` + 1 was not proved. The same for signals. A few certificates
-    (`certify`) and a few searches (`falsify`).
+    Lags 0, 1, 2, 4, … are tried until one is not proved, then bisection: `certified` + 1 was tried
+    and not proved. Likewise for growing signals. A few certificates (`certify`) and a few searches
+    (`falsify`).
 
     Examples
     --------
@@ -157,16 +161,16 @@ def longest_mode_lag(
         return _result(asked, None, refuted, step, most)
     refuted = None
     if beyond is not None:
-        first = lambda lag: not asked.worst(beyond + lag).grows  # noqa: E731
-        _, more = _edge(first, most - beyond)
+        _, more = _edge(lambda lag: not asked.worst(beyond + lag).grows, most - beyond)
         refuted = None if more is None else beyond + more
     return _result(asked, certified, refuted, step, most)
 
 
 def _edge(holds: Callable[[int], bool], most: int) -> tuple[int | None, int | None]:
-    """A number up to which something held where asked, and one, right after it, where it did not.
+    """Two successive numbers: `holds` is true at the first and false at the second.
 
-    The first is None where it does not hold at 0, the second where it holds at `most`.
+    By doubling and bisection, of a condition that need not be monotone. The first is None if it is
+    false at 0, the second if it is true at every number tried up to `most`.
 
     Examples
     --------
@@ -191,7 +195,7 @@ def _edge(holds: Callable[[int], bool], most: int) -> tuple[int | None, int | No
 
 
 class _LagQuestions:
-    """The two questions about a lag; answers are remembered."""
+    """Certificates and worst signals by lag, each computed once."""
 
     def __init__(self, plant: SwitchedSystem, law: Law, signals: SignalClass, step: float) -> None:
         from deadtime.certificates import certify, falsify

@@ -1,4 +1,4 @@
-"""`robustness`: what one loop tolerates, each answer with a sentence."""
+"""`robustness`: the errors that a loop tolerates, each with a sentence."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ from deadtime.margins.tolerance import (
     RobustnessRuns,
     Tolerance,
     noise_price,
-    sweep as _sweep,
-    tolerance_of as _tolerance_of,
+    tolerance_of,
 )
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.plant import SwitchedSystem
@@ -31,9 +30,8 @@ from deadtime.simulation.initial_input import InitialInput
 from deadtime.spectrum.held_mode_checks import why_left_out
 from deadtime.switching import Rule, SwitchingSignal
 
-_DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-_FINE = 0.1  # of a probability, relative
-_LOSES = ("none", "loses the plant", "")
+_LOST_SHARES = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_FINE = 0.1  # relative, of a share of lost samples: runs of 20 scenarios tell no more
 _MARGINS = ("delay margin", "gain margin")
 STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "noise")
 
@@ -48,25 +46,25 @@ class Robustness:
         The loop.
     delay : DelayMargin or None
         True delays that keep every constant mode stable, from the spectrum; None for a law that is
-        no table, and where it is `left_out`.
+        no table, and if it is `left_out`.
     gain : GainMargin or None
-        Factors of the inputs' effect that do; None likewise.
+        Factors of the inputs' effect that keep every constant mode stable; None likewise.
     drops : Tolerance
         Probability of losing a sample.
     late : Tolerance
-        Periods by which every sample is late, the law not knowing.
+        Periods by which every sample is late, unknown to the law.
     lag : Tolerance or None
-        Periods by which the mode is told late; None for a law that does not read the mode.
+        Mode detection delay, in periods; None for a law that does not read the mode.
     noise : NoisePrice
-        What measurement noise costs.
+        The effect of measurement noise on the cost.
     sentences : tuple of str
-        All of it, in words.
+        The results, in words.
     weight : Weight or None
         Of the cost; None for the identity.
     of_inputs : tuple of DelayMargin
-        With several delays, what the delay of each input alone may be.
+        With several delays, the margin of the delay of each input alone.
     left_out : tuple of str
-        Which of "delay margin" and "gain margin" would have taken long; `sentences` say why.
+        Those of "delay margin" and "gain margin" that would have taken long; `sentences` say why.
     """
 
     plant: SwitchedSystem
@@ -100,15 +98,15 @@ def robustness(
     names: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Robustness:
-    """How large errors a loop tolerates: delay, gain, lost and late samples, late modes, noise.
+    """The errors that a loop tolerates: delay, gain, lost and late samples, late modes, noise.
 
-    Errors of delay and gain are those that leave every constant mode stable, exact from the
-    spectrum; of several delays, those of all at once and of each input alone. Where a delay of very
-    many periods would make them take long they are left out, and a sentence says so. The rest is
-    simulated on the given signal: a run counts as lost when it diverges, its loop grows, or
-    :math:`|x|` ends above where it started. Where that says nothing, because x is pushed, starts at
-    0, or inputs are limited, a run must come to rest where the perfect loop does, which is pushed
-    alike and has no other imperfection; `docs/robustness.md` has the details.
+    Margins of delay and gain are those of constant modes, exact from the spectrum; of several
+    delays, of all together and of each input alone. They are left out, with a sentence, where a
+    delay of very many periods would make them take long. The rest is simulated on the given signal:
+    a run is lost when it diverges, its loop grows, or :math:`|x|` ends above its start. Where x is
+    pushed, starts at 0, or inputs are limited, a run must instead come to rest where the perfect
+    loop does, which has the same forces and no other imperfection; `docs/robustness.md` has the
+    details.
 
     Parameters
     ----------
@@ -119,13 +117,13 @@ def robustness(
     seed : int
         Of the first scenario; the others count on.
     imperfections : sequence of Imperfection
-        What every run has beside what is tried.
+        Imperfections of every run, besides the one that is varied.
     u0 : optional
         Inputs before time 0, as `simulate` takes them.
     weight : Weight, optional
         Of the cost; the identity by default.
     names : sequence of str, optional
-        What the inputs are called in `sentences`; by default they are counted.
+        Names of the inputs for `sentences`; numbers by default.
     progress : callable, optional
         Called with a few words before each of `len(STEPS)` pieces of work.
 
@@ -158,8 +156,7 @@ def robustness(
     if horizon <= plant.longest_delay:
         raise ArgumentError(
             f"horizon must be longer than the delay, {plant.longest_delay:g} s, got {horizon:g}: "
-            "until "
-            "then no input arrives."
+            "until then no input arrives."
         )
     weight = weight_of(weight, plant)
     setting = RobustnessRuns(
@@ -168,39 +165,40 @@ def robustness(
     expect_many_calls()
     if not setting.moves:
         raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
-    table = law.is_linear
     progress("delay margin")
-    dear = {asked: why_left_out(asked, plant, law, step) for asked in _MARGINS if table}
-    left_out = tuple(asked for asked, why in dear.items() if why)
-    delay = constant_delay_margin(plant, law, step) if dear.get("delay margin") == "" else None
+    margins = _MARGINS if law.is_linear else ()
+    reasons = {margin: why_left_out(margin, plant, law, step) for margin in margins}
+    left_out = tuple(margin for margin, why in reasons.items() if why)
+    delay = constant_delay_margin(plant, law, step) if reasons.get("delay margin") == "" else None
     alone: tuple[DelayMargin, ...] = ()
     if delay is not None and plant.inputs > 1 and not plant.has_one_delay:
         each = range(plant.inputs)
         alone = tuple(constant_delay_margin(plant, law, step, None, j, names) for j in each)
     progress("gain margin")
-    gain = gain_margin(plant, law, step) if dear.get("gain margin") == "" else None
+    gain = gain_margin(plant, law, step) if reasons.get("gain margin") == "" else None
     progress("lost samples")
-    drops = _drops(setting)
+    drops = _lost_samples(setting)
     progress("late samples")
     most = max(1, int(horizon / step) // 4)
-    late = _whole(setting, LateSamples, most, "every sample may be", "late")
+    late = _periods_late(setting, LateSamples, most, "every sample may be")
     progress("detection lag")
     lag = None
     if _is_mode_reported(law, step, signal):
-        lag = _whole(setting, ModeDelay, most, "the mode may be reported", "late")
+        lag = _periods_late(setting, ModeDelay, most, "the mode may be reported")
     progress("noise")
     if drops.tolerated is None:
         noise = NoisePrice.unknown("the cost of noise cannot be computed: the runs fail without it")
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
-    margins = "but for the imperfections of every run, " if setting.imperfections else ""
-    sentences = [sentence_of(margins + part.message) for part in (delay, *alone, gain) if part]
-    sentences += [sentence_of(dear[asked]) for asked in left_out]
+    # The spectrum knows no imperfections.
+    ignoring = "ignoring the imperfections of every run, " if setting.imperfections else ""
+    sentences = [sentence_of(ignoring + part.message) for part in (delay, *alone, gain) if part]
+    sentences += [sentence_of(reasons[margin]) for margin in left_out]
     sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
     if lag is None:
         sentences.append("Mode detection delay has no effect: the law does not read the mode.")
     sentences.append(sentence_of(noise.message))
-    once = tuple(dict.fromkeys(sentences))
+    once = tuple(dict.fromkeys(sentences))  # tolerances that fail alike have the same sentence
     return Robustness(
         plant, law, step, delay, gain, drops, late, lag, noise, once, weight, left_out, alone
     )
@@ -216,14 +214,16 @@ def _is_mode_reported(law: Law, step: float, signal: SwitchingSignal | Rule) -> 
     return law.row_law.digital(step, *future).context in ("mode", "mode_age")
 
 
-def _drops(setting: RobustnessRuns) -> Tolerance:
+def _lost_samples(setting: RobustnessRuns) -> Tolerance:
 
     def between(good: float, bad: float) -> float | None:
         return 0.5 * (good + bad) if bad - good > max(_FINE * bad, 1e-3) else None
 
     def say(tolerated: float, failed: float | None, _: bool) -> str:
         upto = "" if failed is None else "up to "
-        which, what, some = ("each", setting.works, " not") if setting.compared else _LOSES
+        which, what, some = "none", "loses the plant", ""
+        if setting.compared:
+            which, what, some = "each", setting.works, " not"
         runs = "1 run" if setting.scenarios == 1 else f"{setting.scenarios} runs"
         text = (
             f"with {upto}{100 * tolerated:.3g} % of the samples lost {which} of {runs} "
@@ -231,16 +231,16 @@ def _drops(setting: RobustnessRuns) -> Tolerance:
         )
         return text if failed is None else f"{text}; with {100 * failed:.3g} % some do{some}"
 
-    swept = _sweep(setting, Dropout, _DROPS, between, setting.scenarios)
-    return _tolerance_of(swept, setting, say)
+    return tolerance_of(setting, Dropout, _LOST_SHARES, between, setting.scenarios, say)
 
 
-def _whole(
-    setting: RobustnessRuns, kind: Callable[[int], Imperfection], most: int, what: str, how: str
+def _periods_late(
+    setting: RobustnessRuns, kind: Callable[[int], Imperfection], most: int, what: str
 ) -> Tolerance:
     values = [0.0]
     while values[-1] < most:
         values.append(min(float(most), max(1.0, 2.0 * values[-1])))
+    # Lateness is not random: without other imperfections all scenarios are the same.
     scenarios = setting.scenarios if setting.imperfections else 1
 
     def between(good: float, bad: float) -> float | None:
@@ -248,14 +248,13 @@ def _whole(
 
     def say(tolerated: float, failed: float | None, bounded: bool) -> str:
         periods = "1 period" if tolerated == 1.0 else f"{tolerated:g} periods"
-        seconds = f"{periods} ({tolerated * setting.step:.3g} s) {how} {setting.where}"
+        seconds = f"{periods} ({tolerated * setting.step:.3g} s) late {setting.where}"
         fate = f"no longer {setting.works}" if bounded else "is lost"
         if failed is None:
             return f"{what} {seconds}, and more was not tried"
         if tolerated == 0.0:
             one = f"with one, {setting.step:g} s,"
-            return f"{what} no whole period {how} {setting.where}: {one} the loop {fate}"
+            return f"{what} no whole period late {setting.where}: {one} the loop {fate}"
         return f"{what} up to {seconds}; with {failed:g} the loop {fate}"
 
-    swept = _sweep(setting, lambda value: kind(int(value)), values, between, scenarios)
-    return _tolerance_of(swept, setting, say)
+    return tolerance_of(setting, lambda value: kind(int(value)), values, between, scenarios, say)

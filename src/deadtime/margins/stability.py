@@ -1,11 +1,11 @@
-"""Stability margin: the largest value of anything for which a loop is stable, in a bracket.
+"""Stability margin: the largest value of a parameter for which a loop is stable, in a bracket.
 
-The search spends few proofs and few searches. Whether a constant mode grows is told in
-milliseconds, so bisection finds where that begins; a proof is sought just below. Where a loop is
-lost to switching before, bisection with searches for witnesses goes on from there. Proofs that fail
-are sought further down, in steps that double, then by bisection. Stability need not be monotone in
-the value: constant modes are looked at for a few values below the proved end too, and where one
-grows the bracket moves below it.
+The search needs few certificates and few searches for growing signals. The growth of a constant
+mode takes milliseconds, so bisection finds the value at which it begins; a proof is sought just
+below. If switching destabilises the loop before, bisection with searches for witnesses continues
+from there. If a proof fails, others are sought further down, in steps that double, then by
+bisection. Stability need not be monotone in the value: constant modes are checked at a few values
+below the proved end too, and if one grows the bracket moves below it.
 """
 
 from __future__ import annotations
@@ -30,26 +30,25 @@ from deadtime.switching.signal_class import SignalOptions
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
 
-
-FLOOR = 1e-6  # of the interval asked for: closer than this nothing is searched
-CHECKS = 9  # values below the proved end at which constant modes are looked at
-ROUNDS = 8  # how often the bracket may move below a witness found there
+FLOOR = 1e-6  # of the interval: the narrowest gap that is searched
+CHECKS = 9  # values below the proved end at which constant modes are checked
+ROUNDS = 8  # how often the bracket may move below a mode that grows there
 
 
 @dataclass(eq=False)
 class Questions:
-    """The questions about a value, and a log of the answers.
+    """The three tests of a value, and the log of their answers.
 
     Attributes
     ----------
     grows : callable
-        From a value to whether some constant mode provably grows: the cheap question.
+        From a value to whether some constant mode provably grows: the cheap test.
     certify : callable
         From a value to a certificate (`.stable`, `.message`, `.witness`).
     falsify : callable
         From a value to the worst case found (`.grows`).
     answers : dict
-        From each value asked about to True, False or None.
+        From each value tested to stable (True), unstable (False) or unknown (None).
     """
 
     grows: Callable[[float], bool]
@@ -58,13 +57,11 @@ class Questions:
     answers: dict[float, bool | None] = field(default_factory=dict)
 
     def is_lost(self, value: float) -> bool:
-        """Whether a constant mode grows."""
         grows = self.grows(value)
         self._note(value, False if grows else None)
         return grows
 
     def proof(self, value: float) -> Any:
-        """The certificate at a value."""
         certificate = self.certify(value)
         self._note(value, certificate.stable)
         return certificate
@@ -83,7 +80,7 @@ class Questions:
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
-    """The result of the search, with fields as those of `StabilityMargin`."""
+    """The result of the search, with fields as in `StabilityMargin`."""
 
     certified: float
     certificate: Any
@@ -94,7 +91,7 @@ class Bracket:
 
 
 def bracket(ask: Questions, low: float, high: float, ratio: float) -> Bracket:
-    """Search [low, high] until refuted / certified ≤ ratio, or until answers stay away.
+    """Search [low, high] until refuted / certified ≤ ratio, or until nothing between is decided.
 
     Raises
     ------
@@ -128,7 +125,7 @@ class _BracketSearch:
     floor: float
 
     def width(self, value: float) -> float:
-        """Half the gap that is good enough near a value: one half for each end."""
+        """Half the gap at which the search ends near a value: one half for each end."""
         return max(0.5 * (1.0 - 1.0 / self.ratio) * abs(value), self.floor)
 
     def below(self, high: float) -> Bracket:
@@ -160,7 +157,7 @@ class _BracketSearch:
     def bisect(
         self, refuted: float, witness: Any, ask: Callable[[float], Any | None]
     ) -> tuple[float, float, Any]:
-        """The last value without an answer and the first with one, close to each other."""
+        """Neighbouring values: `ask` finds nothing at the first and a witness at the second."""
         last = self.low
         while refuted - last > self.width(refuted):
             middle = 0.5 * (last + refuted)
@@ -174,7 +171,7 @@ class _BracketSearch:
     def proofs(
         self, value: float, certificate: Any, refuted: float | None, witness: Any
     ) -> Bracket:
-        """Proofs from a value downwards, its own certificate known."""
+        """The bracket from certificates at and below a value whose own certificate is known."""
         good, proof, bad, reason = self.low, self.start, None, ""
         gap = self.width(value)
         while True:
@@ -185,7 +182,10 @@ class _BracketSearch:
             else:
                 bad, reason = value, certificate.message
             ceiling = bad if bad is not None else refuted
-            if ceiling is None or ceiling - good <= self.enough(ceiling, bad is not None):
+            if ceiling is None:
+                break
+            # Above a value without an answer another gap lies open: half the width is left here.
+            if ceiling - good <= (1.0 if bad is not None else 2.0) * self.width(ceiling):
                 break
             if good > self.low or ceiling - gap <= self.low + self.floor:
                 value = 0.5 * (good + ceiling)
@@ -193,10 +193,6 @@ class _BracketSearch:
                 value, gap = ceiling - gap, 2.0 * gap
             certificate = self.ask.proof(value)
         return Bracket(good, proof, refuted, witness, None if bad is None else (bad, reason))
-
-    def enough(self, ceiling: float, doubtful: bool) -> float:
-        """The gap below a ceiling that ends the search: half of it where more lies above."""
-        return (1.0 if doubtful else 2.0) * self.width(ceiling)
 
     def loss_below(self, found: Bracket) -> float | None:
         """The lowest of a few values below the proved end at which a constant mode grows."""
@@ -211,28 +207,28 @@ Loop = tuple[SwitchedSystem, Law]
 
 @dataclass(frozen=True, eq=False)
 class StabilityMargin:
-    """The largest value proved stable and the smallest refuted, as `stability_margin` found them.
+    """The largest value proved stable and the smallest refuted, by `stability_margin`.
 
     Attributes
     ----------
     certified : float
         The largest value for which the loop is certified for every admissible signal. Nothing
-        is said about the values between two that were asked about.
+        is known between two values that were tried.
     refuted : float or None
-        The smallest value for which a signal was found along which the loop provably grows; None
-        if none was.
+        The smallest value with a signal along which the loop provably grows; None if none was
+        found.
     ratio : float or None
-        refuted / certified; infinite where certified ≤ 0, None where refuted is None.
+        refuted / certified; infinite if certified ≤ 0, None if refuted is None.
     proven : bool
         Whether the certificate at `certified` is a proof.
     certificate : Certificate
-        The certificate at `certified`. It proves stability and asks for no particular rate.
+        The certificate at `certified`. It proves stability, with no particular decay rate.
     witness : WorstCase or None
         The growing signal at `refuted`.
     message : str
-        The bracket in a sentence or two, and what kept it wide.
+        The bracket in a sentence or two, and the reason why it is no narrower.
     evaluations : tuple of (float, bool or None)
-        Every value asked about, in rising order, and the answer: None where there is none.
+        Every value tried, in rising order, and the answer: None for neither proof nor signal.
     """
 
     certified: float
@@ -255,9 +251,8 @@ def stability_margin(
 ) -> StabilityMargin:
     r"""Bracket the largest value for which a loop is stable under every admissible signal.
 
-    The value may be anything that a function turns into a plant and a law; see the examples.
-
-    An error in the other direction is another function: ``lambda e: problem(-e)``.
+    The value is the argument of a function that returns a plant and a law; see the examples. For an
+    error in the other direction pass ``lambda e: problem(-e)``.
 
     Parameters
     ----------
@@ -266,16 +261,19 @@ def stability_margin(
     bounds : (low, high)
         The values to search between; the loop must be certified at `low`.
     dwell_time : float, one per mode, or SignalClass
-        :math:`\tau_d > 0`, seconds: the signals are all those that stay in each mode at least so
-        long; or all that is known of them.
+        :math:`\tau_d > 0`, seconds: admissible signals stay in each mode at least so long; or their
+        class.
     step : float
         Sampling period h > 0, seconds.
     ratio : float
-        How close is close enough: the search ends when refuted / certified ≤ ratio, or when
-        there is no answer between them.
+        The search ends when refuted / certified ≤ ratio, or when nothing between is decided.
     **signals
-        Of the signals besides `dwell_time`, as `certify` takes them. A mode with a `maximum_dwell`
-        is never held, so that its own growth refutes nothing.
+        Further properties of the signals, as `certify` takes them. A mode with a `maximum_dwell`
+        is never held, so its own growth refutes nothing.
+
+    Returns
+    -------
+    StabilityMargin
 
     Raises
     ------
@@ -284,15 +282,14 @@ def stability_margin(
 
     Notes
     -----
-    Where a constant mode that may last begins to grow is found by bisection, which is cheap;
-    `certify` is asked just below, and what it refutes or cannot tell is followed down with
-    `falsify` and `certify`, a few seconds each. Stability need not be monotone: constant modes are
-    looked at for nine values below the certified one, too, and where one grows the bracket is the
-    one below it.
+    Bisection, which is cheap, finds where a constant mode that may last begins to grow; `certify`
+    runs just below, and from there `falsify` and `certify`, a few seconds each, search downwards.
+    Stability need not be monotone: constant modes are also checked at nine values below the
+    certified one, and if one grows the bracket is the one below it.
 
     Examples
     --------
-    Four values worth asking about. Each function returns the true plant and the law:
+    Four parameters of interest. Each function returns the true plant and the law:
 
     >>> import deadtime as dt
     >>> plant, poles = dt.problems.paper().plant, [-1.0, -2.0]

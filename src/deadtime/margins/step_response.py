@@ -1,7 +1,7 @@
 """The step response of a loop with one mode held, exact at samples.
 
-A loop that tracks outputs is given a reference of 1 for one of them from time 0 on, at rest. Any
-other is pushed by a constant 1 at one of the plant's inputs, past the delay,
+A loop that tracks outputs starts at rest and has a reference of 1 for one of them from time 0 on.
+Any other has a constant disturbance of 1 at one of the plant's inputs, after the delay,
 
     dx/dt = A x + b_j + B u(t − D).
 """
@@ -24,16 +24,16 @@ from deadtime.simulation import simulate
 from deadtime.spectrum import growth_rate
 from deadtime.switching import SwitchingSignal
 
-_SETTLED = 10.0  # time constants of the slowest motion
-_ENOUGH = 4.0  # of them, so that the last value is the steady state to 2 %
+_SETTLED = 10.0  # time constants of the slowest motion: the default horizon
+_ENOUGH = 4.0  # time constants, after which the last value is the steady state to 2 %
 _MOST = 5_000  # samples
-_LEFT = 1e-3  # of the peak: a response that ends below has come back to 0
+_LEFT = 1e-3  # of the peak: a response that ends below has returned to 0
 _THRESHOLD, _FROM, _TO = 0.02, 0.1, 0.9  # of the steady state, as in python-control
 
 
 @dataclass(frozen=True, eq=False)
 class StepResponse(Frozen):
-    """A loop's answer to a step (immutable).
+    """The step response of a loop (immutable).
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class StepResponse(Frozen):
     time : (T,)
         Seconds.
     response : (T,)
-        The tracked output; of a loop that tracks nothing, what is measured.
+        The tracked output; without tracking, the measured state or output.
     tracks : bool
-        Whether the step is one of the reference, not of a push at the input.
+        Whether the step is in the reference; otherwise it is an input disturbance.
     growth : float
         The loop's growth rate, 1/s.
     """
@@ -58,9 +58,9 @@ class StepResponse(Frozen):
     def info(self) -> dict[str, float] | None:
         """The numbers of python-control's `step_info`, by its names and definitions; times in s.
 
-        The last value is the steady state. Where that is 0, as of a push that a sum of errors takes
-        up, there is a peak, and the time after which 2 % of that are left. None of a loop that
-        grows, or that has not settled by the end (four time constants): give a longer horizon.
+        The last value is the steady state. If that is 0, as with integral action against an input
+        disturbance, there are the peak and the time after which 2 % of it are left. None for a loop
+        that grows, or has not settled by the end (four time constants): give a longer horizon.
         """
         if self.growth * self.time[-1] > -_ENOUGH:
             return None
@@ -102,22 +102,22 @@ def step_response(
     output: int = 0,
     horizon: float | None = None,
 ) -> StepResponse:
-    """How a loop answers a step with one mode held.
+    """The step response of a loop with one mode held.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth; the law has a model of its own.
+        The true plant; the law has a model of its own.
     law : Law
-        With a servo its reference steps, otherwise an input is pushed.
+        With a servo its reference steps, otherwise an input disturbance does.
     mode : int
     step : float
         Sampling period h, s.
     channel : int
-        Which reference, or which input.
+        The reference, or the input, that steps.
     output : int
-        Of a loop that tracks nothing: which of what is measured, the state or the outputs. A loop
-        that tracks answers in the output whose reference steps.
+        Without tracking: the measured state or output that is returned. With tracking it is the
+        output whose reference steps.
     horizon : float, optional
         Seconds; by default ten time constants of the slowest motion and twice the delay, of 5,000
         samples at most.

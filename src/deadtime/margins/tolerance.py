@@ -1,13 +1,13 @@
-"""Tolerances by simulation: how far an imperfection may go before a loop fails to do its work.
+"""Tolerances by simulation: the largest value of an imperfection with which every run succeeds.
 
-An imperfection is tolerated up to a value if every run with it does its work there, and at every
-smaller value that was tried. A run is lost when it diverges, ends early, or its loop grows
-(`simulation.outcome`). One that stays bounded does not settle either when |x| ends above where it
-started. Where a force, noise or a reference pushes x, where limits of the input can keep any
-oscillation bounded, and from rest, that says nothing: there a run must do as the perfect loop does,
-which is pushed alike and has no other imperfection (`keeps_up`). Without limits the loop is linear,
-and where the run ends while its own motion still decays, the horizon is too short, not the loop at
-fault (`still_falls`).
+An imperfection is tolerated up to a value if every run succeeds there and at every smaller value
+that was tried. A run is lost when it diverges, ends early, or its loop grows
+(`simulation.outcome`). A bounded run fails, too, when |x| ends above its start. That test says
+nothing where a force, noise or a reference pushes x, where input limits keep any oscillation
+bounded, and from rest: there a run must end as the run of the perfect loop, which has the same
+force, noise and reference and no other imperfection (`keeps_up`). Without limits the loop is
+linear; if its own motion still decays when the run ends, the horizon is too short and the run does
+not fail (`still_falls`).
 """
 
 from __future__ import annotations
@@ -42,12 +42,13 @@ from deadtime.switching import Rule, SwitchingSignal
 Cost = Float[np.ndarray, " scenario"]
 KEPT, BOUNDED, LOST = range(3)  # how a run ends
 _TRIALS = 10
-_CROOKED = 0.3  # of what the largest noise adds: further off, the cost is not quadratic in it
+_DOUBLING = 0.01  # relative: 20 scenarios leave the doubling uncertain by several per cent
+_LEVEL = 2.5  # times the base, at twice the doubling: 5 in a linear loop; at 2 no noise adds more
 
 
 @dataclass(frozen=True, eq=False)
 class RobustnessRuns:
-    """The loop that is run, on which signal, and how often."""
+    """A loop, the signal that it runs on, and the random numbers of its runs."""
 
     plant: SwitchedSystem
     law: Law
@@ -68,24 +69,24 @@ class RobustnessRuns:
 
     @property
     def works(self) -> str:
-        """The words for a run that is neither lost nor fails."""
+        """The verb of a run that succeeds, for sentences."""
         rests = not self.compared or at_rest(self._perfect[0]) is not None
-        return "settles" if rests else "keeps up with the perfect loop"
+        return "settles" if rests else "stays near the run without imperfections"
 
     @property
     def where(self) -> str:
-        """The time and the signal of all tolerances, in words."""
+        """The horizon and the signal of every tolerance, for sentences."""
         return f"over {self.horizon:g} s of this signal"
 
     def costs(self, more: Sequence[Imperfection]) -> Cost:
-        """The cost of every scenario with more imperfections, as `priced` names it."""
+        """The cost of every scenario with more imperfections; `priced` names it."""
         whole = (*self.imperfections, *more)
         runs = (self._run(self.x0, whole, i) for i in range(self.scenarios))
         return np.array([self._price(run) for run in runs])
 
     @property
     def priced(self) -> str:
-        """The price of noise, in words: of a loop that follows a reference the error."""
+        """The cost of noise, for sentences; of a loop that follows a reference, the error."""
         return "the cost" if Followed.of(self.law) is None else "∫|r − y|²"
 
     def _price(self, run: Trajectory) -> float:
@@ -113,7 +114,7 @@ class RobustnessRuns:
 
     @cached_property
     def compared(self) -> bool:
-        """Whether |x| alone does not tell if a loop does its work."""
+        """Whether |x| alone does not show failure, so that the perfect loop is run as well."""
         pushed = is_pushed(self.law, self.imperfections)
         return self._limited or pushed or not self.x0.any()
 
@@ -123,7 +124,7 @@ class RobustnessRuns:
 
     @cached_property
     def _perfect(self) -> list[Trajectory]:
-        """The runs of every scenario with nothing but what pushes x."""
+        """The run of every scenario with only the imperfections that push x."""
         alone = pushes(self.imperfections)
         return [self._run(self.x0, alone, i) for i in range(self.scenarios)]
 
@@ -148,22 +149,22 @@ class RobustnessRuns:
 
 @dataclass(frozen=True, eq=False)
 class Tolerance(Frozen):
-    """How the runs fare as one imperfection grows (immutable).
+    """The runs with one imperfection at growing values (immutable).
 
     Attributes
     ----------
     values : (k,)
-        What was tried, increasing from 0.
+        Values tried, increasing from 0.
     cost : (k, scenarios)
         The cost of each run.
     lost : (k, scenarios) bool
         Whether a run is lost, or no longer settles.
     bounded : (k, scenarios) bool
-        Which of these stay bounded.
+        Whether a `lost` run stays bounded.
     tolerated : float or None
-        The largest value tried at and below which no run was `lost`; None where one is at 0.
+        The largest value tried at and below which no run was `lost`; None if one is lost at 0.
     failed : float or None
-        The smallest value at which one was; None where none was.
+        The smallest value tried at which a run was `lost`; None if there is none.
     message : str
         The same in a sentence.
     """
@@ -179,10 +180,11 @@ class Tolerance(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class NoisePrice(Frozen):
-    """The price of measurement noise: E cost = `base` + `slope`·std² in a loop that is linear.
+    """The price of measurement noise: the standard deviation that doubles the cost.
 
-    The cost of a loop that follows a reference is ∫|r − y|² here: at rest on its reference a loop
-    goes on costing ∫|x|² + |u|², beside which no noise shows.
+    In a linear loop E cost = `base` + `slope`·std² for every std; elsewhere this parabola is exact
+    at std = 0 and `doubling` alone. The cost of a loop that follows a reference is ∫|r − y|² here:
+    the effect of noise on ∫|x|² + |u|² is small beside the cost of holding the reference.
 
     Attributes
     ----------
@@ -190,8 +192,10 @@ class NoisePrice(Frozen):
         Standard deviations of the noise that were run, the first 0, in the states' units.
     cost : (k, scenarios)
     base, slope : float
+        The cost without noise, and base/doubling².
     doubling : float
-        The standard deviation that doubles the cost; NaN where that could not be told.
+        The standard deviation that doubles the mean cost of these scenarios, to 1 %; NaN where no
+        noise tried does.
     message : str
     """
 
@@ -208,24 +212,30 @@ class NoisePrice(Frozen):
         return cls(np.zeros(1), np.zeros((1, 1)), math.nan, math.nan, math.nan, message)
 
 
-def sweep(
+def tolerance_of(
     setting: RobustnessRuns,
     make: Callable[[float], Imperfection],
     values: Sequence[float],
     refine: Callable[[float, float], float | None],
     scenarios: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values until one fails, then between it and the one before while `refine` names one."""
+    sentence: Callable[[float, float | None, bool], str],
+) -> Tolerance:
+    """The tolerance of the imperfection `make(value)`, tried at rising `values` until a run fails.
+
+    Then at values between the last two, while `refine(good, bad)` returns one.
+    `sentence(tolerated, failed, bounded)` states the result; `bounded` says that every run that
+    fails stays bounded.
+    """
     tried: dict[float, tuple[Cost, np.ndarray]] = {}
 
-    def ask(value: float) -> bool:
+    def fails(value: float) -> bool:
         more = [make(value)] if value > 0.0 else []
         tried[value] = setting.runs(more, scenarios)
         return bool((tried[value][1] != KEPT).any())
 
     good, bad = None, None
     for value in values:
-        if ask(value):
+        if fails(value):
             bad = value
             break
         good = value
@@ -233,71 +243,79 @@ def sweep(
         middle = refine(good, bad)
         if middle is None:
             break
-        good, bad = (good, middle) if ask(middle) else (middle, bad)
+        good, bad = (good, middle) if fails(middle) else (middle, bad)
     order = sorted(tried)
-    return (
-        np.array(order),
-        np.array([tried[value][0] for value in order]),
-        np.array([tried[value][1] for value in order]),
-    )
-
-
-def tolerance_of(
-    swept: tuple[np.ndarray, np.ndarray, np.ndarray],
-    setting: RobustnessRuns,
-    say: Callable[[float, float | None, bool], str],
-) -> Tolerance:
-    """The tolerance that a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
-
-    `bounded` says that the runs that fail stay bounded.
-    """
-    values, cost, ends = swept
+    cost, ends = (np.array([tried[value][i] for value in order]) for i in range(2))
     lost, bounded = ends != KEPT, ends == BOUNDED
     bad = np.flatnonzero(lost.any(axis=1))
-    failed = float(values[bad[0]]) if bad.size else None
+    failed = order[bad[0]] if bad.size else None
     stays = bool(bad.size) and not (ends[bad[0]] == LOST).any()
-    if failed == values[0]:
+    if failed == order[0]:
         text = "the runs are lost as they are, with nothing added"
         if stays:
             text = f"not every run {setting.works} as it is, with nothing added"
-        return Tolerance(values, cost, lost, bounded, None, failed, text)
-    tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
-    text = say(tolerated, failed, stays)
-    return Tolerance(values, cost, lost, bounded, tolerated, failed, text)
+        return Tolerance(np.array(order), cost, lost, bounded, None, failed, text)
+    tolerated = order[bad[0] - 1] if bad.size else order[-1]
+    text = sentence(tolerated, failed, stays)
+    return Tolerance(np.array(order), cost, lost, bounded, tolerated, failed, text)
 
 
 def noise_price(setting: RobustnessRuns, unit: float) -> NoisePrice:
-    """The price of measurement noise, `unit` being the size of a state."""
+    """The price of measurement noise; the search begins at a thousandth of `unit`, |x(0)|.
+
+    Every standard deviation is run with the same random numbers, so that the mean cost is a
+    continuous function of it: in a linear loop a parabola. Limits of the inputs bend it, so that no
+    parabola through distant points gives the doubling; it is bracketed instead.
+    """
     base_cost = setting.costs([])
     base = float(base_cost.mean())
-    trial, slope = 1e-3 * unit, 0.0
-    # Large enough that what the noise adds stands out of what it happens to do to these runs.
+    tried = {0.0: base_cost}
+
+    def excess(std: float) -> float:
+        """Added cost less the base: 0 where the cost is doubled; infinite in runs that diverge."""
+        if std not in tried:
+            tried[std] = setting.costs([Noise(std)])
+        more = float(tried[std].mean()) - 2.0 * base
+        return more if math.isfinite(more) else math.inf
+
+    low, high = 0.0, 1e-3 * unit
     for _ in range(_TRIALS):
-        more = float(setting.costs([Noise(trial)]).mean() - base)
-        slope = more / trial**2
-        if more > 0.3 * base:
+        if excess(high) >= 0.0:
             break
-        trial *= 4.0
-    doubling = math.sqrt(base / slope) if 0.0 < slope < math.inf else math.nan
-    if not 0.0 < doubling < math.inf:
-        text = "the price of measurement noise could not be computed: no noise tried costs more"
-        return NoisePrice(np.zeros(1), base_cost[None], base, slope, math.nan, text)
+        low, high = high, 4.0 * high
+    else:
+        text = (
+            f"the price of measurement noise could not be computed: with {amount(low)} "
+            f"{setting.priced} is not doubled, and more was not tried"
+        )
+        return NoisePrice(np.zeros(1), base_cost[None], base, math.nan, math.nan, text)
+    while high - low > _DOUBLING * high:
+        below, above = excess(low), excess(high)
+        # A secant in the variance is exact for a linear loop. Bisection where it stays near an end,
+        # as beside runs that diverge.
+        share = below / (below - above) if math.isfinite(above) else 0.5
+        middle = math.sqrt(low**2 + min(max(share, 0.1), 0.9) * (high**2 - low**2))
+        if abs(excess(middle)) <= _DOUBLING * base:
+            low = high = middle
+        elif excess(middle) < 0.0:
+            low = middle
+        else:
+            high = middle
+    doubling = 0.5 * (low + high)
     std = doubling * np.array([0.0, 0.25, 0.5, 1.0, 2.0])
-    cost = np.array([base_cost, *(setting.costs([Noise(s)]) for s in std[1:])])
-    slope = float((cost[1:].mean(axis=1) - base) @ std[1:] ** 2 / np.sum(std[1:] ** 4))
-    doubling = math.sqrt(base / slope) if slope > 0.0 else math.nan
-    if not 0.0 < doubling < math.inf or np.abs(cost.mean(axis=1) - base - slope * std**2).max() > (
-        _CROOKED * slope * std[-1] ** 2
-    ):
+    for value in std.tolist():
+        excess(value)
+    cost = np.array([tried[value] for value in std.tolist()])
+    if cost[-1].mean() < _LEVEL * base:
         text = (
             f"the price of measurement noise could not be computed: {setting.priced} does not grow "
             "with its variance, as where inputs are at their limits"
         )
-        return NoisePrice(std, cost, base, slope, math.nan, text)
+        return NoisePrice(std, cost, base, math.nan, math.nan, text)
     signal = "state" if setting.law.outputs is None else "output"
     text = f"measurement noise with a standard deviation of {amount(doubling)} in every {signal}"
     if setting.x0.any():
         part = doubling / unit
         text += f", {100.0 * part:.2g} % of |x(0)|," if part < 1.0 else ""
     text += f" doubles {setting.priced}"
-    return NoisePrice(std, cost, base, slope, doubling, text)
+    return NoisePrice(std, cost, base, base / doubling**2, doubling, text)

@@ -340,7 +340,7 @@ def delay_sentence(problem: Problem) -> list[str]:
         margin = constant_delay_margin(problem.plant, law, problem.step)
     except ArgumentError:
         return []
-    but = ", but for the imperfections," if problem.imperfections else ""
+    but = ", ignoring the imperfections," if problem.imperfections else ""
     return [f"Under the law “{name}”{but} {with_names(margin.message, problem.modes)}."]
 
 

@@ -19,7 +19,6 @@ from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.base.wording import as_rate
 from deadtime.margins import DrawnStability, Robustness, Tolerance, drawn_stability
-from deadtime.margins.drawn_plants import has_rates
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.spectrum import growth_rate
@@ -32,7 +31,7 @@ def drawn_of(problem: Problem, step: float, seed: int = 0) -> dict[str, DrawnSta
     """Of every law that has growth rates; nothing where the file has no [uncertainty]."""
     found: dict[str, DrawnStability] = {}
     for name, law in problem.laws.items():
-        if problem.uncertain is None or not has_rates(law):
+        if problem.uncertain is None or not law.is_linear:
             continue
         try:
             found[name] = drawn_stability(problem.uncertain, law, step, seed=seed)

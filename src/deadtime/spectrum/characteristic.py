@@ -26,11 +26,10 @@
 
       W(s) = K (sI − A)⁻¹ B − e^{−sD} F (sI − A)⁻¹ B.
 
-How roots are found: eigenvalues of the generator on polynomials start Newton's method on
-det Δ, s ← s − 1/tr(Δ⁻¹Δ'), down to round-off. The argument principle then counts the roots to the
-right of a line just left of the last one. As each root found is a root, they are all of them if the
-numbers agree; if not, the degree goes up. That is numerical evidence in double precision, not a
-proof.
+Newton's method on det Δ, s ← s − 1/tr(Δ⁻¹Δ'), starts at eigenvalues of the generator on polynomials
+and converges to round-off. The argument principle then counts the roots to the right of a line just
+left of the last one found. If the numbers agree, no root is missing; if not, the degree goes up.
+This is numerical evidence in double precision, not a proof.
 
 References
 ----------
@@ -57,7 +56,7 @@ from deadtime.spectrum.held_mode_checks import check_mode
 from deadtime.spectrum.ideal import IdealLoop, weights
 
 _STEPS, _CIRCLE = 40, 8
-_CONVERGED = 1e-6  # relative: of a multiple root half of the digits are lost
+_CONVERGED = 1e-6  # relative: a double root has half of the digits only
 
 
 def newton(
@@ -86,12 +85,12 @@ def newton(
 
 
 def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.ndarray, " root"]:
-    """How far round-off δ in Δ may move each root.
+    """The distance by which round-off δ in Δ may move each root.
 
-    To first order that is |u|ᵀ δ |v| / |uᴴ Δ' v|, and with it goes what is left to the root of this
-    Δ, a step of Newton's method. Roots close to each other move farther, a double one as √δ and not
-    as δ over a slope of 0: the answer is the radius of a circle on which ρ(|Δ⁻¹| δ) < 1, so that no
-    change of Δ by δ takes a root across it, found from a smaller one outwards.
+    To first order it is |u|ᵀ δ |v| / |uᴴ Δ' v|, plus the last step of Newton's method. Roots close
+    to each other move farther, a double one by √δ: the result is the radius of a circle on which
+    ρ(|Δ⁻¹| δ) < 1, so that no change of Δ by δ moves a root across it. The radius grows from the
+    first-order value until that holds.
     """
     if roots.size == 0:
         return np.empty(0)
@@ -124,13 +123,13 @@ def count_right_of(loop: IdealLoop, line: float) -> int | None:
 
     With n poles p to the left of the line Re s = c, f(s) = det Δ(s)/(s − p)ⁿ has no pole on it or
     to its right, tends to 1 there, and is real on the real axis. So the number of roots to the
-    right is the turn of f's argument along the upper half of the line, in half turns:
+    right is the change of f's argument along the upper half of the line, in half turns:
 
         count = (arg f(c) − arg f(c + i∞))/π.
 
     The argument is followed over points so close that |f'/f| times their distance is below 1, up to
-    the radius beyond which I − Y(s), Y(s) = W(s) + F (sI − A)⁻¹ B diag(e^{−sD_j}), |Y| < 1, has
-    none but eigenvalues of positive real part; what is left to infinity is the sum of their
+    the radius beyond which Y(s) = W(s) + F (sI − A)⁻¹ B diag(e^{−sD_j}) has |Y| < 1: there I − Y(s)
+    has only eigenvalues of positive real part, and the rest up to infinity is the sum of their
     arguments.
     """
     radius = loop.radius(line)
@@ -189,7 +188,7 @@ def _rest(loop: IdealLoop, end: complex, pole: float) -> float:
     return float(np.angle(fed).sum() + np.angle(open_loop).sum())
 
 
-_CENTRE = 1.618  # of the plant's rate: no root is there but by accident
+_CENTRE = 1.618  # of the plant's rate: an unlikely place for a root
 
 
 def approximate_roots(loop: IdealLoop, degree: int) -> Complex[np.ndarray, " order"]:
@@ -201,14 +200,14 @@ def approximate_roots(loop: IdealLoop, degree: int) -> Complex[np.ndarray, " ord
         (x, u) ↦ (A x + Σ_j b_j u_j(−D_j), du/dθ)    where    u(0) = F x + ∫ w(τ) u(−τ) dτ.
 
     A polynomial through u at Chebyshev points turns it into a matrix whose eigenvalues tend to the
-    roots, faster than any power of the degree since eigenfunctions are exponentials: for a degree
-    of a few more than |s| T/2. The others are of no meaning, so all are polished and counted. One
-    polynomial serves unequal delays, too: the smooth functions that matter do not break at any
-    −D_j, nor where a window of the law ends.
+    roots, faster than any power of the degree since eigenfunctions are exponentials: a degree a
+    little above |s| T/2 resolves a root s. The other eigenvalues mean nothing, so all are polished
+    and counted. One polynomial serves unequal delays, too: eigenfunctions are smooth at every −D_j
+    and at the ends of the law's windows.
 
-    Those of the plant's size are wanted to its digits, and the generator has entries of degree²/T,
-    which may be any power of ten larger. So its inverse about a point σ of the plant's size is
-    taken, of which they are the large eigenvalues 1/(s − σ).
+    The generator has entries of degree²/T, which may be larger than the plant's rates by any power
+    of ten. So its inverse about a point σ of the plant's size is taken: roots of that size are its
+    large eigenvalues 1/(s − σ), and keep their digits.
     """
     G, E = generator(loop, degree)
     centre = _CENTRE * loop.rate
@@ -219,7 +218,10 @@ def approximate_roots(loop: IdealLoop, degree: int) -> Complex[np.ndarray, " ord
 def generator(
     loop: IdealLoop, degree: int
 ) -> tuple[Float[np.ndarray, "order order"], Float[np.ndarray, " order"]]:
-    """G and the diagonal of E: the generator is E⁻¹G, of (x, u(θ_1), …, u(θ_degree)), u(0) gone."""
+    """G and the diagonal of E: the generator is E⁻¹G on (x, u(θ_1), …, u(θ_degree)).
+
+    u(0) is eliminated with the law's equation.
+    """
     n, m = loop.B.shape
     longest = loop.longest
     nodes, derivative, barycentric = _chebyshev(degree)
@@ -268,8 +270,8 @@ def _interpolation(nodes: np.ndarray, barycentric: np.ndarray, at: np.ndarray) -
 
 
 _FIRST, _FACTOR, _MOST_ORDER = 24, 1.5, 600
-_CLOSE = 0.1  # of the loop's unit: how far a polished root may be from its eigenvalue
-_APART = 1e-10  # relative, of roots between which a line can be drawn
+_CLOSE = 0.1  # of the loop's unit: the largest distance of a polished root from its eigenvalue
+_APART = 1e-10  # relative: the least distance of two roots with a line between them
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +285,8 @@ class CharacteristicRoots(Frozen):
     residuals : (roots,)
         The smallest singular value of Δ there over the largest, rows and columns scaled alike.
     errors : (roots,)
-        By how much round-off in Δ may have moved each root, estimated, 1/s. Large gains over the
-        delay cost digits here: about :math:`|e^{A D}|^2` times round-off with an exact law.
+        The estimated effect of round-off in Δ on each root, 1/s. Large gains over the delay cost
+        digits: about :math:`|e^{A D}|^2` times round-off with an exact law.
     line : float
         The roots to the right of Re s = `line` were counted, 1/s.
     complete : bool
@@ -307,15 +309,15 @@ def characteristic_roots(
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth. The law has a model of its own, `law.plant`; delays and matrices may differ.
+        The true plant. The law has a model of its own, `law.plant`, which may differ.
     law : Law
-        A law with a closed form in continuous time. One that tells ages apart is taken at a mode
-        that has been held throughout; an oracle knows that nothing will switch.
+        A law with a closed form in continuous time. If it depends on the age of the mode, the mode
+        has been held throughout; an oracle knows that nothing will switch.
     mode : int
         The mode.
     count : int
-        How many roots at least. A conjugate pair is not split; roots too close to each other to
-        be told apart are not either; and where there are no more, fewer are returned.
+        The least number of roots. Conjugate pairs and roots too close to be separated are not
+        split; fewer are returned if there are no more.
 
     Returns
     -------
@@ -345,8 +347,7 @@ def characteristic_roots(
 
 
 def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
-    """At least so many of the rightmost roots of a loop, where there are so many."""
-
+    """At least `wanted` of the rightmost roots of a loop, or all if there are fewer."""
     n, m = loop.B.shape
     degree, before = _FIRST, -1
     while True:
@@ -357,7 +358,7 @@ def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
         roots = np.repeat(upper, repeat)
         second = np.cumsum(repeat)[repeat == 2] - 1
         roots[second] = roots[second].conj()
-        # Fewer than wanted may be all there are: if a higher degree shows no more.
+        # Fewer than wanted may be all: accepted if a higher degree shows no more.
         enough = roots.size >= wanted or roots.size == before > 0
         complete = enough and count_right_of(loop, line) == roots.size
         degree, before = int(_FACTOR * degree), roots.size
@@ -369,7 +370,7 @@ def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
 def _polish(
     loop: IdealLoop, seeds: Complex[np.ndarray, " order"], wanted: int
 ) -> tuple[Complex[np.ndarray, " root"], Float[np.ndarray, " root"]]:
-    """Roots in the upper half plane next to an eigenvalue, rightmost first, and residuals."""
+    """Roots in the upper half plane close to an eigenvalue, rightmost first, and residuals."""
     unit = loop.unit
     seeds = seeds[(np.imag(seeds) >= 0.0) & (np.real(seeds) >= _round_off(loop))]
     seeds = seeds[np.argsort(-np.real(seeds), kind="stable")][: 2 * wanted + 12]
@@ -377,7 +378,7 @@ def _polish(
     moved = np.abs(roots - seeds)
     kept: list[int] = []
     for i in np.argsort(moved):
-        # Two eigenvalues that do not belong together cannot both stand for one root.
+        # Two distant eigenvalues cannot both approximate one root: the nearer one has come first.
         twice = any(
             abs(roots[i] - roots[k]) <= 1e-8 * (abs(roots[k]) + unit)
             and abs(seeds[i] - seeds[k]) > 1e-3 * unit
@@ -390,7 +391,7 @@ def _polish(
 
 
 def _round_off(loop: IdealLoop) -> float:
-    """To the left of this line e^{−sD} enlarges round-off so much that it has roots of its own."""
+    """The line left of which e^{−sD} amplifies round-off so much that spurious roots appear."""
     gain = np.linalg.norm(loop.F) * np.linalg.norm(loop.B)
     gain += sum(np.linalg.norm(w.ending) * np.linalg.norm(w.R) for w in loop.windows)
     allowed = 1e-4 / (np.finfo(float).eps * (1.0 + loop.longest * gain))
@@ -400,7 +401,7 @@ def _round_off(loop: IdealLoop) -> float:
 def _leading_count(
     upper: Complex[np.ndarray, " root"], wanted: int, unit: float
 ) -> tuple[int, float]:
-    """How many make so many, conjugates counted; and a line between the last one and the next."""
+    """How many of `upper` make `wanted` roots, with conjugates; a line left of the last of them."""
     line, have = -np.inf, 0
     for i, root in enumerate(upper):
         have += 1 if root.imag == 0.0 else 2

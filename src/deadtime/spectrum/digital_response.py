@@ -1,4 +1,4 @@
-"""The digital loop at the limit of stability, with an observer in it or without."""
+"""The digital loop at the limit of stability, with or without an observer."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from deadtime.spectrum.lifted import (
 from deadtime.spectrum.response import LoopResponse, Samples, offsets_of
 
 _CUTS = 5  # delays within a period at which the delay line is tried
-_SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
+_SHORT = 2.0  # |A| h up to which a power series is used: larger terms would cancel
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +105,9 @@ def cut_inputs(
     step: float,
     delay: Float[np.ndarray, " point"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """N, Γ_early, Γ_late and e^{A(h − φ)} B for each delay, a little below 0 too.
+    """N, Γ_early, Γ_late and e^{A(h − φ)} B for each delay, also a little below 0.
 
-    Γ_late = Γ(h − φ) and Γ_early = Γ(h) − Γ(h − φ), whose round-off is no more than p has anyway.
+    Γ_late = Γ(h − φ) and Γ_early = Γ(h) − Γ(h − φ), whose round-off is no larger than that of p.
     While |A| h is small, Γ(τ) = Σ_k A^k B τ^{k+1}/(k + 1)! has the same terms for all delays.
     """
     # Not snapped to whole periods as a `Window` is: p must be continuous in the delay.
@@ -128,7 +128,7 @@ def cut_inputs(
     return count, _entering(A.tobytes(), B.tobytes(), B.shape, step) - late, late, B + A @ late
 
 
-@lru_cache(maxsize=64)  # all frequencies ask for the same
+@lru_cache(maxsize=64)  # the same for all frequencies and delays of a margin
 def _entering(A: bytes, B: bytes, shape: tuple[int, int], step: float) -> np.ndarray:
     """Γ(h)."""
     n = shape[0]
@@ -140,17 +140,17 @@ def _entering(A: bytes, B: bytes, shape: tuple[int, int], step: float) -> np.nda
 
 @dataclass(frozen=True, eq=False)
 class ObservedResponse(DigitalResponse):
-    """A loop with an observer in it: only the plant's own delay line knows the true delay.
+    """A loop with an observer: only the plant's own delay line depends on the true delay.
 
-    Φ and F are those of X. The observer's delay line p_o is fed by the same inputs, so that in
-    det Δ = det(zI − Φ) det(M − r p) it belongs to the law, M = I − G(z) − r_o p_o.
+    Φ and F are those of X. The observer's delay line p_o has the same inputs and a fixed delay, so
+    that in det Δ = det(zI − Φ) det(M − r p) it belongs to the law, M = I − G(z) − r_o p_o.
 
     Attributes
     ----------
     model : Period
-        Of the observer's model: its inputs are p_o's.
+        Of the observer's model; its lags and Γ give p_o.
     true : int
-        How many of X are the plant's.
+        The number of plant states in X.
     """
 
     model: Period
@@ -203,7 +203,6 @@ class ObservedResponse(DigitalResponse):
 
 
 def digital_response(plant: SwitchedSystem, law: Law, mode: int, step: float) -> DigitalResponse:
-    """The loop of any linear law with one mode held."""
     if law.observer is None:
         return DigitalResponse.of(plant, held_table(law, mode, step), mode)
     law.require_step(step)

@@ -42,10 +42,9 @@ _LEAST = 1e-7
 
 
 def pace_of(plant: SwitchedSystem) -> float:
-    """The slower of 1/D, D its longest delay, and its fastest mode's |λ|, 1/s.
+    """A unit of rates: the smaller of 1/D, D the longest delay, and the largest |λ| of a mode, 1/s.
 
-    A unit of rates that goes with the unit of time: the same plant in milliseconds has a thousandth
-    of it. Of integrators alone it is 1/D.
+    It scales with the unit of time. For a plant of integrators alone it is 1/D.
 
     Examples
     --------
@@ -59,7 +58,7 @@ def pace_of(plant: SwitchedSystem) -> float:
 
 
 def least_growth(plant: SwitchedSystem) -> float:
-    """The growth rate, 1/s, up to which growth, or decay, is no answer: 1e-7 of the plant's pace.
+    """The growth rate, 1/s, below which growth or decay is undecided: 1e-7 of the plant's pace.
 
     Examples
     --------
@@ -71,8 +70,8 @@ def least_growth(plant: SwitchedSystem) -> float:
 
 
 _PRECISION = 1e-4  # of the ideal loop, per delay
-_DOUBT = 1e-9  # of the rate or the plant's pace: what is less certain is computed beyond doubt
-_FADED = -25.0  # growth over the memory of the loop below which all is round-off
+_DOUBT = 1e-9  # of the rate or the plant's pace: less certain rates are enclosed in balls
+_FADED = -25.0  # growth over the past inputs of the loop, in nepers: below is round-off
 
 
 def growth_rate(
@@ -83,48 +82,45 @@ def growth_rate(
     *,
     mode_lag: int = 0,
 ) -> float:
-    """How fast the loop grows in a constant mode, in 1/s.
+    """The growth rate of the loop in a constant mode, 1/s; negative for a loop that decays.
 
         max Re s = ln(spectral radius of the lifted loop)/h,
 
-    and for the ideal loop, which the digital one tends to with order h, max Re s over its
-    characteristic roots (`characteristic_roots`). Negative for a loop that decays. The row of a
-    law that tells ages apart is the one of a mode that has lasted; an oracle knows that
-    nothing will switch.
+    and for the ideal loop, the limit of the digital one with an error of order h, max Re s over its
+    characteristic roots (`characteristic_roots`). If the law depends on the age of the mode, the
+    mode has been held throughout; an oracle knows that nothing will switch.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
+        The true plant. The law has a model of its own, `law.plant`, which may differ.
     law : Law
-        A law that is a table, or an `OutputFeedback` of one, whose loop has its observer and its
-        sum of errors in it; without a step, one that has a closed form in continuous time.
+        A law that is a table, or an `OutputFeedback` of one, whose loop includes the observer and
+        the sum of tracking errors; without a step, a law with a closed form in continuous time.
     mode : int
         The mode.
     step : float or None
         Sampling period h, in seconds; None for the ideal loop, updated continuously.
     mode_lag : int
-        How many periods late the mode is reported. One that lasts is told in the end, and its
-        age is past all that a table tells apart: no lag changes the rate. It is a parameter so that
-        whoever asks about a loop with a lag may ask for its rates, too.
+        Mode detection delay, in periods. A constant mode is reported after it, so it does not
+        change the rate; the parameter lets a loop with a lag be passed on as it is.
 
     Returns
     -------
     float
-        The growth rate. With a step to about 1e-9/D: eigenvalues that double precision cannot
-        tell so well, such as multiple ones, are enclosed in ball arithmetic (`growth_bounds`) up
-        to the order 3,000; not those of a loop with an observer. A double precision loop cannot
-        show that it decays much faster than −30/D, where round-off takes over; there the rate is
-        that of round-off. Without a step to round-off, of which large gains over the delay make
-        more (`CharacteristicRoots.errors`); at worst 1e-4 of 1/D or of the plant's own rate,
-        whichever is less.
+        The growth rate. With a step, accurate to about 1e-9/D: eigenvalues that double precision
+        cannot resolve so well, such as multiple ones, are enclosed in ball arithmetic
+        (`growth_bounds`) up to the order 3,000, but not those of a loop with an observer. Rates far
+        below −30/D are hidden by round-off, whose rate is returned. Without a step, accurate to
+        round-off, which large gains over the delay amplify (`CharacteristicRoots.errors`); at worst
+        1e-4 of 1/D or of the plant's own rate, whichever is less.
 
     Raises
     ------
     ArgumentError
         If the law and the plant do not belong together, the law is no table, or it assumes a
         signal of its own that switches; without a step, if the law has no closed form, or its
-        gains over the delay are so large that the roots cannot be told from round-off.
+        gains over the delay are so large that round-off hides the roots.
 
     Examples
     --------
@@ -151,7 +147,6 @@ def growth_rate(
 
 def constant_growth(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int) -> float:
     """The growth rate of a mode under a row of a table, 1/s, to about 1e-9 of it or of the pace."""
-
     step, loop = feedback.step, LiftedLoop.of(plant, feedback, mode, row).balance()
     values, radius = loop.leading_eigenvalues()
     rate = math.log(radius) / step if radius > 0.0 else -math.inf
@@ -166,12 +161,12 @@ def constant_growth(plant: SwitchedSystem, feedback: Feedback, mode: int, row: i
 def growth_bounds(
     plant: SwitchedSystem, law: Law, mode: int, step: float = 0.01
 ) -> tuple[float, float]:
-    """Two numbers, 1/s, between which the growth rate of one mode lies beyond doubt.
+    """Proved lower and upper bounds of the growth rate in one mode, 1/s.
 
-    A proof by computation: ball arithmetic on the characteristic polynomial of the lifted loop
-    (`spectrum.growth`), of the matrices and of the law's table as stored, binary64,
-    and of the loop as `simulate` cuts it. They lie about 1e-11/D apart; two numbers of
-    one sign prove that the loop grows, or decays, in this mode.
+    Computed in ball arithmetic on the characteristic polynomial of the lifted loop
+    (`spectrum.growth`), for the matrices and the law's table as stored, binary64, and the pieces of
+    a period as in `simulate`. The bounds are about 1e-11/D apart; if both have one sign, they prove
+    that the loop grows, or decays, in this mode.
 
     Parameters
     ----------
@@ -189,8 +184,8 @@ def growth_bounds(
     Raises
     ------
     ArgumentError
-        As by `growth_rate`; also if the loop is of an order n + N m above 3,000; with q numbers
-        that the law remembers n + N (q + m). An order of 1,000 takes about a second.
+        As by `growth_rate`; also if the order of the loop, n + N m, or n + N (q + m) for a law with
+        q controller states, is above 3,000. An order of 1,000 takes about a second.
 
     Examples
     --------
@@ -201,7 +196,6 @@ def growth_bounds(
     >>> 0.0 < low < high < low + 1e-10, round(low, 9), round(high, 9)
     (True, 0.281670215, 0.281670215)
     """
-
     instance("law", law, Law)
     mode, step = check_mode(plant, law, mode), positive("step", step)
     feedback = recurrence_of(law, step, SwitchingSignal.constant(mode))
@@ -221,7 +215,7 @@ def growth_bounds(
 
 
 def not_decaying(plant: SwitchedSystem, rate: float) -> str:
-    """A clause to follow "the loop", of a constant mode in which it does not decay.
+    """The predicate of "the loop" in sentences about a constant mode that does not decay.
 
     Examples
     --------
@@ -251,15 +245,15 @@ def _ideal(plant: SwitchedSystem, law: Law, mode: int) -> float:
 
 
 BITS = (256, 512, 1024, 2048)
-NARROW = 1e-11  # of the rate or the plant's pace: bounds closer than this are close enough
+NARROW = 1e-11  # of the rate or the plant's pace: the gap of the bounds at which bits suffice
 LARGEST = 3000  # order; a second at 1,000
-LOWER = 64  # so many coefficients are tried for the lower bound
+LOWER = 64  # coefficients that are tried for the lower bound
 
 
 def enclose_growth(
     plant: SwitchedSystem, feedback: Feedback, mode: int, row: int
 ) -> tuple[float, float]:
-    """(low, high), 1/s: ln(spectral radius)/h of a mode under a row lies between, beyond doubt."""
+    """(low, high), 1/s: proved bounds of ln(spectral radius)/h of a mode under a row."""
     low, high, pace = -math.inf, math.inf, pace_of(plant)
     for bits in BITS:
         with precision(bits):
@@ -293,7 +287,7 @@ def exact_discretisation(A: np.ndarray, B: np.ndarray, tau: Any) -> tuple[Any, A
 def exact_period(
     plant: SwitchedSystem, parts: Iterable[tuple[int, float, float, np.ndarray]]
 ) -> tuple[Any, dict[int, Any]]:
-    """Balls of Φ, and of Γ by lag, over parts of a period: mode, start, stop and lags of each."""
+    """Balls of Φ and of Γ by lag of a period, from its parts (mode, start, stop, lags)."""
     from flint import arb, arb_mat
 
     n, m = plant.B.shape[1:]
@@ -344,7 +338,7 @@ def _transform(g: np.ndarray, size: int, one: float) -> list[Any]:
 
 
 def _bounds(p: list[Any], step: float, pace: float) -> tuple[float, float]:
-    """Graeffe's iteration until the bounds close, or the balls grow faster than they do."""
+    """Graeffe's iteration until the bounds are close, or widen because the balls have grown."""
     order, narrow = len(p) - 1, NARROW * pace
     low, high = -math.inf, math.inf
     for k in range(1, 2 + math.ceil(math.log2(8.0 * (1.0 + math.log(order)) / (narrow * step)))):

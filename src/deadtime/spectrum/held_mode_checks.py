@@ -1,7 +1,7 @@
-"""Checks before a loop with one mode held is computed: of the arguments, and of what it costs.
+"""Checks of the arguments and the cost of a computation with one mode held.
 
-The work grows with the square of W, the periods that a delay holds. A delay in milliseconds taken
-for one in seconds has a thousand times as many, and a million times the work.
+The work grows with the square of W, the number of periods in the delay. A delay in milliseconds
+taken for one in seconds has a thousand times as many periods, and a million times the work.
 """
 
 from __future__ import annotations
@@ -29,14 +29,13 @@ def require_constant(plant: SwitchedSystem, law: Law) -> None:
 
 
 def check_mode(plant: SwitchedSystem, law: Law, mode: object) -> int:
-    """The mode that is held in a loop, checked."""
     require_constant(plant, law)
     return index("mode", mode, plant.modes)
 
 
-MOST = 10.0  # seconds, of what is one of many answers or asked for alone
-_SEARCH = 600.0  # of a design, which is worth waiting for
-_FEW = 500.0  # inputs in flight, W m: up to there nothing takes long
+MOST = 10.0  # seconds, of a margin
+_SEARCH = 600.0  # seconds, of a design
+_FEW = 500.0  # inputs in flight, W m, up to which nothing takes long
 # Seconds per mode and (W m)², measured on one core of a desktop with W from 500 to 5,000.
 _UNIT = {"growth rate": 1.3e-7, "delay margin": 1.5e-7, "gain margin": 1.7e-6, "design": 1e-6}
 Asked = Literal["growth rate", "delay margin", "gain margin", "design"]
@@ -45,7 +44,7 @@ Asked = Literal["growth rate", "delay margin", "gain margin", "design"]
 def seconds_of(
     asked: Asked, plant: SwitchedSystem, law: Law, step: float | None, trials: int = 1
 ) -> float:
-    """About how long an answer takes, or so many `trials`; 0 where that is no question.
+    """The estimated seconds of a computation, or of `trials` of them; 0 up to 500 inputs in flight.
 
     Examples
     --------
@@ -60,7 +59,7 @@ def seconds_of(
 
 
 def why_left_out(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None) -> str:
-    """Why an answer is left out, and what to do; empty where it takes seconds at most.
+    """The reason to leave a computation out, and what to do; empty if it takes seconds at most.
 
     Examples
     --------
@@ -78,7 +77,7 @@ which it takes about 2 min; check their units, or give a longer step, 0.04 s
 def require_affordable(
     asked: Asked, plant: SwitchedSystem, law: Law, step: float | None, trials: int = 1
 ) -> None:
-    """Refuse what would take long, before it does.
+    """Refuse a computation that would take long.
 
     Examples
     --------
@@ -99,7 +98,7 @@ or give a longer step, 0.04 s.
 def _too_long(
     asked: Asked, plant: SwitchedSystem, law: Law, step: float | None, trials: int = 1
 ) -> str:
-    """Why an answer takes long, and with which step it does not; empty where it does not."""
+    """Why a computation takes long, and the step that avoids it; empty if it does not."""
     seconds = seconds_of(asked, plant, law, step, trials)
     most = _SEARCH if asked == "design" else MOST
     if step is None or seconds <= most:

@@ -2,21 +2,20 @@
 
     dx/dt = A x(t) + Σ_j b_j u_j(t − D_j),    u(t) = F x(t) + ∫ w(τ) u(t − τ) dτ,
 
-the D_j of the plant, F and w of the law. A motion
-(x, u) = (X, U) e^{st} solves Δ(s) (X, U) = 0,
+the D_j of the plant, F and w of the law. A motion (x, u) = (X, U) e^{st} solves Δ(s) (X, U) = 0,
 
     Δ(s) = [[sI − A, −B diag(e^{−sD_j})], [−F, I − W(s)]],    W(s) = ∫ e^{−sτ} w(τ) dτ,
 
-an entire function of s. What a law remembers of its past inputs are windows,
+an entire function of s. A law depends on past inputs through windows,
 
-    u(t) = F x(t) + Σ_p C_p ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ,    τ from α_p to β_p.
+    u(t) = F x(t) + Σ_p C_p ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ,    τ from α_p to β_p,
 
-as a `Functional` says itself, and a `Forecast` of what it has settled to. Then
+of a `Functional`, or of a `Forecast` after the mode has been held throughout. Then
 
     W(s) = Σ_p W_p(s),    W_p(s) = C_p ∫ e^{S_p (τ − α_p)} e^{−sτ} dτ R_p
          = C_p (sI − S_p)⁻¹ (e^{−sα_p} − e^{−sβ_p} e^{S_p (β_p − α_p)}) R_p,
 
-where sI − S_p is singular the integral is not.
+where the integral, unlike (sI − S_p)⁻¹, is finite at the eigenvalues of S_p.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from deadtime.feedback.table import require_finite_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
-# A Gauss panel of so many nodes integrates e^{at} to round-off for |a| · length ≤ _RATE.
+# A Gauss panel of _NODES nodes integrates e^{at} to round-off for |a| · length ≤ _RATE.
 _NODES, _RATE = 16, 8.0
 _MOST_PANELS = 100_000
 
@@ -58,7 +57,7 @@ class LawWindow(NamedTuple):
     def balanced(
         cls, C: np.ndarray, S: np.ndarray, R: np.ndarray, near: float, far: float
     ) -> LawWindow:
-        """A window in balanced states."""
+        """A window with S balanced: a change of the states' units, without effect on W."""
         from deadtime.numerics.exponential import balance, discretise
 
         r = balance(S)
@@ -82,7 +81,7 @@ class LawWindow(NamedTuple):
 def windows_of(
     law: Functional | Forecast, units: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "m n"], tuple[LawWindow, ...]]:
-    """F, of a state x in units of its own, and the windows of a law with its mode held."""
+    """F for a state x in `units`, and the windows of a law with its mode held."""
     held = law.settled
     row = int(held.row(np.zeros(1))[0])
     pieces = zip(held.C[row], held.S, held.R, held.near.tolist(), held.far.tolist(), strict=True)
@@ -92,10 +91,7 @@ def windows_of(
 def weights(
     windows: Sequence[LawWindow], rate: float
 ) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node m m"]]:
-    """τ_j and the taps that integrate all windows against functions of a rate in 1/s.
-
-    W(s) = Σ_j e^{−sτ_j} taps_j to round-off for |s| ≤ `rate`, with |S| allowed for in it.
-    """
+    """τ_j and taps: W(s) = Σ_j e^{−sτ_j} taps_j to round-off for |s| + |S| up to `rate`, 1/s."""
     m = windows[0].C.shape[0]
     parts = [(np.empty(0), np.empty((0, m, m)))]
     parts += [_weights(window, rate) for window in windows if window.far > window.near]
@@ -104,7 +100,6 @@ def weights(
 
 
 def _weights(window: LawWindow, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """The nodes of one window, and their taps."""
     from deadtime.numerics.exponential import discretise
 
     S, R, whole_length = window.S, window.R, window.far - window.near
@@ -142,13 +137,13 @@ class IdealLoop:
     A : (n, n), B : (n, m), delays : (m,)
         The plant's mode and D_j, seconds.
     F : (m, n), windows : tuple of Window
-        The law; of length 0 if it predicts nothing.
+        The law; windows of length 0 if it predicts nothing.
     tau : (nodes,), taps : (nodes, m, m)
         W(s) = Σ_j e^{−sτ_j} taps_j to round-off for |s| ≤ `near`.
     near : float
         Twice the largest of the norms of A and all S and one over the longest delay, 1/s.
     rate : float
-        The largest of the norms of A, F B and all S and C R, 1/s: how fast the loop is but for
+        The largest of the norms of A, F B and all S and C R, 1/s: the rate of the loop without
         its delays.
     """
 
@@ -208,7 +203,7 @@ class IdealLoop:
 
     @property
     def pipes(self) -> list[tuple[float, Float[np.ndarray, "n m"]]]:
-        """The distinct delays of the plant, seconds, each with the inputs that have it."""
+        """The distinct delays of the plant, seconds, each with the columns of B that have it."""
         return [
             (delay, np.where(self.delays == delay, self.B, 0.0))
             for delay in np.unique(self.delays).tolist()
@@ -232,7 +227,7 @@ class IdealLoop:
         return Delta, prime
 
     def magnitude(self, s: Complex[np.ndarray, " point"]) -> Float[np.ndarray, "point k k"]:
-        """How large the numbers are that Δ(s) is the sum of, entry by entry: its round-off."""
+        """The size of the terms of each entry of Δ(s); times ε, the round-off of the entry."""
         n, m = self.B.shape
         size = np.zeros((s.size, n + m, n + m))
         absolute = np.abs(s)[:, None, None]
@@ -252,11 +247,11 @@ class IdealLoop:
 
     @property
     def unit(self) -> float:
-        """How far apart roots are at least, roughly: `rate`, or 1/T where that is less, 1/s."""
+        """The smaller of `rate` and 1/T, 1/s: roughly the least distance of two roots."""
         return min(1.0 / self.longest, self.rate)
 
     def radius(self, right: float, any_delay: bool = False) -> float:
-        """R: every root with Re s ≥ `right` has |s| < R; if asked for, whatever the delays.
+        """R: every root with Re s ≥ `right` has |s| < R; with `any_delay`, for all delays.
 
         With Y(s) = W(s) + F (sI − A)⁻¹ B diag(e^{−sD_j}) a root beyond |A| makes I − Y(s)
         singular. Both ends of a window and every delay of the plant are edges θ of the past,
@@ -268,9 +263,9 @@ class IdealLoop:
 
             Y(s) = Σ_k s^{−k−1} Σ_θ e^{−sθ} Σ_{e: θ_e = θ} H_e S_e^k R_e,
 
-        whose terms are bounded one by one, those of one θ added first. Where model and plant agree
-        what arrives cancels what the windows end with, however large the gains. Where delays may
-        be any, for Re s ≥ 0, all of B is one edge: |F A^k B diag(e^{−sD_j})| ≤ |F A^k B|.
+        whose terms are bounded one by one, edges of equal θ added first: where model and plant
+        agree, the arriving input cancels the end of a window, however large the gains. For any
+        delays and Re s ≥ 0 all of B is one edge: |F A^k B diag(e^{−sD_j})| ≤ |F A^k B|.
         """
         unit, shift = 2.0 * self.rate, 0.0 if any_delay else right
         pipes = [(None, self.B)] if any_delay else self.pipes

@@ -9,17 +9,17 @@ W the longer of the plant's longest lag N and the law's taps:
     u_k = F x_k + Σ_j G_j u_{k−j},    x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},
 
 l over the lags of the plant's period (`plant.sampled_plant`). The rest of z is shifted. The
-law's row comes from its own model, which need not be the plant.
+law's row comes from its own model, which may differ from the plant.
 
-With an observer in it, it is the lifted loop of a larger plant. Before the sample at t_k the loop's
+A loop with an observer is the lifted loop of a larger plant. Before the sample at t_k the loop's
 state, besides the past inputs, is X = (x, x̄, s): the plant's, the observer's prediction, and for
 tracking s = q_{k−1} + h v_{k−1}/2 with v = H C x. Then
 
     x̂ = x̄ + L (C x − C_o x̄),   q = s + h v/2,   u_k = F (x̂, q) + Σ_j G_j u_{k−j},
     x' = Φ x + …,   x̄' = Φ_o x̂ + …,   s' = s + h v,
 
-the dots being the inputs that arrive, with the lags of the plant and of the observer's model,
-which may differ.
+the dots being the arriving inputs, with the lags of the plant and of the observer's model, which
+may differ.
 """
 
 from __future__ import annotations
@@ -40,12 +40,11 @@ from deadtime.plant.pieces import Period
 from deadtime.spectrum.sampled_runs import LoopPeriods, forward
 from deadtime.switching import SwitchingSignal
 
-# Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
-DENSE = 500
-LEADING = 32  # eigenvalues that are looked at for doubts about the largest
+DENSE = 500  # order up to which all eigenvalues are computed, in 0.2 to 1 s at that order
+LEADING = 32  # eigenvalues whose errors are estimated: one of them may be the largest
 _FAR = 50  # powers of two by which an input's effect may differ from 1
 _MOST_VECTORS = 90  # of Arnoldi's method
-_POWERS = 200_000  # of w that are held at a time
+_POWERS = 200_000  # powers of w in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,7 @@ class LiftedLoop:
         return n + self.past * m
 
     def balance(self) -> LiftedLoop:
-        """A loop of the same eigenvalues, with inputs in `units_of` their effect."""
+        """A loop with the same eigenvalues and inputs in `units_of` their effect."""
         Gamma = self.period.Gamma
         power = units_of(Gamma.reshape(-1, Gamma.shape[2]))
         Gamma, F, G = in_units(power, Gamma, self.F, self.G)
@@ -113,10 +112,10 @@ class LiftedLoop:
     def leading_eigenvalues(
         self, dense: int | None = None
     ) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
-        """Eigenvalues of L of the largest moduli, some of them, and the spectral radius.
+        """Some eigenvalues of L with the largest moduli, and the spectral radius.
 
         Above the order `dense`, `DENSE` by default, the largest eigenvalue of L^{4W}, or L^{12W},
-        is found by Arnoldi's method: over several windows they grow far apart, while those of L lie
+        is found by Arnoldi's method: the eigenvalues of the power are far apart, those of L are
         close to each other. The rates of the two methods agree to about 1e-9 1/s where eigenvalues
         are well conditioned.
         """
@@ -138,11 +137,11 @@ class LiftedLoop:
         return complex(np.vdot(z, now) / np.vdot(z, z).real)
 
     def doubt(self, values: Complex[np.ndarray, " eigenvalue"]) -> float:
-        """How wrong the largest of some eigenvalues is, relative, by Newton's next step.
+        """The relative error of the largest of some eigenvalues, by a step of Newton's method.
 
-        Those of the others count that are so wrong that they might be the largest. Newton's
+        Other eigenvalues count if their errors are so large that they may be the largest. Newton's
         method is for det [[zI − Φ, −Σ_l z^{−l} Γ_l], [−F, I − Σ_j G_j z^{−j}]]. At an eigenvalue
-        of multiplicity k its step is a k-th of the distance; k ≤ n is taken.
+        of multiplicity k its step is a k-th of the distance; k = n is assumed.
         """
         from deadtime.numerics.small_matrices import decompose
 
@@ -173,13 +172,13 @@ def lifted_loop(
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth; the table may be made from another model, with another delay.
+        The true plant; the table may come from another model, with another delay.
     feedback : Feedback
         The law's table.
     mode : int
         The plant's mode, all through the period.
     row : int, optional
-        The table's row; by default the one that applies when the mode has been held throughout.
+        The table's row; by default that of a mode held throughout.
 
     Examples
     --------
@@ -198,9 +197,9 @@ def lifted_loop(
 
 
 def with_memory(plant: SwitchedSystem, feedback: Feedback) -> SwitchedSystem:
-    """The plant that all outputs of a table drive: what the law remembers acts on nothing.
+    """The plant with the controller states of a table as further inputs, which have no effect.
 
-    Those come first and arrive after a period, whenever the others do.
+    These come first and arrive after one period, whatever the plant's delays.
 
     Examples
     --------
@@ -219,7 +218,7 @@ def with_memory(plant: SwitchedSystem, feedback: Feedback) -> SwitchedSystem:
 
 
 def held_table(law: Law, mode: int, step: float) -> Feedback:
-    """The table of a linear law with one mode held; of one on estimates that of the law it runs."""
+    """The table of a linear law, or of the law inside an output feedback, with one mode held."""
     rows = law if law.observer is None else law.row_law
     return rows.digital(step, SwitchingSignal.constant(mode), 1)
 
@@ -230,9 +229,13 @@ def aged_row(feedback: Feedback, mode: int) -> int:
 
 
 def with_line(period: Period, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """A (size, size), B (size, m) of states and the inputs on the line behind them, latest first.
+    """A (size, size) and B (size, m) of z_{k+1} = A z_k + B u_k, z = (x_k, u_{k−1}, u_{k−2}, …).
 
-    z = (x_k, u_{k−1}, …) goes to A z + B u_k: the line is shifted, and what leaves it acts.
+          x   u_{k−1} u_{k−2} …
+    A = [ Φ   Γ_1     Γ_2     … ]    B = [ Γ_0 ]
+        [ 0   0       0         ]        [ I   ]
+        [ 0   I       0         ]        [ 0   ]
+        [ 0   0       I         ]        [ 0   ]
     """
     (n, m), A = period.Gamma.shape[1:], np.zeros((size, size))
     B = np.zeros((size, m))
@@ -263,7 +266,7 @@ def leading_eigenvalue(
 ) -> tuple[complex, np.ndarray] | None:
     """The eigenvalue of largest modulus of an operator and its eigenvector, by Arnoldi's method.
 
-    None where 90 vectors do not tell it to a relative `tolerance`, or numbers are beyond floats.
+    None if 90 vectors do not give it to a relative `tolerance`, or numbers overflow.
     """
     order = start.size
     most = min(order, _MOST_VECTORS)
@@ -273,7 +276,7 @@ def leading_eigenvalue(
         image = apply(basis[j])
         if not np.isfinite(image).all():
             return None
-        for _ in range(2):
+        for _ in range(2):  # Gram and Schmidt's method loses orthogonality in one pass
             part = basis[: j + 1] @ image
             image = image - part @ basis[: j + 1]
             H[: j + 1, j] += part
@@ -306,9 +309,9 @@ def transform(G, w):
 
 
 class LawSide(NamedTuple):
-    """Observer and law from what is seen, w = (x̄, s): w' = A w + B y, u = E w + D y.
+    """Observer and law from the measurement, w = (x̄, s): w' = A w + B y, u = E w + D y.
 
-    Without the inputs that arrive, and without the law's taps.
+    Without the arriving inputs and the law's feedback of past inputs.
     """
 
     A: Float[np.ndarray, "w w"]
@@ -325,7 +328,7 @@ class LawSide(NamedTuple):
         F: Float[np.ndarray, "m z"],
         mode: int,
     ) -> LawSide:
-        """Under F of the law inside, with C the measurement; the identity for y itself."""
+        """Observer and law for the gain F of the law inside; C is the identity for y itself."""
         h, observer = law.observer.step, law.observer
         C_o, L = observer.C[mode], observer.gain[mode]
         H = np.zeros((0, len(C))) if law.servo is None else law.servo.tracked[: law.servo.sums]
@@ -342,7 +345,7 @@ class LawSide(NamedTuple):
 
 
 class Joined(NamedTuple):
-    """X' = Phi X + …, u_k = gain X + …, X = (x, x̄, s), its first `true` those of the plant."""
+    """X' = Phi X + …, u_k = gain X + …, X = (x, x̄, s); the first `true` states are the plant's."""
 
     Phi: Float[np.ndarray, "size size"]
     gain: Float[np.ndarray, "m size"]
@@ -350,7 +353,7 @@ class Joined(NamedTuple):
 
     @classmethod
     def of(cls, law: Law, x: Period, x_bar: Period, F: np.ndarray, mode: int) -> Joined:
-        """Plant and observer side by side, each with its own inputs, under F of the law inside."""
+        """Plant and observer, each with its own delay line, for the gain F of the law inside."""
         assert law.outputs is not None
         side, n = LawSide.of(law, law.outputs[mode], x_bar, F, mode), len(x.Phi)
         Phi = np.zeros((n + len(side.A), n + len(side.A)))
@@ -359,7 +362,7 @@ class Joined(NamedTuple):
         return cls(Phi, np.hstack((side.D, side.E)), n)
 
     def arrivals(self, x: Period, x_bar: Period) -> Period:
-        """Its period with inputs: those of the plant and of the observer's model, lag by lag."""
+        """The period of X with the inputs of the plant and of the observer's model, lag by lag."""
         n, m = x.Gamma.shape[1:]
         rows = {"plant": slice(0, n), "model": slice(n, n + x_bar.Gamma.shape[1])}
         lags = tuple(sorted({*x.lags, *x_bar.lags}, reverse=True))
@@ -386,10 +389,10 @@ def observed_loop(
 
 
 def units_of(effect: Float[np.ndarray, "row m"]) -> np.ndarray:
-    """Powers of two, (m,), by which to count inputs so that they act neither much nor little.
+    """Exponents of the powers of two, (m,), that scale each input so that its effect is near 1.
 
-    Of eigenvalues of a loop whose inputs act 1e100 times as much as they are large nothing would be
-    left but round-off. 0 where an input acts as much as usual.
+    Without it round-off would hide the eigenvalues of a loop with effects of 1e100. 0, no change,
+    for effects between 2^−50 and 2^50; powers of two change no digits.
     """
     power = np.frexp(np.abs(effect).max(axis=0))[1]
     return np.where(np.abs(power) <= _FAR, 0, power)

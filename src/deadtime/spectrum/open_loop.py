@@ -1,7 +1,7 @@
-"""A loop with one mode held, cut open: what the plant and what the law answer.
+"""The plant and the law of a loop with one mode held, as two systems.
 
-At samples the plant goes from the inputs v to the outputs y, and the law from y to the inputs u
-that it asks for,
+At samples the plant maps the inputs v to the outputs y, and the law maps y to the commanded inputs
+u,
 
     x_{k+1} = Φ x_k + Σ_l Γ_l v_{k−l},    y_k = C x_k,
     w_{k+1} = A w_k + B y_k + Σ_l Γʷ_l u_{k−l},    u_k = E w_k + D y_k + Σ_j G_j u_{k−j}:
@@ -45,20 +45,20 @@ class StateSpace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """The plant and the law of a loop in one mode, apart (immutable).
+    """The plant and the law of a loop in one mode (immutable).
 
     Attributes
     ----------
     C : (p, n)
-        What is measured.
+        The measurement y = C x.
     plant : Period
         Φ, Γ and lags of the plant.
     law : LawSide
-        Of w: A, B, E and D.
+        A, B, E and D of w.
     arriving : Period
-        Γʷ and their lags, of no states where the law has none.
+        Γʷ and their lags; without states if the law has none.
     G : (taps, m, m)
-        The law's taps, the latest input first.
+        The law's gains on past inputs, the latest first.
     """
 
     C: Float[np.ndarray, "p n"]
@@ -100,7 +100,7 @@ class OpenLoop:
         size = w + max(taps, *self.arriving.lags, 0) * m
         A, B = with_line(self.arriving._replace(Phi=side.A), size)
         C = input_row(side.E, self.G, size)
-        # What enters the line is u_k, which y_k has a part in.
+        # u_k enters the line, and contains D y_k.
         A, into = A + B @ C, B @ side.D
         into[:w] += side.B
         return StateSpace(A, into, C, side.D)
@@ -108,7 +108,7 @@ class OpenLoop:
     def responses(
         self, omega: Float[np.ndarray, " point"], step: float
     ) -> tuple[Complex[np.ndarray, "point p m"], Complex[np.ndarray, "point m p"]]:
-        """The plant and the law at frequencies, rad/s: O(1) in how many periods a delay holds."""
+        """The plant and the law at frequencies, rad/s; the cost does not depend on the delay."""
         z = np.exp(1j * omega * step)
         w, m = len(self.law.A), self.G.shape[1]
         plant = self.C @ _resolvent(z, self.plant.Phi) @ _transform_line(self.plant, z)

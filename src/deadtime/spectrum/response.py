@@ -4,16 +4,16 @@ A root z = e^{iωh} of the digital loop makes
 
     Δ(ω, D) = [[zI − Φ, −p], [−F, M]]    singular,    M = I − Σ_j G_j z^{−j},
 
-where p, the plant's delay line, is the only part that knows the true delay D = (N − 1) h + φ; the
-law keeps its table:
+where only p, the plant's delay line, depends on the true delay D = (N − 1) h + φ; the law keeps its
+table:
 
     p = z^{−N} (Γ_early + z Γ_late),    ∂p/∂D = z^{−N} (1 − z) e^{A(h − φ)} B.
 
 For a root s = iω of the ideal loop Φ, z and the sum are A, iω and W(iω), and p = e^{−iωD} B. Where
 the plant has no eigenvalue at z, det Δ = det(zI − Φ) det(M − r p) with r = F (zI − Φ)⁻¹.
 
-Where inputs have delays of their own, the delay that is varied is the shortest of them; the others
-are longer by as much as ever, and each has its own column of p.
+If delays differ between inputs, the shortest is varied; the others keep their difference to it, and
+each input has its own column of p.
 """
 
 from __future__ import annotations
@@ -45,17 +45,16 @@ class Samples(NamedTuple):
     r_slope: np.ndarray
 
     def repeat(self, times: int) -> Samples:
-        """These frequencies again and again."""
         return Samples(*(np.concatenate([part] * times) for part in self))
 
 
 class Response(ABC):
-    """A loop in one mode as a function of frequency and true delay: what margins read.
+    """A loop in one mode as a function of frequency and true delay, for margins.
 
     Attributes
     ----------
     memory : float
-        How far back the loop looks but for the delay that is varied, seconds.
+        The longest time for which an input acts in the loop, less the varied delay, seconds.
     highest : float
         No root lies above this frequency, rad/s, whatever the true delay.
     """
@@ -70,7 +69,7 @@ class Response(ABC):
 
     @abstractmethod
     def samples(self, omega: np.ndarray, even: bool = False) -> Samples:
-        """All but the delay line, at any frequencies; `even`: at (k + ½)/count · highest."""
+        """The parts other than the delay line; `even` says that ω is (k + ½)/count · highest."""
 
     @abstractmethod
     def delay_line(
@@ -81,7 +80,7 @@ class Response(ABC):
     @property
     @abstractmethod
     def cuts(self) -> Float[np.ndarray, " cut"]:
-        """Delays that stand for all, but for what e^{−iωD} turns, seconds."""
+        """Delays, seconds, at which |λ| is sampled: it does not depend on the whole periods."""
 
     @property
     @abstractmethod
@@ -90,14 +89,14 @@ class Response(ABC):
 
 
 class LoopResponse(Response):
-    """The response of a loop all of whose delays are varied together.
+    """The response of a loop whose delays are all varied together.
 
     Attributes
     ----------
     F : (m, n)
         The law's gain on the state.
     offsets : (m,)
-        By how much the delay of each input is longer than the one that is varied, seconds, ≥ 0.
+        The delay of each input less the one that is varied, seconds, ≥ 0.
     """
 
     F: Float[np.ndarray, "m n"]
@@ -106,7 +105,7 @@ class LoopResponse(Response):
     @property
     @abstractmethod
     def taps(self) -> float:
-        """How far back the law looks, seconds."""
+        """The longest time for which the law depends on past inputs, seconds."""
 
     @property
     def memory(self) -> float:
@@ -161,7 +160,7 @@ class LoopResponse(Response):
         """Δ and its slopes by ω and by the delay, a delay for each frequency."""
         m, n = self.F.shape
         p, p_slope, p_speed = self.delay_line(omega, delay)
-        true = p.shape[1]  # an observer's states read other inputs
+        true = p.shape[1]  # states of an observer have a delay line of their own
         Delta, slope, speed = np.zeros((3, omega.size, n + m, n + m), complex)
         Delta[:, :n, :n], slope[:, :n, :n] = self.free(omega)
         Delta[:, n:, n:], slope[:, n:, n:] = self.law(omega)
@@ -172,7 +171,7 @@ class LoopResponse(Response):
 
 
 def offsets_of(plant: SwitchedSystem, mode: int) -> Float[np.ndarray, " m"]:
-    """By how much the delays of a mode are longer than the plant's shortest, seconds."""
+    """The delays of a mode less the plant's shortest, seconds."""
     return plant.delays[mode] - plant.shortest_delay
 
 
@@ -229,7 +228,7 @@ class IdealResponse(LoopResponse):
 
 @dataclass(frozen=True, eq=False)
 class OneInput(Response):
-    """A loop as a function of one input's delay, closed but for that input (immutable).
+    """A loop as a function of one input's delay, all other inputs closed (immutable).
 
     With the columns p_k of the delay line of all other inputs at their own delays, a root lies on
     the limit of stability where M − r p is singular,
@@ -243,11 +242,11 @@ class OneInput(Response):
     ----------
     whole : LoopResponse
     nominal : float
-        The delay at which the `whole` has all its inputs' own, seconds.
+        The varied delay of the `whole` at which all inputs have their nominal delays, seconds.
     number : int
         j.
     offset : float
-        By how much the delay of input j is longer than the one that is varied, seconds.
+        The delay of input j less the one that is varied, seconds.
     """
 
     whole: LoopResponse

@@ -1,6 +1,6 @@
 """The sampled loop run period by period, compiled, forwards and transposed.
 
-Whatever a linear loop is asked for, its inputs, its cost or its growth, one recursion answers:
+Inputs, cost and growth of a linear loop follow from one recursion:
 
     u_k = F x_k + Σ_j G_j u_{k−j},    x ← Φ x + Σ_j Γ_j u_{k−lag_j, j} over each piece of a period,
 
@@ -10,8 +10,8 @@ x̃_k = w^k x_k and ũ_k = w^k u_k with w near 1/(growth over a period):
     ũ_k = F x̃_k + Σ_j w^j G_j ũ_{k−j},    x̃ ← Φ x̃ + Σ_j w^{lag_j} Γ_j ũ_{k−lag_j, j},
     x̃_{k+1} = w x̃.
 
-Searches run these loops for long, so Python never does. They make no arrays, which halves what
-compiling them takes.
+Searches run these loops for long, so they are always compiled. They make no arrays, which halves
+the time of compiling.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from deadtime.plant.pieces import Period, Piece
 
 
 class LoopPeriods(NamedTuple):
-    """The periods of a loop, as its compiled runs take them; after the last comes the first.
+    """The periods of a loop for its compiled runs, repeated cyclically.
 
     first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
     rows : (periods,), of the law's table
     F : (contexts, m, n), G : (contexts, m, taps·m), that table, weighted, the oldest input first
     weight : w, of one period
     power : (entries,), w^lag of the first input of every entry
-    others : (entries, m), what those of the others are times that
+    others : (entries, m), w^lag of every input over that of the first
     """
 
     first: Int[np.ndarray, " period+1"]
@@ -59,7 +59,7 @@ class LoopPeriods(NamedTuple):
         G: Float[np.ndarray, "context m window"],
         weight: float = 1.0,
     ) -> LoopPeriods:
-        """Periods of pieces, the first five fields; all arrays of one type for the compiler."""
+        """Periods of pieces, the first five fields; read-only arrays, one type for the compiler."""
         lag = pieces[4]
         power, others = weight ** lag[:, 0], weight ** (lag - lag[:, :1])
         parts = *pieces[:5], rows, F, G, weight, power, others
@@ -97,7 +97,7 @@ class LoopPeriods(NamedTuple):
 
     @property
     def past(self) -> int:
-        """How many past inputs a run reads."""
+        """The number of past inputs that a run needs."""
         return max(self.G.shape[2] // self.G.shape[1], int(self.lag.max()))
 
 

@@ -1,8 +1,8 @@
 """Design for margin: the cheapest gains, filter and period with a requested delay margin.
 
-Its message hints at units that were mixed up. A delay in milliseconds beside matrices in 1/s, gains
-per degree beside states in radians: nothing in the arithmetic fails, and the answer is about
-another plant. What can be seen are ratios that no plant is likely to have.
+The message points to units that may be mixed: a delay in milliseconds beside matrices in 1/s, or
+gains per degree beside states in radians, give a valid design for another plant. Ratios that no
+plant is likely to have show it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -47,7 +48,7 @@ def check_request(
     cost: str,
     dearest: float,
 ) -> float:
-    """The margin asked for, 0 where none is, once the arguments make sense."""
+    """The requested margin, 0 without one, after a check of the arguments."""
     instance("plant", plant, SwitchedSystem)
     asked = 0.0 if delay_margin is None else number("delay_margin", delay_margin)
     if delay_margin is not None and not 0.0 < asked < 1.0:
@@ -71,7 +72,6 @@ def check_request(
 
 
 def decay_asked(decay_rate: float) -> float:
-    """The decay rate asked for, 1/s."""
     asked = number("decay_rate", decay_rate)
     if asked < 0.0:
         raise ArgumentError(
@@ -93,10 +93,21 @@ def require_seen(plant: SwitchedSystem, weight: Weight) -> None:
 
 
 def require_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> Law:
-    """The plain design's law, if the family's laws can be run."""
+    """The plain design's law, after a check that laws of the family can be run."""
     if not callable(make):
         raise ArgumentError(f"law must be a function (plant, gains) -> law, got {make!r}.")
-    _require_two_arguments(make)
+    try:
+        takes = inspect.signature(make)
+    except (TypeError, ValueError):
+        takes = None  # a compiled function may have no signature
+    if takes is not None:
+        try:
+            takes.bind(None, None)
+        except TypeError:
+            raise ArgumentError(
+                "law must be a function (plant, gains) -> law that takes these two by position, "
+                f"got one that takes {takes}."
+            ) from None
     law = make(plant, gains)
     kind = type(law).__name__
     if not law.is_linear or law.observer is not None:
@@ -113,35 +124,20 @@ def require_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> La
     return law
 
 
-def _require_two_arguments(make: MakeLaw) -> None:
-    """Refuse a function that cannot be called with a plant and gains."""
-    try:
-        takes = inspect.signature(make)
-    except (TypeError, ValueError):
-        return  # compiled: it has none to be read
-    try:
-        takes.bind(None, None)
-    except TypeError:
-        raise ArgumentError(
-            "law must be a function (plant, gains) -> law that takes these two by position, got "
-            f"one that takes {takes}."
-        ) from None
-
-
-_GROWTH = 10.0  # of e^{pD}, in the exponent: 22,000 times within the delay
-_SCALES = 1e6  # between the states of a balanced mode
+_GROWTH = 10.0  # p D of an unstable pole: growth by 22,000 within the delay
+_SCALES = 1e6  # ratio of the units in which a mode is balanced
 
 
 def unit_hints(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], step: float
 ) -> tuple[str, ...]:
-    """Sentences about ratios that mixed units are the likeliest reason of; none for most plants.
+    """Sentences about ratios that suggest mixed units; none for most plants.
 
     Parameters
     ----------
     plant : SwitchedSystem
     gains : (modes, m, n)
-        The plain design's.
+        Gains of the plain design.
     step : float
         Sampling period h, s.
 
@@ -163,8 +159,9 @@ def _growth(plant: SwitchedSystem) -> str:
     delay = plant.longest_delay
     if pole * delay <= _GROWTH:
         return ""
-    times = amount(math.exp(pole * delay)) if pole * delay < 700.0 else "beyond all numbers"
-    within = f"{times} times" if pole * delay < 700.0 else times
+    within = "beyond all numbers"
+    if pole * delay < 700.0:  # e^709 is the largest float
+        within = f"{amount(math.exp(pole * delay))} times"
     return (
         f"An unstable pole at {pole:.3g} /s grows {within} within the delay of {delay:g} s, which "
         "no gains make up for: is the delay in seconds?"
@@ -183,7 +180,7 @@ def _step(plant: SwitchedSystem, gains: np.ndarray, step: float) -> str:
 
 
 def _scales(plant: SwitchedSystem) -> str:
-    """How far a change of the states' units alone would bring a mode's entries together."""
+    """A sentence about the first mode with states that balancing scales far apart."""
     from scipy.linalg import matrix_balance
 
     for mode, A in enumerate(plant.A):
@@ -220,12 +217,12 @@ def design(
     initial: InitialStates | StationaryNoise | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Design:
-    r"""Gains and a law with delay margin, decay rate and inputs as asked, at the least cost found.
+    r"""Gains and a law with a requested delay margin, decay rate and input limit, at least cost.
 
-    Varied are the gains (with one input the poles of each mode, with several the LQR weights), the
-    time constant of a low-pass filter in the law, and, if allowed, a longer sampling period. If
-    nothing tried meets the request, what comes nearest comes back, beside what any linear
-    controller could reach.
+    The search varies the gains (with one input the poles of each mode, with several the LQR
+    weights), the time constant of a low-pass filter in the law, and, if allowed, the sampling
+    period. If no design tried meets the request, the nearest is returned, with the limits of any
+    linear controller.
 
     Parameters
     ----------
@@ -233,8 +230,8 @@ def design(
         The plant at its nominal delays, the model of the law.
     delay_margin : float, optional
         The relative error of the true delay, above 0 and below 1, that every constant mode must
-        tolerate both ways: 0.05 for ±5 %. Of several delays all err by as many seconds, so much
-        of the shortest. Without one the margin is only said.
+        tolerate both ways: 0.05 for ±5 %. Several delays change by the same time, relative to the
+        shortest. Without it the margin is reported only.
     step : float
         Sampling period h, seconds.
     law : callable, optional
@@ -247,28 +244,28 @@ def design(
     longest_step : float, optional
         Allow periods up to this, seconds: 2, 5, 10, … times `step`.
     decay_rate : float
-        How fast every constant mode must decay at least at the nominal delays, 1/s. A wide margin
-        at a low cost is easily had by a loop that hardly moves.
+        The least decay rate of every constant mode at the nominal delays, 1/s. Without it a slow
+        loop may have a wide margin at a low cost.
     cost : "mean" or "worst"
         The cost :math:`\int x^T Q x + u^T R u \, dt` of the mean or of the worst mode, each held.
     budget : int
-        How many designs to try. A larger budget tries all that a smaller one does.
+        The number of designs to try. A larger budget tries all designs of a smaller one.
     dearest : float
-        Designs that cost more than so many times the cheapest found are not considered, the plain
-        one apart.
+        Designs that cost more than `dearest` times the cheapest found are not considered, except
+        the plain one.
     seed : int
-        Of the samples that the search starts from; the answer depends on nothing else.
+        Seed of the samples that the search starts from; equal seeds give equal results.
     weight : Weight, optional
         Of the cost, the identity by default. R must be definite and Q weigh the unstable states of
-        every mode, so that no loop is cheap because its growth is not seen.
+        every mode, so that a loop that grows has a large cost.
     input_limit : array_like, shape () or (m,), optional
-        What :math:`|u_j|` must stay below in every constant mode, from `initial` on without inputs
-        in the past.
+        The bound of :math:`|u_j|` in every constant mode, starting from `initial` without inputs in
+        the past.
     initial : InitialStates or StationaryNoise, optional
-        The states at the start, the ball :math:`|x(0)| \le 1` by default: over a ball, box or
-        ellipsoid the exact worst case, of a normal x(0) with the probability that it says at least
-        (`deadtime.synthesis.input_peak`). Or stationary noise: then the limit is kept with just the
-        probability that it says, at any one instant.
+        The initial states, the ball :math:`|x(0)| \le 1` by default. Over a ball, box or ellipsoid
+        the bound holds in the exact worst case, for a normal x(0) with at least its probability
+        (`deadtime.synthesis.input_peak`). Under stationary noise it holds with its probability at
+        any one instant.
     progress : callable, optional
         Called with a few words before each of at most `budget` designs that are tried.
 
@@ -280,13 +277,13 @@ def design(
     ------
     ArgumentError
         If an argument is malformed, a mode is not controllable or has no `delay_limit`, the law
-        family makes laws that are no table or need a preview of it, or the delay holds so many
-        periods that the search would take long.
+        family makes laws that are no table or need a preview of the signal, or the delay holds so
+        many periods that the search would take long.
 
     Notes
     -----
-    The margin is that of constant modes, exact; switching may lose the loop earlier, which
-    `delay_margin(…, dwell_time=…)` decides. A search proves nothing about what it did not find.
+    The margin is that of constant modes, exact; switching may destabilise the loop earlier, which
+    `delay_margin(…, dwell_time=…)` decides. The search does not prove its result the cheapest.
 
     Examples
     --------
@@ -305,7 +302,7 @@ def design(
     if weight is not None:
         require_seen(plant, weight)
     budget, seed = count("budget", budget, 20), count("seed", seed, 0)
-    make = _averaged_law if law is None else law
+    make = partial(AveragedPredictor, allow_unstable=True) if law is None else law
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
     whole = (weight or Weight()).of(plant)
@@ -313,7 +310,9 @@ def design(
     first = require_table(plant, make, start)
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
-    plain = _plain(plant, first, step, cost == "worst", weight, initial)
+    plain_cost = assess(plant, first, step, cost == "worst", weight=weight)[1]
+    plain_margin = constant_delay_margin(plant, first, step)
+    plain = _point(plant, first, step, plain_margin, plain_cost, initial)
     search = DesignSearch(
         plant, make, cost == "worst", budget, dearest, floors, weight, progress=progress
     )
@@ -324,20 +323,6 @@ def design(
     spend(search, pairs, start, np.random.default_rng(seed))
     exact = Exact(plant, search)
     return _result(plant, exact, exact.choose(), plain, start, limits)
-
-
-def _plain(
-    plant: SwitchedSystem,
-    law: Law,
-    step: float,
-    worst: bool,
-    weight: Weight | None,
-    initial: Source,
-) -> TradeOff:
-    """The design to compare with."""
-    margin = constant_delay_margin(plant, law, step)
-    cost = assess(plant, law, step, worst, weight=weight)[1]
-    return _point(plant, law, step, margin, cost, initial)
 
 
 def _point(
@@ -359,7 +344,7 @@ def _point(
 def _plain_candidate(
     plain: TradeOff, family: ChoiceFamily, step: float, gains: np.ndarray, floors: Floors
 ) -> Tried:
-    """The plain design as the first of the candidates, with parameters of gains close to it."""
+    """The plain design as the first candidate, with parameters of gains close to its own."""
     return Tried(
         family=family,
         step=step,
@@ -422,12 +407,8 @@ def _result(
     )
 
 
-def _averaged_law(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor:
-    return AveragedPredictor(plant, gains, allow_unstable=True)
-
-
 def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:
-    """The growth rates at both ends of the margin asked for, from spectra of their own."""
+    """The growth rates at both ends of the requested margin, an independent check of it."""
     shortest = plant.shortest_delay
     offsets = plant.delays - shortest
     delays = [shortest * (1.0 + sign * asked) + offsets for sign in (-1.0, 1.0)]

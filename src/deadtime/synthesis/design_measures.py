@@ -1,16 +1,16 @@
-"""The measures of a design that a search compares, found fast: its margin, cost and growth.
+"""Fast measures of a design for a search: estimated margin, cost and growth.
 
 The cost is ∫ xᵀQx + uᵀRu, the mean over initial states on the unit sphere.
 
 With one mode held, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
-`deadtime.spectrum`, and what a period costs is a quadratic form zᵀ S z: the Gramians of
+`deadtime.spectrum`, and the cost of a period is a quadratic form zᵀ S z: the Gramians of
 `numerics.exponential` give ∫xᵀQx over the pieces of the period, the held input h u_kᵀR u_k. So
 
     ∫₀^∞ xᵀQx + uᵀRu dt = z₀ᵀ X z₀,    X = S + Lᵀ X L.
 
-Only the block X_xx is wanted, whose trace over n is the mean over |x₀| = 1 without inputs in the
-past: that is n runs, summed period by period until nothing more comes, which costs less than the
-Lyapunov equation of order n + W m. No quadrature, so it is exact to round-off.
+Only the block X_xx is needed, whose trace over n is the mean over |x₀| = 1 without inputs in the
+past: n runs, summed period by period until the sum converges, cost less than the Lyapunov equation
+of order n + W m. Without quadrature the result is exact to round-off.
 """
 
 from __future__ import annotations
@@ -29,24 +29,23 @@ from deadtime.spectrum import LiftedLoop, aged_row
 from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.sampled_runs import LoopPeriods, cost_of_run
 
-_LOW, _FINE = 0.02, 0.25  # rad, of delay × frequency: the lowest, and the distance higher up
+_LOW, _FINE = 0.02, 0.25  # rad, of delay × frequency: the lowest, and the largest distance
 _FEW = 160
 _STARTS, _NEWTON, _CONVERGED = 24, 12, 1e-6
-_NEAREST = 0.6  # of a start's δ: so much nearer its solution may be
-_HIGH = -0.2  # of log|λ|: a peak that may reach 1 at another delay
+_NEAREST = 0.6  # of a start's |δ|: a lower bound of that of its solution, by experience
+_HIGH = -0.2  # of log|λ|: the least peak that may reach 0 at another delay
 
 
 def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
-    """The smallest error of the delay, relative to it, that loses a mode stable without one.
+    """The smallest relative error of the delay that destabilises a mode that is stable without.
 
-    Of several delays, which all err by as many seconds, relative to the shortest.
+    Several delays change by the same time, relative to the shortest.
 
     At the limit of stability det(M − r p) = 0 (`spectrum.response`). Far below the Nyquist
-    frequency a delay longer by δ turns the delay line p by e^{−iωδ}, so each eigenvalue λ(ω) of M⁻¹
-    r p with |λ| = 1 asks for ωδ = arg λ, modulo 2π. Crossings of |λ| = 1 are read off a grid of
-    frequencies; from the nearest of them Newton's method goes to solutions (ω, D + δ) of det Δ = 0,
-    p being exact there. A crossing between two points of the grid is missed: `spectrum.margin`
-    misses none.
+    frequency a delay longer by δ multiplies the delay line p by e^{−iωδ}, so each eigenvalue λ(ω)
+    of M⁻¹ r p with |λ| = 1 requires ωδ = arg λ, modulo 2π. Crossings of |λ| = 1 come from a grid of
+    frequencies and start Newton's method for det Δ(ω, D + δ) = 0 with the exact p. Two crossings
+    between neighbouring points of the grid are missed; `margins.crossing` misses none.
     """
     response = DigitalResponse.of(plant, feedback, mode)
     delay = plant.shortest_delay
@@ -54,7 +53,8 @@ def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> fl
     z, _ = response.free(omega)
     M, _ = response.law(omega)
     p, _, _ = response.delay_line(omega, np.full(omega.size, delay))
-    loop = np.linalg.solve(M, feedback_to_state(response.F, z) @ p)
+    r = np.linalg.solve(z.transpose(0, 2, 1), response.F.T).transpose(0, 2, 1)  # F (zI − Φ)⁻¹
+    loop = np.linalg.solve(M, r @ p)
     values = loop[:, :, 0] if loop.shape[1] == 1 else np.linalg.eigvals(loop)
     values = np.take_along_axis(values, np.argsort(np.abs(values), axis=1), axis=1)
     w, away, sure = _starts(omega, values)
@@ -66,22 +66,17 @@ def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> fl
     return best / delay
 
 
-def feedback_to_state(F: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """r = F (zI − Φ)⁻¹ at every frequency."""
-    return np.linalg.solve(free.transpose(0, 2, 1), F.T).transpose(0, 2, 1)
-
-
 def frequencies(delay: float, highest: float) -> np.ndarray:
-    """Even in the logarithm while that is closer, then as close as the loop turns."""
+    """Logarithmic at low frequencies, then even, close enough for the phase of the delay."""
     low = np.geomspace(_LOW / delay, highest, _FEW, endpoint=False)
     even = np.arange(_FINE / delay, highest, _FINE / delay)
     return np.unique(np.concatenate((low, even)))
 
 
 def _starts(omega: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequencies where a modulus passes 1 or peaks close to it, and the δ of either sign, seconds.
+    """Frequencies at which |λ| crosses 1 or peaks near it, their δ of both signs, s, nearest first.
 
-    The nearest first; and whether a modulus is sure to pass 1 there.
+    The third array is True at crossings: there δ is a fallback if Newton's method fails.
     """
     level = np.log(np.maximum(np.abs(values), 1e-300))
     angle = np.angle(values)
@@ -133,10 +128,10 @@ def _refine(
     return float(best.min()) if best.size else math.inf
 
 
-_DONE = 1e-15  # of the cost: what the last block may add
+_DONE = 1e-15  # of the cost: a block that adds less is the last
 BLOCKS = 4000  # of one delay each
-_SHORTEST = 16  # periods
-LARGEST = 1e60  # cost: beyond, the loop grows
+_SHORTEST = 16  # periods of a block
+LARGEST = 1e60  # a larger cost is that of a loop that grows
 
 
 def cost_and_growth(
@@ -146,9 +141,9 @@ def cost_and_growth(
     blocks: int = BLOCKS,
     weight: Weight | None = None,
 ) -> tuple[float, float]:
-    """The cost, ∞ if unstable; and how fast the loop grows, about, 1/s: negative where it decays.
+    """The cost, ∞ if unstable, and about the growth rate, 1/s, negative for a loop that decays.
 
-    After so many `blocks` of one delay the rest is taken for a geometric series.
+    After `blocks` blocks of one delay the rest is summed as a geometric series.
 
     Examples
     --------
@@ -183,7 +178,7 @@ def _form(
 ) -> tuple[Int[np.ndarray, " lag"], Float[np.ndarray, "z z"]]:
     """The lags of a period, and S with ∫xᵀQx + uᵀRu over it = zᵀ S z, z = (x_k, u_{k−lags[0]}, …).
 
-    The part of u is that of the input sent in the period: what follows is all of them.
+    The term of u is that of the input computed in the period; each input counts once.
     """
     from deadtime.numerics.exponential import gramian
 
@@ -203,18 +198,18 @@ def _form(
 
 
 def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> LoopPeriods:
-    """One mode of a plant under the row of a mode that has been held throughout."""
+    """A period of one mode under the row of a mode held throughout."""
     pieces = SampledPlant(plant, feedback.step).pieces(mode)
     return LoopPeriods.held(pieces, feedback, aged_row(feedback, mode))
 
 
 def block_of(one: LoopPeriods) -> int:
-    """Periods that are run at a time, at least as many as inputs are remembered."""
+    """Periods that are run at a time, at least the past inputs of a period."""
     return max(one.past, _SHORTEST)
 
 
-_DENSE = 150  # order: up to there all eigenvalues of a loop are as fast as the largest
-WIDEST = 9.0  # relative: beyond, margins are not told apart
+_DENSE = 150  # order up to which computing all eigenvalues is as fast as Arnoldi's method
+WIDEST = 9.0  # relative: larger margins count as equal
 
 
 def assess(
@@ -226,10 +221,10 @@ def assess(
     exact: bool = False,
     weight: Weight | None = None,
 ) -> tuple[float, float, float]:
-    """Estimated relative margin, cost, and growth of the fastest mode, 1/s.
+    """Estimated relative margin, cost, and the growth rate of the fastest growing mode, 1/s.
 
-    The growth is what the run of the cost shows, about, where it is not wanted exactly: of two
-    poles that turn, or of a slow one behind fast ones, a run of finite length shows little.
+    With `exact` the growth rate comes from the lifted loop; otherwise from the run of the cost,
+    which is inaccurate for complex poles, and for a slow pole with a small residue.
     """
     from deadtime.switching import SwitchingSignal
 

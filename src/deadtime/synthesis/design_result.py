@@ -1,4 +1,4 @@
-"""A design that `design` hands back: what it was to keep, what it does, and in sentences."""
+"""The result of `design`: the request, the design and the sentences about it."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from deadtime.synthesis.input_sources import InitialStates, StationaryNoise
 from deadtime.synthesis.limits import DelayLimit
 
 MARGIN, DECAY, LIMIT = "margin", "decay rate", "input limit"
-_LEAST = 1e-9  # of a floor: less is not told apart
+_LEAST = 1e-9  # of a floor: smaller values count as equal
 
 
 @dataclass(frozen=True)
 class Floors:
-    """The least that a design must have.
+    """The requirements of a design.
 
-    margin : relative to the delay; 0 where none is asked for
-    decay_rate : of the slowest constant mode, 1/s; 0 where none is asked for
-    input_limit : (m,), what |u_j| must stay below; None where nothing is asked
-    initial : the states at the start, or the noise, for which it must
+    margin : relative to the delay; 0 for none
+    decay_rate : of the slowest constant mode, 1/s; 0 for none
+    input_limit : (m,), bounds of |u_j|; None for none
+    initial : the initial states, or the noise, under which the limits hold
     """
 
     margin: float
@@ -38,17 +38,13 @@ class Floors:
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """The names of what is asked for."""
-        parts = ((MARGIN, self.margin), (DECAY, self.decay_rate), (LIMIT, self.limited))
+        """The names of the requirements."""
+        limited = self.input_limit is not None
+        parts = ((MARGIN, self.margin), (DECAY, self.decay_rate), (LIMIT, limited))
         return tuple(name for name, floor in parts if floor)
 
-    @property
-    def limited(self) -> bool:
-        """Whether the inputs have a limit."""
-        return self.input_limit is not None
-
     def load(self, peak: Float[np.ndarray, " m"] | None) -> float:
-        """The largest peak beside its limit; 0 without limits.
+        """The largest ratio of a peak to its limit; 0 without limits.
 
         Examples
         --------
@@ -60,7 +56,7 @@ class Floors:
         return float((peak / self.input_limit).max())
 
     def shortfalls(self, margin: float, decay_rate: float, load: float = 0.0) -> tuple[str, ...]:
-        """The names of the floors that a margin, a decay rate and a load fall short of.
+        """The names of the requirements that are not met.
 
         Examples
         --------
@@ -74,7 +70,7 @@ class Floors:
     def shortfall(
         self, margin: float, decay_rate: float, slack: float = 1.0, load: float = 0.0
     ) -> float:
-        """By how much they fall short in all: the logarithms of floor over value, summed.
+        """The total shortfall: the sum of the logarithms of requirement over value.
 
         Examples
         --------
@@ -89,7 +85,7 @@ class Floors:
 
 @dataclass(frozen=True, eq=False)
 class TradeOff:
-    """One design: what it tolerates and what it costs (immutable).
+    """The margin, cost, decay rate and inputs of one design (immutable).
 
     Attributes
     ----------
@@ -98,17 +94,17 @@ class TradeOff:
     step : float
         Its sampling period, seconds.
     margin : float
-        The smallest error of the delay that loses a constant mode, relative to the delay, or to
-        the shortest of several; 0 where one is unstable.
+        The smallest error of the delay that destabilises a constant mode, relative to the delay, or
+        to the shortest of several; 0 if a mode is unstable.
     cost : float
-        ∫ xᵀQx + uᵀRu with one mode held, mean over |x₀| = 1, mean or worst over the modes; ∞
-        where one is unstable.
+        ∫ xᵀQx + uᵀRu with one mode held, mean over |x₀| = 1, mean or worst over the modes; ∞ if a
+        mode is unstable.
     decay_rate : float
-        How fast the slowest constant mode decays at the nominal delay, 1/s; negative where one
+        The decay rate of the slowest constant mode at the nominal delay, 1/s; negative if one
         grows.
     input_peak : (m,) or None
-        What :math:`|u_j|` stays at or below in every constant mode, from the states at the start
-        that were asked about (`input_peak`); ∞ where one is unstable.
+        The largest :math:`|u_j|` in every constant mode, from the requested initial states
+        (`input_peak`); ∞ if a mode is unstable.
     """
 
     law: Law
@@ -126,54 +122,54 @@ class TradeOff:
 
 @dataclass(frozen=True, eq=False)
 class Design(Frozen):
-    r"""Gains and a law that meet a request, or come nearest to it (immutable).
+    r"""Gains and a law that meet a request, or are the nearest found (immutable).
 
     Attributes
     ----------
     law : Law
-        The law, which holds `gains` and the low-pass filter, if it has one.
+        The law, with `gains` and the low-pass filter, if it has one.
     gains : (modes, m, n)
         :math:`K_i` of :math:`u = +K_i x`; with a filter, of :math:`v` in :math:`T \dot u = v - u`.
     time_constant : (m, m) or None
         T, seconds; None without a filter.
     step : float
-        The sampling period it is made for, seconds.
+        The sampling period of the design, seconds.
     margin : DelayMargin
         The exact margin of constant modes, as by `delay_margin(plant, law, step)`.
     asked : float
-        The margin asked for, relative to the delay, or to the shortest of several; 0 for none.
+        The requested margin, relative to the delay, or to the shortest of several; 0 for none.
     decay_asked : float
-        The decay rate asked for, 1/s; 0 where none was.
+        The requested decay rate, 1/s; 0 for none.
     reached : bool
-        Whether the margin is at least that, and the spectrum at both ends says so, too; the decay
-        rate at least what was asked, and the inputs at most.
+        Whether the margin, confirmed by the spectrum at both ends, the decay rate and the inputs
+        meet the request.
     growth : (2, modes)
         The growth rates at the true delays :math:`D (1 - \text{asked})` and
         :math:`D (1 + \text{asked})`, 1/s.
     cost : float
         :math:`\int x^T Q x + u^T R u \, dt`, as in `TradeOff`.
     decay_rate : float
-        How fast the slowest constant mode decays at the nominal delay, 1/s, as in `TradeOff`.
+        The decay rate of the slowest constant mode at the nominal delay, 1/s, as in `TradeOff`.
     plain : TradeOff
-        The design to compare with: given gains, or LQR of the cost's weights, which are best for it
-        when the mode never changes and the delay is right.
+        The design for comparison: the given gains, or LQR with the cost's weights, which is optimal
+        for a constant mode and the nominal delay.
     limits : tuple of DelayLimit
-        Per mode, what any linear controller could reach.
+        Per mode, the limits of any linear controller.
     points : tuple of TradeOff
-        The best of what was tried, by growing margin: no other that decays as fast as asked
-        tolerates more and costs less. The chosen one is always among them.
+        The best designs tried, by growing margin: no other with the requested decay rate has a
+        larger margin and a lower cost. They include the chosen one.
     evaluated : int
-        How many designs were tried.
+        The number of designs tried.
     message : str
         The same in sentences.
     weight : Weight or None
         Of the cost; None for the identity.
     input_peak : (m,)
-        What :math:`|u_j|` stays at or below in every constant mode, for `initial`.
+        The largest :math:`|u_j|` in every constant mode, for `initial`.
     input_limit : (m,) or None
-        What it was asked to stay below.
+        The requested bound of :math:`|u_j|`.
     initial : InitialStates or StationaryNoise
-        The states at the start, or the noise, for which it does.
+        The initial states, or the noise, of `input_peak`.
     """
 
     law: Law
@@ -198,7 +194,7 @@ class Design(Frozen):
     initial: InitialStates | StationaryNoise = field(default_factory=InitialStates.ball)
 
     def missed(self, point: TradeOff) -> tuple[str, ...]:
-        """Those of "margin", "decay rate", "input limit" that were asked and are not met."""
+        """The requested of "margin", "decay rate", "input limit" that a design does not meet."""
         floors = Floors(self.asked, self.decay_asked, self.input_limit)
         return floors.shortfalls(point.margin, point.decay_rate, floors.load(point.input_peak))
 
@@ -237,7 +233,7 @@ def sentences(
     limits: Sequence[DelayLimit],
     evaluated: int,
 ) -> str:
-    """Whether the request is met, at what price, how fast, and what could be reached at all."""
+    """Result, cost, decay rate, inputs and the limits of any linear controller, in words."""
     if found is None:
         text = [
             f"Not reached: none of {evaluated} designs that were tried is stable in every "
@@ -249,8 +245,7 @@ def sentences(
             _price(found, plain),
             _decay(found, plain, floors.decay_rate),
         ]
-        inputs = _inputs(floors, found, plain)
-        text += [inputs] if inputs else []
+        text += _inputs(floors, found, plain)
     return " ".join([*text, _limits(limits, floors.margin)])
 
 
@@ -267,7 +262,6 @@ def _answer(floors: Floors, reached: bool, found: TradeOff, evaluated: int) -> s
 
 
 def _shortfall(floors: Floors, found: TradeOff) -> str:
-    """Which of the requests it misses, and by how much."""
     load = floors.load(found.input_peak)
     missed = floors.shortfalls(found.margin, found.decay_rate, load)
     if not missed:
@@ -304,7 +298,7 @@ def _price(found: TradeOff, plain: TradeOff) -> str:
 
 
 def _decay(found: TradeOff, plain: TradeOff, slowest: float) -> str:
-    """How fast it is: a low price may be that of a loop that hardly moves."""
+    """The decay rate, since a low cost may be that of a slow loop."""
     wanted = f" ({slowest:.3g} /s asked)" if slowest else ""
     text = f"In its slowest constant mode it decays at {found.decay_rate:.3g} /s{wanted}"
     if math.isinf(plain.cost) or found.law is plain.law:
@@ -312,11 +306,11 @@ def _decay(found: TradeOff, plain: TradeOff, slowest: float) -> str:
     return f"{text}, the plain design at {plain.decay_rate:.3g} /s."
 
 
-def _inputs(floors: Floors, found: TradeOff, plain: TradeOff) -> str:
-    """How far each input goes, beside what it must stay below."""
+def _inputs(floors: Floors, found: TradeOff, plain: TradeOff) -> list[str]:
+    """The peak of each input and its limit."""
     limits, initial = floors.input_limit, floors.initial
     if limits is None or initial is None or found.input_peak is None or plain.input_peak is None:
-        return ""
+        return []
     reach, parts = "may reach" if initial.kind == "normal" else "reaches", []
     own_and_other = zip(found.input_peak, plain.input_peak, strict=True)
     for name, limit, (peak, other) in zip(
@@ -329,11 +323,11 @@ def _inputs(floors: Floors, found: TradeOff, plain: TradeOff) -> str:
             other = "grows without bound" if math.isinf(other) else f"{reach} {amount(other)}"
             own += f", the plain design's {other}"
         parts.append(f"|{name}| {keeps} {limit:g} for {initial.text}: {own}.")
-    return " ".join(parts)
+    return parts
 
 
 def _limits(limits: Sequence[DelayLimit], asked: float) -> str:
-    """The modes with the least room: of which the least is reached, or the least is possible."""
+    """The limits of the modes with the least margin reached, and the least possible."""
     modes = range(len(limits))
     least = min(modes, key=lambda i: (limits[i].reached, limits[i].most))
     bound = min(modes, key=lambda i: (limits[i].most, i != least))

@@ -1,7 +1,6 @@
 """The search for designs: global samples, then Nelder and Mead's method from the best of them.
 
-Everything tried is kept, so that the trade-off of margin and cost comes with the answer, by exact
-margins.
+All designs tried are kept for the trade-off of margin and cost, with exact margins.
 """
 
 from __future__ import annotations
@@ -24,22 +23,22 @@ from deadtime.synthesis.input_peak import largest_inputs
 
 MakeLaw = Callable[[SwitchedSystem, np.ndarray], Law]
 Merit = Callable[["Tried | None"], float]
-_SLACK = 1.003  # of what is asked for: what the estimates may err by
-_SLOPE = 12.0  # of the penalty, of the cost's logarithm by the shortfall
-_LOST = 1e3
-_BLOCKS = 150  # of one delay: enough to compare costs by
+_SLACK = 1.003  # of the request: the error of estimated margins
+_SLOPE = 12.0  # of the penalty: cost's logarithm per shortfall
+_LOST = 1e3  # merit of unstable designs: above all stable ones
+_BLOCKS = 150  # of one delay: enough to compare costs
 
 
 class Spent(Exception):
-    """The budget is spent."""
+    """Raised when the budget is spent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tried:
     """One design: its parameters, law, estimated margin (relative, 0 if unstable) and cost.
 
-    growth : of the fastest mode, 1/s; negative where all decay, exact where a decay is asked for
-    load : the largest input beside its limit; 0 where none is asked for
+    growth : of the fastest growing mode, 1/s; exact if a decay rate is requested
+    load : the largest ratio of an input to its limit; 0 without limits
     """
 
     family: ChoiceFamily
@@ -55,7 +54,7 @@ class Tried:
 
 @dataclass
 class DesignSearch:
-    """The state of a search: what is asked, what it may spend, and what it has tried."""
+    """The state of a search: the request, the budget and the designs tried."""
 
     plant: SwitchedSystem
     make: MakeLaw
@@ -64,25 +63,24 @@ class DesignSearch:
     dearest: float
     floors: Floors
     weight: Weight | None = None
-    plain: Tried | None = None  # the design to compare with, where it may be chosen, too
+    plain: Tried | None = None  # the design for comparison, if it may be chosen, too
     tried: list[Tried] = field(default_factory=list)
     spent: int = 0
-    progress: Callable[[str], None] = lambda _: None  # told of each design
+    progress: Callable[[str], None] = lambda _: None  # called before each design
 
     @property
     def stable(self) -> list[Tried]:
-        """Those stable at a cost of at most `dearest` times the cheapest's; and the plain one."""
+        """Stable designs that cost at most `dearest` times the cheapest; and the plain one."""
         most = self.dearest * self.least_cost
         stable = [one for one in self.tried if one.margin > 0.0]
         return [one for one in stable if one.cost <= most or one is self.plain]
 
     @property
     def least_cost(self) -> float:
-        """The cheapest design's cost, ∞ without one."""
         return min((one.cost for one in self.tried), default=math.inf)
 
     def evaluate(self, family: ChoiceFamily, step: float, parameters: np.ndarray) -> Tried | None:
-        """Try parameters (modes, size); None where they make no law. `Spent` when that is over."""
+        """Try parameters (modes, size); None if they make no law. Raises `Spent` at the end."""
         if self.spent >= self.budget:
             raise Spent
         self.spent += 1
@@ -102,8 +100,8 @@ class DesignSearch:
         return tried
 
     def load(self, law: Law, step: float) -> float:
-        """The largest input of the modes beside its limit; 0 where none is asked for."""
-        if not self.floors.limited:
+        """The largest ratio of an input to its limit over the modes; 0 without limits."""
+        if self.floors.input_limit is None:
             return 0.0
         return self.floors.load(largest_inputs(self.plant, law, step, self.floors.initial))
 
@@ -118,7 +116,7 @@ class DesignSearch:
             self.evaluate(family, step, np.tile(point, (self.plant.modes, 1)))
 
     def polish(self, start: Tried, merit: Merit, per_mode: bool, count: int, size: float) -> None:
-        """Nelder and Mead's method from a design, on what all modes share or on each mode's own."""
+        """Nelder and Mead's method from a design, with common changes of all modes or per mode."""
         from scipy.optimize import minimize
 
         shape = start.parameters.shape
@@ -145,7 +143,7 @@ class DesignSearch:
         )
 
     def cheapest(self) -> Merit:
-        """To be minimised: the cost's logarithm, with a penalty on what falls short."""
+        """To be minimised: the cost's logarithm, with a penalty on the shortfall."""
 
         def merit(tried: Tried | None) -> float:
             if tried is None or tried.margin <= 0.0:
@@ -155,7 +153,7 @@ class DesignSearch:
         return merit
 
     def nearest(self) -> Merit:
-        """To be minimised: what is short of the request, with a penalty on what is too dear."""
+        """To be minimised: the shortfall, with a penalty on costs above `dearest`."""
         most = self.dearest * self.least_cost
 
         def merit(tried: Tried | None) -> float:
@@ -167,21 +165,18 @@ class DesignSearch:
         return merit
 
     def shortfall(self, tried: Tried, slack: float = 1.0) -> float:
-        """By how much the estimates fall short of the request."""
         return self.floors.shortfall(tried.margin, -tried.growth, slack, tried.load)
 
     def ranking(self, merit: Merit) -> list[Tried]:
-        """All that was tried, the best first."""
         return sorted(self.tried, key=merit)
 
 
 def _unstable_merit(tried: Tried | None) -> float:
-    """The merit of what is not stable: the slower it grows, the better."""
+    """The merit of an unstable design: slower growth is better."""
     return 3.0 * _LOST if tried is None else _LOST * (1.0 + math.tanh(tried.growth))
 
 
 def make_law(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
-    """The law of a choice, filtered where it has a filter."""
     law = make(plant, choice.gains)
     if choice.time_constant is None:
         return law
@@ -191,16 +186,15 @@ def make_law(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
 
 _ROUND = 50  # trials in the first round
 _SAMPLED = 0.2  # of a round
-_PARTS = (0.2, 0.25, 0.35, 0.5, 1.0)  # of the rest, one after the other
-_SIZES = (0.25, 0.6, 0.25, 0.6, 0.15)  # of the simplex that each starts with
-_FEWEST = 20  # trials that polishing is worth
-_LONGER = (1, 2, 5, 10, 20, 50, 100)  # times the step: what is tried where longer ones are allowed
+_PARTS = (0.2, 0.25, 0.35, 0.5, 1.0)  # of the remaining trials, in order
+_SIZES = (0.25, 0.6, 0.25, 0.6, 0.15)  # of the initial simplex of each part
+_FEWEST = 20  # trials below which polishing is not begun
+_LONGER = (1, 2, 5, 10, 20, 50, 100)  # times the step: periods tried up to `longest_step`
 
 
 def pairs_of(
     search: DesignSearch, filtered: bool | None, step: float, longest_step: float | None
 ) -> list[tuple[ChoiceFamily, float]]:
-    """The families of parameters and the periods that are varied."""
     kinds = [False, True] if filtered is None else [filtered]
     family = Poles if search.plant.inputs == 1 else Weights
     families = [family(search.plant, kind) for kind in kinds]
@@ -217,7 +211,7 @@ def spend(
 ) -> None:
     """Rounds of samples and polishing, each twice as long as the one before.
 
-    The budget only says where they end, so a larger one tries all that a smaller one does.
+    Rounds do not depend on the budget, so a larger one tries all designs of a smaller one.
     """
     try:
         for family, step in pairs:
@@ -238,7 +232,7 @@ def _round(
     size: int,
     rng: np.random.Generator,
 ) -> None:
-    """Samples, then polishing for cost, and for the request where that falls short."""
+    """Samples, then polishing for cost, or for the request while no design meets it."""
     share = max(4, int(_SAMPLED * size / len(pairs)))
     for family, step in pairs:
         search.samples(family, step, share, rng)
@@ -259,7 +253,7 @@ def _round(
 
 
 def _distinct(search: DesignSearch, merit: Merit, most: int) -> list[Tried]:
-    """The best of each family and step, the best of all first."""
+    """The best design of each family and step, the best of all first."""
     best: list[Tried] = []
     for one in search.ranking(merit):
         if all((one.family, one.step) != (other.family, other.step) for other in best):
@@ -269,15 +263,15 @@ def _distinct(search: DesignSearch, merit: Merit, most: int) -> list[Tried]:
     return best
 
 
-_CHECKED = 10  # designs looked at exactly for the one that comes nearest
-_ERRS = 3e-3  # of a shortfall: what its estimate may err by
-_NEAR = 0.01  # of a shortfall: so much farther is as near
+_CHECKED = 10  # designs with exact margins in the search for the nearest
+_ERRS = 3e-3  # error of an estimated shortfall
+_NEAR = 0.01  # shortfalls closer than this count as equal
 _POINTS = 10  # of the trade-off
-_WIDE = 2.0  # relative: margins beyond are not told apart in the trade-off
+_WIDE = 2.0  # relative: larger margins count as equal in the trade-off
 
 
 class Exact:
-    """Exact margins of what a search tried, each computed once."""
+    """Exact margins of the designs of a search, each computed once."""
 
     def __init__(self, plant: SwitchedSystem, search: DesignSearch) -> None:
         self.plant = plant
@@ -285,30 +279,23 @@ class Exact:
         self.known: dict[int, DelayMargin] = {}
 
     def margin(self, tried: Tried) -> DelayMargin:
-        """As by `constant_delay_margin`."""
         key = id(tried)
         if key not in self.known:
             self.known[key] = constant_delay_margin(self.plant, tried.law, tried.step)
         return self.known[key]
 
     def relative(self, tried: Tried) -> float:
-        """0 where a mode is unstable."""
         return self.margin(tried).relative or 0.0
 
     def decay_rate(self, tried: Tried) -> float:
-        """Of the slowest constant mode, 1/s."""
         return -float(self.margin(tried).growth.max())
 
     def shortfall(self, tried: Tried) -> float:
-        """By how much it falls short of what is asked, 0 where it does not."""
         found = self.relative(tried), self.decay_rate(tried)
         return self.search.floors.shortfall(*found, load=tried.load)
 
     def choose(self) -> Tried | None:
-        """The cheapest that meets the request; else the one nearest to it.
-
-        Of those as near as the nearest, about, the cheapest.
-        """
+        """The cheapest design that meets the request; else the cheapest of the nearest ones."""
         stable = self.search.stable
         short = {one: self.search.shortfall(one) for one in stable}
         for one in sorted(stable, key=_price):
@@ -321,10 +308,10 @@ class Exact:
         return min(near, key=_price, default=None)
 
     def trade_off(self, chosen: TradeOff | None) -> tuple[TradeOff, ...]:
-        """Designs of which none is both wider and cheaper, few enough to draw; and the chosen.
+        """A few designs of the front of margin and cost, and the chosen one.
 
-        Of those with the decay rate that is asked for, and inputs within their limits, where there
-        are any.
+        If there are designs with the requested decay rate and inputs within their limits, the front
+        of these.
         """
         points = [self._point(one) for one in self._front()]
         if chosen is not None:
@@ -349,7 +336,7 @@ class Exact:
         return TradeOff(one.law, one.step, self.relative(one), one.cost, self.decay_rate(one), peak)
 
     def _front(self) -> list[Tried]:
-        """Of the front by estimated margins, a few with margins evenly apart."""
+        """A few designs of the front by estimated margins, with evenly spaced margins."""
         floor = self.search.floors.decay_rate
         stable = sorted(self.search.stable, key=_price)
         kept = [one for one in stable if (-one.growth >= floor or not floor) and one.load <= 1.0]
@@ -366,5 +353,5 @@ class Exact:
 
 
 def _price(one: Tried) -> float:
-    """The cost to six digits: of equals the one tried first, such as the plain one."""
+    """The cost to six digits: equal costs keep the order of trial, the plain design first."""
     return float(f"{one.cost:.6g}")

@@ -1,15 +1,15 @@
-"""Parameters that a search varies: they make gains, and a filter's time constant with them.
+"""Parameters that a search varies, and the gains and filter's time constant that they define.
 
 With a filter the plant has u as a state and v = du/dt as its input,
 
     d/dt (P, u) = [[A, B], [0, 0]] (P, u) + (0, v),    v = L_x P + L_u u,
 
-which is the low-pass law T du/dt = K P − u with T = −L_u⁻¹ and K = T L_x. One filter serves all
-modes: L_u is their mean. Every parameter is the logarithm of something in units of the plant, so
-that 0 is ordinary and a box of a few units holds all that is sensible.
+which is the low-pass law T du/dt = K P − u with T = −L_u⁻¹ and K = T L_x. All modes have one
+filter: L_u is their mean. Every parameter is a logarithm in units of the plant, so that 0 is
+typical and a box of a few units holds all sensible values.
 
-With one input the poles of every mode are free, n of them or n + 1, and that is every gain there
-is; with several, LQR weights.
+With one input the parameters are the poles of every mode, n or n + 1 of them, which describe all
+gains; with several, LQR weights.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jaxtyping import Float
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 
-_FILTERS = (0.02, 0.06, 0.2)  # of the delay: time constants to start from
+_FILTERS = (0.02, 0.06, 0.2)  # of the delay: time constants of the first designs
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Choice(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class ChoiceFamily(ABC):
-    """Parameters (modes, size) to a `Choice`."""
+    """A map from parameters (modes, size) to a `Choice`."""
 
     plant: SwitchedSystem
     filtered: bool
@@ -50,11 +50,11 @@ class ChoiceFamily(ABC):
     @property
     @abstractmethod
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where to look: low and high, (size,)."""
+        """The box of the samples: low and high, (size,)."""
 
     @abstractmethod
     def starts(self, gains: Float[np.ndarray, "mode m n"]) -> list[np.ndarray]:
-        """Parameters (modes, size) to start from: those of given gains, or close to them."""
+        """Parameters (modes, size) of given gains, or close to them."""
 
     @abstractmethod
     def feedback(
@@ -63,7 +63,7 @@ class ChoiceFamily(ABC):
         """The gain of (A, B), the mode itself or with its input as a state."""
 
     def choice(self, parameters: np.ndarray) -> Choice | None:
-        """The gains of parameters (modes, size); None where they make none."""
+        """The gains of parameters (modes, size); None if there are none."""
         plant, m, n = self.plant, self.plant.inputs, self.plant.states
         L = []
         for mode in range(plant.modes):
@@ -94,7 +94,6 @@ class Poles(ChoiceFamily):
 
     @property
     def unit(self) -> float:
-        """The unit of frequencies, 1/s."""
         return max(
             float(np.abs(np.linalg.eigvals(self.plant.A)).max()), 0.3 / self.plant.longest_delay
         )
@@ -119,7 +118,7 @@ class Poles(ChoiceFamily):
         return rows
 
     def _encode(self, poles: np.ndarray) -> np.ndarray:
-        """Parameters of poles in the open left half plane; nearby of others."""
+        """Parameters of poles, reflected into the open left half plane."""
         re, im = np.real(poles), np.imag(poles)
         re = np.where(re < 0.0, re, -np.abs(re) - 0.1 * self.unit)
         upper = (re + 1j * im)[im > 0.0]
@@ -136,7 +135,7 @@ class Poles(ChoiceFamily):
         return np.array(result)
 
     def _polynomial(self, parameters: np.ndarray) -> np.ndarray:
-        """Coefficients, the leading 1 first."""
+        """The coefficients of the characteristic polynomial, the leading 1 first."""
         values = np.exp(np.clip(parameters, -12.0, 12.0))
         result = np.ones(1)
         for omega, zeta in values[: self.size - self.size % 2].reshape(-1, 2):

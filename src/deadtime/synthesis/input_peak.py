@@ -1,20 +1,20 @@
-"""How large the inputs become: the worst over initial states, or with a probability.
+"""The largest inputs: the worst case over initial states, or a level kept with a probability.
 
-With one mode held and no inputs in the past every input is linear in the state at the start,
+With one mode held and no inputs in the past every input is linear in the initial state,
 u_k = M_k x(0), and held over its period, so the largest over samples is the largest over time. M_k
-comes from n runs. Over a set of initial states the largest |u_k| is a closed form of each row
-(`deadtime.synthesis.input_sources`), and no bound.
+comes from n runs. Over a set of initial states the largest |u_k| is an exact closed form of each
+row (`deadtime.synthesis.input_sources`).
 
-Of x(0) ~ N(0, X) the spread of every u_k is exact, σ_k² = M_k X M_kᵀ. The probability that |u_k|
-stays below a level c at all k is not a closed form, and lies between
+For x(0) ~ N(0, X) the variance of every u_k is exact, σ_k² = M_k X M_kᵀ. The probability that |u_k|
+stays below a level c at all k has no closed form, and lies between
 
     max(F_n(c²/max_k σ_k²), Π_k P(|u_k| ≤ c))    and    min_k P(|u_k| ≤ c),
 
-with F_n the distribution of χ² with as many degrees as X has directions: within the ellipsoid of
-that size no u_k exceeds c; the product is Šidák's inequality (Journal of the American Statistical
-Association 62, 626–633, 1967). With one state the bounds meet.
+with F_n the distribution of χ² with rank X degrees of freedom: within the ellipsoid of that size no
+u_k exceeds c; the product is Šidák's inequality (Journal of the American Statistical Association
+62, 626–633, 1967). With one state the bounds are equal.
 
-Stationary noise spreads the inputs, too: `deadtime.synthesis.input_sources`.
+For stationary noise see `deadtime.synthesis.input_sources`.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from deadtime.spectrum.sampled_runs import LoopPeriods, forward
 from deadtime.synthesis.design_measures import block_of, periods_of
 from deadtime.synthesis.input_sources import InitialStates, StationaryNoise, level_of
 
-Source = InitialStates | StationaryNoise  # what moves the inputs
+Source = InitialStates | StationaryNoise
 _DONE = 1e-6  # of the largest input: a block that stays below is the last
-_GROWS = 1e9  # times the first inputs
+_GROWS = 1e9  # times the first inputs: the loop grows
 _MOST = 200_000  # samples
 _HALVINGS = 100
 
@@ -52,15 +52,15 @@ class InputPeak(Frozen):
     Attributes
     ----------
     initial : InitialStates or StationaryNoise
-        The states that it starts from, or what moves it.
+        The initial states, or the noise.
     level : (modes, m)
-        What :math:`|u_j(t)|` stays at or below: over a set its exact maximum; under a normal x(0)
-        a level kept with the probability asked for at least; under noise the one kept with just
-        that probability at any one instant. ∞ where a mode is unstable.
+        The bound of :math:`|u_j(t)|`: over a set its exact maximum; for a normal x(0) a level kept
+        with at least the requested probability; under noise the level kept with that probability at
+        any one instant. ∞ for an unstable mode.
     least : (modes, m)
-        No lower level is kept: the same as `level` but under a normal x(0), where it is a bound.
+        A lower bound of the least such level: for a normal x(0) below `level`, otherwise equal.
     time : (modes, m)
-        When the largest value is attained, s; NaN where a mode is unstable, and under noise.
+        The time of the largest value, s; NaN for an unstable mode, and under noise.
     """
 
     initial: Source
@@ -72,25 +72,24 @@ class InputPeak(Frozen):
 def input_peak(
     plant: SwitchedSystem, law: Law, step: float = 0.01, initial: Source | None = None
 ) -> InputPeak:
-    r"""How large each input becomes, with each mode held and no inputs in the past.
+    r"""The largest value of each input, with each mode held and no inputs in the past.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth; the law has a model of its own.
+        The true plant; the law has a model of its own.
     law : Law
         A law that is a table, and needs no preview.
     step : float
         Sampling period h, s.
     initial : InitialStates or StationaryNoise, optional
-        The ball :math:`|x(0)| \le 1` by default; or the noise that moves a loop that started
-        long ago.
+        The ball :math:`|x(0)| \le 1` by default; or the noise of a loop in its stationary state.
 
     Returns
     -------
     InputPeak
-        Of the samples until the inputs have fallen to 1e-6 of their largest; ∞ in a mode whose
-        loop grows (`growth_rate`), also where its inputs are small at first, or the gains 0.
+        From the samples until the inputs have fallen to 1e-6 of their largest; ∞ in a mode whose
+        loop grows (`growth_rate`), even if its inputs are small at first or 0.
 
     Raises
     ------
@@ -132,7 +131,7 @@ def input_peak(
 
 
 def check_initial(initial: Source | None, plant: SwitchedSystem) -> Source:
-    """The states at the start, the unit ball by default; or the noise."""
+    """The initial states, by default the unit ball, or the noise; checked."""
     if initial is None:
         return InitialStates.ball()
     if not isinstance(initial, Source):
@@ -146,7 +145,7 @@ def check_initial(initial: Source | None, plant: SwitchedSystem) -> Source:
 def limits_asked(
     plant: SwitchedSystem, input_limit: ArrayLike | None
 ) -> Float[np.ndarray, " m"] | None:
-    """The limit of each |u_j|, (m,); None where none is asked."""
+    """The limit of each |u_j|, (m,), checked; None for none."""
     if input_limit is None:
         return None
     limit = bound("input_limit", input_limit, plant.inputs)
@@ -161,7 +160,7 @@ def limits_asked(
 def largest_inputs(
     plant: SwitchedSystem, law: Law, step: float, initial: Source | None
 ) -> Float[np.ndarray, " m"]:
-    """The level of every input in the mode in which it is largest."""
+    """The level of every input, the largest over the modes."""
     table, initial = law.digital(step), check_initial(initial, plant)
     levels = [mode_levels(plant, table, mode, initial)[0] for mode in range(plant.modes)]
     return np.max(levels, axis=0)
@@ -170,9 +169,9 @@ def largest_inputs(
 def mode_levels(
     plant: SwitchedSystem, feedback: Feedback, mode: int, initial: Source
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """The level of every input with one mode held, what no lower one is kept than, and when, k.
+    """`InputPeak.level`, `.least` and the sample of the largest value, with one mode held.
 
-    Of a loop that decays: what grows from below 1e-6 of the first inputs is not seen.
+    For a loop that decays: growth from below 1e-6 of the first inputs is not detected.
     """
     if isinstance(initial, StationaryNoise):
         variance = input_covariance(plant, feedback, mode, initial)
@@ -200,7 +199,7 @@ def _unbounded(plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def _sizes(rows: Float[np.ndarray, "k m n"], initial: InitialStates) -> Float[np.ndarray, "k m"]:
-    """Of every sample and input the largest |u| over the set, or its standard deviation."""
+    """The largest |u| over the set, or its standard deviation, for every sample and input."""
     if initial.kind == "ball":
         return initial.size * np.linalg.norm(rows, axis=2)
     if initial.kind == "box":
@@ -210,7 +209,7 @@ def _sizes(rows: Float[np.ndarray, "k m n"], initial: InitialStates) -> Float[np
 
 
 def _spread_levels(sigma: np.ndarray, directions: int, part: float) -> tuple[float, float]:
-    """Levels that are kept with a probability at least, and below which none is; see the module."""
+    """A level kept with at least a probability, and a lower bound of it; see the module."""
     from scipy.special import chdtri, erf, erfinv
 
     most = float(sigma.max())
@@ -219,7 +218,7 @@ def _spread_levels(sigma: np.ndarray, directions: int, part: float) -> tuple[flo
     moving = sigma[sigma > _DONE * most]
     if not moving.size:
         return 0.0, 0.0
-    low, high = least, within  # the smaller of both bounds lies between, or is `within`
+    low, high = least, within  # the level of Šidák's bound lies between, or `within` is lower
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         kept = np.log(erf(middle / (math.sqrt(2.0) * moving))).sum() >= math.log(part)
@@ -230,7 +229,7 @@ def _spread_levels(sigma: np.ndarray, directions: int, part: float) -> tuple[flo
 def input_covariance(
     plant: SwitchedSystem, feedback: Feedback, mode: int, noise: StationaryNoise
 ) -> Float[np.ndarray, "m m"] | None:
-    """Var u under noise, at any instant of a mode that is held; None if the loop grows."""
+    """The stationary covariance of u under noise with one mode held; None if the loop grows."""
     W, V = noise.matrices(plant.states, mode)
     rows, errors = input_rows(plant, feedback, mode), error_rows(plant, feedback, mode)
     if rows is None or errors is None:
@@ -243,14 +242,14 @@ def input_covariance(
 def input_rows(
     plant: SwitchedSystem, feedback: Feedback, mode: int
 ) -> Float[np.ndarray, "k m n"] | None:
-    """M_k of u_k = M_k x(0), until they have fallen to 1e-6 of the largest; None if they grow."""
+    """M_k of u_k = M_k x(0), until 1e-6 of the largest; None if they grow."""
     return _responses(periods_of(plant, feedback, mode), np.eye(plant.states))
 
 
 def error_rows(
     plant: SwitchedSystem, feedback: Feedback, mode: int
 ) -> Float[np.ndarray, "k m n"] | None:
-    """H_k of u_k = H_k v, v the error of the first sample: H_0 = F, then until they have fallen."""
+    """H_k of u_k = H_k v, v the error of the first sample, H_0 = F, until 1e-6 of the largest."""
     one = periods_of(plant, feedback, mode)
     period, F = SampledPlant(plant, feedback.step).period(mode), one.F[0]
     soon = sum(B for lag, B in zip(period.lags, period.Gamma, strict=True) if lag == 0)
@@ -264,7 +263,7 @@ def _responses(
     states: Float[np.ndarray, "n n"],
     sent: Float[np.ndarray, "n m"] | None = None,
 ) -> Float[np.ndarray, "k m n"] | None:
-    """The inputs of runs from states, with what was sent the period before, until they have fallen.
+    """The inputs of runs from `states` with `sent` as the last input, until 1e-6 of the largest.
 
     None if they grow.
     """
@@ -286,10 +285,10 @@ def _responses(
             return None
         blocks.append(new)
         largest = max(largest, size)
-        # In the first block an input that was sent before may not have arrived.
+        # In the first block the input sent before may not have arrived.
         if size <= _DONE * largest and len(blocks) > 1:
             break
-    else:  # slow: it grows, or decays
+    else:  # slow: compare with the middle of the run
         if size >= np.abs(blocks[len(blocks) // 2]).max():
             return None
     return np.concatenate(blocks)

@@ -1,31 +1,30 @@
-"""Sources of a loop's inputs: the states that it may start from, and stationary noise.
+"""Initial states and stationary noise, as causes of a loop's inputs.
 
-Every input of a linear loop is a row r of the initial state, u = rᵀx(0), so the largest |u| over a
-set, and the spread of u under a normal x(0), are closed forms:
+Every input of a linear loop is linear in the initial state, u = rᵀx(0), so the largest |u| over a
+set, and the distribution of u for a normal x(0), are closed forms:
 
     |x(0)| ≤ ρ                          ρ |r|
     x(0)ᵀ X⁻¹ x(0) ≤ 1                  √(rᵀ X r)
     |x_i(0)| ≤ b_i                      Σ_i |r_i| b_i
     x(0) ~ N(0, X)                      u ~ N(0, rᵀ X r)
 
-Noise spreads the inputs of a loop that decays. With one mode held, under white noise w of the
-plant, E[w(t) w(s)ᵀ] = W δ(t − s), and noise v_k ~ N(0, V) of every sample, the lifted state z =
-(x_k, u_{k−1}, …, u_{k−W}) follows
+Under noise the inputs of a loop that decays have a stationary distribution. With one mode held,
+white process noise w, E[w(t) w(s)ᵀ] = W δ(t − s), and measurement noise v_k ~ N(0, V), the lifted
+state z = (x_k, u_{k−1}, …, u_{k−W}) follows
 
     z_{k+1} = L z_k + E w_k + b v_k,    E = (I, 0),    b = (Γ₀F, F, 0),    w_k ~ N(0, Q_h),
 
-Q_h = ∫₀^h e^{As} W e^{Aᵀs} ds and Γ₀ what an input does within its own period. Its stationary
-covariance solves the discrete Lyapunov equation
+Q_h = ∫₀^h e^{As} W e^{Aᵀs} ds and Γ₀ the effect of an input within its own period. The stationary
+covariance of z solves the discrete Lyapunov equation
 
     P = L P Lᵀ + E Q_h Eᵀ + b V bᵀ,
 
-and Var u is the block of P that belongs to u_{k−1}. Only that is wanted, and of the series
-P = Σ_i Lⁱ (E Q_h Eᵀ + b V bᵀ) Lᵀⁱ it is
+and Var u is the block of P for u_{k−1}. By the series P = Σ_i Lⁱ (E Q_h Eᵀ + b V bᵀ) Lᵀⁱ it is
 
     Var u = Σ_i M_i Q_h M_iᵀ + Σ_i H_i V H_iᵀ,
 
-M_i the response of u_i to a state at the start, H_i that to an error of the first sample, H_0 = F:
-n + n runs in place of an equation of order n + W m. At any instant u_j ~ N(0, σ_j²), and
+with M_i the response of u_i to an initial state and H_i its response to an error of the first
+sample, H_0 = F: 2 n runs replace an equation of order n + W m. At any instant u_j ~ N(0, σ_j²) and
 P(|u_j| ≤ c) = erf(c/(√2 σ_j)).
 """
 
@@ -50,7 +49,7 @@ Kind = Literal["ball", "ellipsoid", "box", "normal"]
 
 @dataclass(frozen=True, eq=False)
 class InitialStates(Frozen):
-    """The states that a loop may start from (immutable): a ball, a box, an ellipsoid, or a spread.
+    """Initial states of a loop (immutable): a ball, box, ellipsoid or normal distribution.
 
     Made by `ball`, `box`, `ellipsoid` and `normal`.
 
@@ -60,7 +59,7 @@ class InitialStates(Frozen):
     size : (), (n,) or (n, n)
         The radius; the half widths; the matrix X of an ellipsoid, or of a normal distribution.
     probability : float
-        With which an input is to stay below its level; 1 of a set.
+        The probability with which an input stays below its level; 1 for a set.
 
     Examples
     --------
@@ -74,7 +73,7 @@ class InitialStates(Frozen):
 
     @staticmethod
     def ball(radius: float = 1.0) -> InitialStates:
-        r""":math:`|x(0)| \le` radius: for states in like units.
+        r""":math:`|x(0)| \le` radius, for states with one unit.
 
         Raises
         ------
@@ -102,7 +101,7 @@ class InitialStates(Frozen):
 
     @staticmethod
     def ellipsoid(X: ArrayLike) -> InitialStates:
-        r""":math:`x(0)^T X^{-1} x(0) \le 1`; a semidefinite X leaves directions out.
+        r""":math:`x(0)^T X^{-1} x(0) \le 1`; a semidefinite X excludes its null space.
 
         Raises
         ------
@@ -113,14 +112,14 @@ class InitialStates(Frozen):
 
     @staticmethod
     def normal(covariance: ArrayLike, probability: float = 0.99) -> InitialStates:
-        """x(0) ~ N(0, covariance): inputs are to stay below their level with this probability.
+        """x(0) ~ N(0, covariance): inputs stay below their level with a probability.
 
         Parameters
         ----------
         covariance : array_like, shape (n, n) or (n,)
             A matrix, or its diagonal: the squares of the standard deviations.
         probability : float
-            Above 0, below 1; of each input alone, over all of the run.
+            Above 0, below 1; for each input alone, over the whole run.
 
         Raises
         ------
@@ -164,7 +163,7 @@ def _semidefinite(name: str, value: ArrayLike) -> Float[np.ndarray, "n n"]:
 
 @dataclass(frozen=True, eq=False, init=False)
 class StationaryNoise(Frozen):
-    r"""Stationary noise, as what moves the inputs of a loop (immutable).
+    r"""Stationary process and measurement noise of a loop (immutable).
 
     Parameters
     ----------
@@ -172,10 +171,10 @@ class StationaryNoise(Frozen):
         :math:`W`, the intensity of white noise on :math:`\dot x`, in units of :math:`x^2` per
         second: a matrix for every mode or for all, its diagonal, or a number times the identity.
     measurement : array_like, shape (n, n), (n,) or ()
-        V, the covariance of the error of every sample of x, likewise.
+        V, the covariance of the measurement noise of x, likewise.
     probability : float
-        With which :math:`|u_j|` is to stay below its level at any one instant, above 0 and below 1:
-        the share of the time.
+        The probability with which :math:`|u_j|` stays below its level at any one instant, above 0
+        and below 1: the share of the time.
 
     Raises
     ------
@@ -224,7 +223,7 @@ class StationaryNoise(Frozen):
     def matrices(
         self, states: int, mode: int
     ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-        """W of a mode and V of a plant with so many states."""
+        """W of a mode and V, as (n, n) matrices."""
         W = self.process[mode] if self.process.ndim == 3 else self.process
         each = W, self.measurement
         W, V = (one if one.ndim else one * np.eye(states) for one in each)
@@ -250,7 +249,7 @@ def level_of(deviation: Float[np.ndarray, " m"], probability: float) -> Float[np
 
 
 def _process(value: ArrayLike) -> Float[np.ndarray, ...]:
-    """W as `weight_part` has it, or one matrix for every mode."""
+    """W as `weight_part` checks it, or one such matrix per mode."""
     if as_floats("process", value, "of shape (modes, n, n), (n, n), (n,) or ()").ndim != 3:
         return weight_part("process", value, "n")
     given = real_array("process", value, "(modes, n, n)", 3)

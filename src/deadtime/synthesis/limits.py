@@ -1,4 +1,4 @@
-"""How large a delay margin any linear controller could have, mode by mode.
+"""The limits of the delay margin of any linear controller, mode by mode.
 
 The loop at the plant's input has the complementary sensitivity T(s) = e^{−sD} T̃(s), T̃ stable. An
 unstable part of the plant (A₊, B₊) fixes T̃ there; a true delay D + δ turns I into
@@ -8,14 +8,14 @@ Reached by some linear controller (small gain), with the outer W of |W(jω)| = m
 
     X₂ ≤ X₁,    A₊X₁ + X₁A₊ᵀ = B₊B₊ᵀ,    A₊X₂ + X₂A₊ᵀ = C Cᵀ,    C = W(A₊) e^{A₊D} B₊
 
-Reached by none that is linear, time-invariant and continuous: what breaks, for one input, the same
-inequality with C = O(A₊)⁻¹ tan(½ asin(A₊Δ)) e^{A₊(D−Δ)} B₊, or A₊Δ having an eigenvalue on [1, ∞);
-for several inputs, for an eigenvalue p: |tan(½ asin(pΔ)) e^{p(D−Δ)}| ≤ |O(p)|. Here O is outer with
-|O(jω)| = tan(π/4 + ¼ atan(ωΔ)).
+No linear, time-invariant, continuous controller reaches Δ, for one input, if the same inequality
+with C = O(A₊)⁻¹ tan(½ asin(A₊Δ)) e^{A₊(D−Δ)} B₊ fails, or A₊Δ has an eigenvalue on [1, ∞); for
+several inputs, if |tan(½ asin(pΔ)) e^{p(D−Δ)}| ≤ |O(p)| fails for an eigenvalue p. Here O is outer
+with |O(jω)| = tan(π/4 + ¼ atan(ωΔ)).
 
-Inputs with delays of their own: a controller may hold early inputs back, so that what is reached
-with the longest delay for all is reached; and with the shortest for all it could hold them back to
-what they are, so that what is not reached there is not reached.
+If delays differ between inputs, a controller may delay the early ones. So a margin reached with the
+longest delay for all inputs is reached; and one that is not reached with the shortest for all is
+not reached, since with the shortest delays a controller could add the differences itself.
 
 C = f(A₊) B₊ in each case, so X₂ = f(A₊) X₁ f(A₊)ᵀ: in coordinates in which X₁ = I the inequality is
 ‖f(A₊)‖ ≤ 1. Those of `_balance` need no X₁, which is singular to machine precision where poles
@@ -38,8 +38,8 @@ from deadtime.base.frozen import Frozen
 from deadtime.gains.pole_placement import reachable
 from deadtime.plant import SwitchedSystem
 
-_POINTS = 12
-_SMALL = 1e-14  # |q|: below, W is q and O is 1
+_POINTS = 12  # Gauss nodes of a panel
+_SMALL = 1e-14  # |q| below which W = q and O = 1 to round-off
 
 
 def half_angle(v: np.ndarray) -> np.ndarray:
@@ -116,25 +116,24 @@ def _nodes(q: np.ndarray) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " 
     return np.concatenate((x.ravel(), last / t)), np.concatenate((w.ravel(), tail))
 
 
-SLOW = 1e-6  # of 1/D: poles below are not counted; what they cost is of that order
-_LEAST = -700.0  # log of the relative error below which nothing is resolved, 1e-304
-_LOST = 1e-9  # of a direction
+SLOW = 1e-6  # of 1/D: slower poles are ignored, with an error of that order
+_LEAST = -700.0  # log of the smallest relative error, 1e-304
+_LOST = 1e-9  # relative error of a direction of B₊ that is refused
 
 
 @dataclass(frozen=True, eq=False)
 class DelayLimit(Frozen):
     """Limits of the delay margin of one mode, whatever the controller (immutable).
 
-    Relative to the delay; of several, to the plant's shortest, as `DelayMargin.relative`.
+    Relative to the delay; to the shortest of several, as `DelayMargin.relative`.
 
     Attributes
     ----------
     reached : float
-        Some linear controller keeps the mode stable for all true delays that err by less than
-        this, also each input's by another error (small gain: sufficient). ∞: every delay error
-        below 100 %.
+        Some linear controller keeps the mode stable for all errors of the true delay below this,
+        even if they differ between inputs (small gain: sufficient). ∞: for every error below 100 %.
     most : float
-        No linear time-invariant controller does for an error larger than this, common to all
+        No linear time-invariant controller does so for errors up to a larger value, common to all
         inputs (necessary).
     poles : (unstable poles,) complex
         The poles that set the limits, 1/s.
@@ -146,12 +145,12 @@ class DelayLimit(Frozen):
 
 
 def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
-    """The limits of the relative delay margin of one mode, whatever the linear controller.
+    """The limits of the relative delay margin of one mode for any linear controller.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        No input need reach its decaying poles.
+        Its decaying poles need not be controllable.
     mode : int
         The mode.
 
@@ -170,11 +169,10 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
 
     Notes
     -----
-    Between the two, nothing is claimed; they lie farther apart where the delays of the mode's
-    inputs differ: `reached` is that of its longest delay for all inputs, `most` that of its
-    shortest, which differ by the growth of the plant in between. They are about continuous
-    controllers; a digital loop tends to one as its period shortens. Controllers that vary in time
-    are not covered by `most`.
+    Nothing is claimed between the two. They are farther apart if the delays of the mode's inputs
+    differ: `reached` is that of its longest delay for all inputs, `most` that of its shortest. They
+    hold for continuous controllers, the limit of digital ones for short periods. `most` does not
+    cover time-varying controllers.
 
     References
     ----------
@@ -207,7 +205,7 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
 
 
 def _require_stabilisable(A: np.ndarray, B: np.ndarray, slow: float, mode: int) -> None:
-    """Refuse a pole that is unstable, or counts as on the axis, and that no input moves."""
+    """Refuse an uncontrollable pole that is unstable, or counts as on the axis."""
     kept, input_of = _unstable(A, B, -slow)
     if kept.size and reachable(kept, input_of) < len(kept):
         poles = ", ".join(f"{pole:.4g}" for pole in np.linalg.eigvals(kept))
@@ -218,9 +216,9 @@ def _require_stabilisable(A: np.ndarray, B: np.ndarray, slow: float, mode: int) 
 
 
 def _largest(excess: Callable[[float], float], below: float) -> float:
-    """The relative error below 1 at which a condition (excess ≤ 0) is lost; ∞ for none.
+    """The relative error below 1 at which a condition (excess ≤ 0) fails; ∞ if it never does.
 
-    Solved in its logarithm. `below` is the answer where that is under _LEAST.
+    Solved in its logarithm. `below` is the result if that is under _LEAST.
     """
     from scipy.optimize import brentq
 
@@ -236,7 +234,7 @@ def _largest(excess: Callable[[float], float], below: float) -> float:
 
 
 def _on_axis(A: np.ndarray, D: float, unit: float) -> float:
-    """Where poles ±iω on the axis break the small gain: 2 sin(ωΔ/2) = 1, Δ relative to `unit`."""
+    """The error Δ/unit at which poles ±iω violate the small gain condition: 2 sin(ωΔ/2) = 1."""
     poles = np.linalg.eigvals(A)
     near = np.abs(np.real(poles)) * D <= SLOW
     fastest = float(np.abs(np.imag(poles[near])).max(initial=0.0)) * unit
@@ -254,12 +252,12 @@ def _unstable(A: np.ndarray, B: np.ndarray, slow: float) -> tuple[np.ndarray, np
 
 
 def _small_gain(A: np.ndarray, D: float, Delta: float) -> float:
-    """≤ 0 where some linear controller has ‖W T‖ ≤ 1; A input-balanced."""
+    """≤ 0 if some linear controller has ‖W T‖ ≤ 1; A input-balanced."""
     return _log_norm(delay_weight(A * Delta), A, D)
 
 
 def _together(A: np.ndarray, D: float, Delta: float) -> float:
-    """≤ 0 where one input could do: all poles at once; A input-balanced."""
+    """≤ 0 if the condition for one input, on all poles at once, holds; A input-balanced."""
     v = A * Delta
     if np.any(_beyond(np.diag(v))):
         return math.inf
@@ -267,7 +265,7 @@ def _together(A: np.ndarray, D: float, Delta: float) -> float:
 
 
 def _apart(A: np.ndarray, D: float, Delta: float) -> float:
-    """≤ 0 where several inputs could do: each pole by itself; A triangular."""
+    """≤ 0 if the condition for several inputs, on each pole separately, holds; A triangular."""
     poles = np.diag(A)
     return max(_together(pole[None, None], D, Delta) for pole in poles)
 
@@ -290,9 +288,9 @@ def _balance(A: np.ndarray, B: np.ndarray, mode: int) -> np.ndarray:
     """(k, k) complex, triangular: A₊ in coordinates in which X₁ = I, without solving for X₁.
 
     There A + Aᴴ = B Bᴴ, so that entry (i, j > i) is bᵢbⱼᴴ, and |bᵢ|² = 2 Re pᵢ: the poles and the
-    directions of the rows of B say it all, with one input the poles do. A row's direction is that
-    of what is left of it once the rows below are taken out (S. Hammarling 1982): for the last one
-    with b and U = [[U₁, v], [0, τ]] from the old coordinates to these, from A U = U (A + …),
+    directions of the rows of B determine A, with one input the poles alone. A row's direction is
+    that of its rest after elimination of the rows below (S. Hammarling 1982): for the last one with
+    b and U = [[U₁, v], [0, τ]] from the old coordinates to these, from A U = U (A + …),
 
         (A₁ + p̄) v = B₁ bᴴ − a τ,    the rest is (A₁, B₁ − v b).
     """
