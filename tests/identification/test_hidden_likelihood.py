@@ -97,7 +97,7 @@ def test_the_information_is_what_second_differences_of_the_likelihood_say():
     for ours, theirs in ((found.held, held), (found.left, left)):
         theirs, _ = lifted(theirs, found.known)  # no more than known modes would tell
         assert np.abs((ours - theirs) / scale / scale[:, None]).max() < 2e-3
-    assert 0.05 < found.told < 0.9
+    assert 0.05 < found.least_left < 0.9
 
 
 def test_uneven_rows_have_the_sum_over_all_paths_and_rates_are_scored_by_its_slope():

@@ -116,7 +116,8 @@ def likelier_than_chance(rise: float, more: int) -> bool:
     """Whether constant terms raise log L significantly.
 
     The level is strict. In logs of 300 rows with 26 unknowns and noise of plant and sensors, 2 log
-    L rose by twice the mean of χ²: constants absorb some of the plant's noise, whose estimate falls.
+    L rose by twice the mean of χ²: constants absorb some of the plant's noise, and its estimate
+    falls.
     """
     from scipy.stats import chi2
 

@@ -187,7 +187,6 @@ def _texts(names: tuple[str, ...]) -> str:
 
 
 def write_problem(text: str, path: str | PathLike[str]) -> None:
-    """Write a problem file."""
     with replacing(path) as place:
         place.write_text(text, encoding="utf-8")
 

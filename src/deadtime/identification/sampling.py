@@ -221,7 +221,6 @@ class Sampling(Frozen, ABC):
 
 
 def sampling_of(recording: Recording, nodes: Nodes) -> Sampling:
-    """That of a recording."""
     return (EvenSampling if recording.even else UnevenSampling)(recording.step, nodes)
 
 

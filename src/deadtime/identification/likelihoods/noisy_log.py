@@ -229,7 +229,6 @@ class SensorLikelihood(Likelihood):
 
     @property
     def size(self) -> int:
-        """How many unknowns there are."""
         return self.layout.size + self.places[0].size + len(self.C)
 
     def join(self, theta: np.ndarray, noise: NoiseLevels) -> Vector:
@@ -316,7 +315,6 @@ class NoisyLog(SensorLikelihood):
         return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
 
     def value(self, vector: Vector, starts: Starts) -> float:
-        """The log likelihood."""
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
 
     def evaluate(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Evaluation:
