@@ -257,7 +257,8 @@ def _part(
     if column is not None:
         codes, values = table.frame[column].factorize()
         mode = np.array([labels[label(value)] for value in values])[codes]
-    return Part(*map(read_only, (time, output, u, mode)))
+    time, output, u, mode = map(read_only, (time, output, u, mode))
+    return Part(time, output, u, mode)
 
 
 def _moving(
