@@ -23,7 +23,7 @@ def test_an_experiment_is_a_table_and_its_errors_stand_beside_those_of_a_prbs(tm
     out = tmp_path / "inputs.csv"
     code, text, _ = said([*ASKED, *SHORT, "--out", out], capsys)
     assert code == 0
-    assert "Standard error of delay to be expected" in text
+    assert "Expected standard error of delay" in text
     assert "B[1][1,0]" in text
     table = pd.read_csv(out)
     assert list(table.columns) == ["t", "add_u1", "mode"]
@@ -73,6 +73,16 @@ def test_the_noise_of_the_file_s_sensors_is_counted_unless_another_is_given(tmp_
     assert "noise must be numbers" in said([*asked, "--noise", "much"], capsys)[2]
     problem.write_text(NOISY + '[observer]\nkind = "luenberger"\nC = [[1.0]]\npoles = [-3.0]\n')
     assert "noise must be given where the problem measures outputs" in said(asked, capsys)[2]
+
+
+def test_the_disturbances_of_the_file_add_up(tmp_path, capsys):
+    one, two = tmp_path / "one.toml", tmp_path / "two.toml"
+    one.write_text(NOISY)
+    half = '[[imperfection]]\nkind = "white-disturbance"\nintensity = 5e-4\n'
+    two.write_text(NOISY.replace("1e-3", "5e-4") + half)
+    limit = ["--input-limit", 1, "--out", tmp_path / "inputs.csv", "--json"]
+    errors = [json.loads(said([file, *limit], capsys)[1])["errors"]["delay"] for file in (one, two)]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-9)
 
 
 def test_what_cannot_be_done_is_one_line(capsys):

@@ -127,7 +127,7 @@ def test_a_loop_that_only_regulates_has_no_narrow_wrong_answer(name):
     low, high = fit.interval(f"B[0][{row},0]")
     assert low <= 1.0 <= high
     assert "hardly tells the delay" in fit.message
-    assert "the log tells A + B K rather than A and B" in fit.message
+    assert "the log determines A + B K rather than A and B" in fit.message
     assert "the log hardly tells the delay" in fit.doubts
 
 

@@ -212,7 +212,7 @@ REFUSED: list[tuple[dict, str]] = [
     ({"disturbance": np.eye(3)}, "disturbance must be a number"),
     ({"disturbance": [[1e-3, 5e-4], [0.0, 1e-3]]}, "disturbance must be symmetric"),
     ({"disturbance": -1.0}, "disturbance must be symmetric and positive semidefinite"),
-    ({"hold": 1000}, "horizon must leave inputs that tell all unknowns apart"),
+    ({"hold": 1000}, "horizon must leave inputs that identify all unknowns"),
     ({"state_limit": 0.01}, r"state_limit\[0\] must be above"),
     ({"law": dt.OutputFeedback}, "law must be a Law"),
 ]

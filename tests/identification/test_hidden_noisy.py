@@ -211,7 +211,7 @@ def test_modes_that_noise_hides_are_looked_for_with_noise_though_one_mode_seems_
     assert told[:3] == ["reading the log", "looking for 1 mode", "looking for 2 modes"]
     assert told[-2:] == [
         "looking for 2 modes, sensors taken for noisy",
-        "looking how well the log tells them, sensors taken for noisy",
+        "finding intervals, sensors taken for noisy",
     ]
 
 

@@ -169,7 +169,6 @@ def _initial(states: int, initial: str | None, probability: float | None) -> Ini
 def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
     import numpy as np
 
-    from deadtime.imperfections import Noise, WhiteDisturbance
     from deadtime.synthesis import StationaryNoise
 
     if problem.outputs:
@@ -177,14 +176,7 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
             "--noise is for laws that measure the state, and design is of these: the observer of "
             f"the problem {problem.name!r} has noise of its own."
         )
-    eye = np.eye(problem.plant.states)
-    W, V = np.zeros((problem.plant.modes, *eye.shape)), np.zeros_like(eye)
-    for one in problem.imperfections:
-        if isinstance(one, WhiteDisturbance):
-            intensity = np.asarray(one.intensity, dtype=float)
-            W = W + (intensity if intensity.ndim > 1 else intensity * eye)
-        elif isinstance(one, Noise):
-            V = V + np.asarray(one.std, dtype=float) ** 2 * eye
+    W, V = options.process_noise(problem), np.diag(options.sensor_variances(problem))
     if not (W.any() or V.any()):
         raise ArgumentError(
             f"--noise needs an imperfection of the kind white-disturbance or noise, of which the "

@@ -120,9 +120,8 @@ def _disturbance(problem: Problem, given: str | None) -> ArrayLike:
 
     if given is not None:
         return options.one_or_several("disturbance", given)
-    for one in problem.imperfections:
-        if isinstance(one, WhiteDisturbance):
-            return one.intensity
+    if any(isinstance(one, WhiteDisturbance) for one in problem.imperfections):
+        return options.process_noise(problem)
     raise ArgumentError(
         "disturbance must be given where the problem has no white-disturbance: the intensity of "
         "the process noise, x² per second, such as --disturbance 1e-3."
@@ -130,20 +129,18 @@ def _disturbance(problem: Problem, given: str | None) -> ArrayLike:
 
 
 def _noise(problem: Problem, given: str | None) -> ArrayLike:
-    """The deviations of the sensors as given, or those of the file: their variances add up."""
-    import numpy as np
-
+    """The standard deviations of the sensors as given, or those of the file."""
     from deadtime.imperfections import Noise
 
     if given is not None:
         return options.one_or_several("noise", given)
-    stds = [np.asarray(one.std, float) for one in problem.imperfections if isinstance(one, Noise)]
-    if stds and problem.outputs:
+    noisy = any(isinstance(one, Noise) for one in problem.imperfections)
+    if noisy and problem.outputs:
         raise ArgumentError(
             "noise must be given where the problem measures outputs, as its own is of those: the "
             "standard deviations of the sensors of the states, such as --noise 0.01, or 0."
         )
-    return np.sqrt(sum(std**2 for std in stds))
+    return options.sensor_variances(problem) ** 0.5 if noisy else 0.0
 
 
 def _signal(

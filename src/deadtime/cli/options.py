@@ -11,6 +11,8 @@ from cyclopts import Parameter
 from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from deadtime.feedback import Law
     from deadtime.problems import Problem
     from deadtime.problems.switching_assumptions import AssumedSignals
@@ -96,6 +98,34 @@ def law_of(problem: Problem, name: str | None) -> tuple[str, Law]:
 def with_law(problem: Problem, name: str | None) -> Problem:
     """The problem with one of its laws; all by default."""
     return problem if name is None else replace(problem, laws={name: problem.law(name)})
+
+
+def process_noise(problem: Problem) -> np.ndarray:
+    """The intensity (modes, n, n) of the file's white disturbances, which add up."""
+    import numpy as np
+
+    from deadtime.imperfections import WhiteDisturbance
+
+    eye = np.eye(problem.plant.states)
+    W = np.zeros((problem.plant.modes, *eye.shape))
+    for one in problem.imperfections:
+        if isinstance(one, WhiteDisturbance):
+            intensity = np.asarray(one.intensity, dtype=float)
+            W = W + (intensity if intensity.ndim > 1 else intensity * eye)
+    return W
+
+
+def sensor_variances(problem: Problem) -> np.ndarray:
+    """The variances (n,) of the file's noise of measured states, which add up."""
+    import numpy as np
+
+    from deadtime.imperfections import Noise
+
+    variance = np.zeros(problem.plant.states)
+    for one in problem.imperfections:
+        if isinstance(one, Noise):
+            variance = variance + np.asarray(one.std, dtype=float) ** 2
+    return variance
 
 
 def one_or_several(name: str, text: str) -> float | list[float]:

@@ -1,13 +1,13 @@
 """The largest maximum of the likelihood with noisy sensors: climbs from scans of all delays.
 
-There are several maxima over the delays, and over how the noise is shared between plant and
-sensors. So all delays are scanned about where each climb begins, and again about the likeliest
-plant so far, until a scan leads no higher.
+The likelihood has several maxima over the delays, and over the shares of plant and sensors in the
+noise. So all delays are scanned near the start of each climb, and again near the likeliest plant so
+far, until a scan leads no higher.
 
-With A, W and V as they are, errors of the filter are linear in what inputs and constant terms add,
-and a delay of N periods takes the column of u_{k−N}; one between N − 1 and N nearly a mean of two
-columns. So every delay is a regression, of B alone, over the whole log. Constant terms are
-eliminated first: they are the same whatever the delays are.
+With A, W and V fixed, innovations of the filter are linear in the contributions of inputs and
+constant terms. A delay of N periods selects the column of u_{k−N}; a delay between N − 1 and N
+nearly a mean of two columns. So the fit for each delay is a regression for B alone over the whole
+log. Constant terms do not depend on the delays and are eliminated first.
 """
 
 from __future__ import annotations
@@ -29,30 +29,32 @@ from deadtime.identification.scoring import Maximum, best_in_turn
 from deadtime.identification.start import cell_range
 from deadtime.identification.transition import transitions_of
 
-_PARTS = 4  # of a period: delays that are tried
+_PARTS = 4  # delays tried per period
 _SWEEPS = 4  # over all delays, each in turn
 _ROUNDS = 3  # of scans, each about the likeliest plant so far
-_BETTER = 0.1  # of log likelihood: cells that are worth going to
-_GAIN = 1e-4  # of log likelihood that a start may lack: with a pole too many a climb never ends
-_NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
-_LESS = 1e-4  # of the plant's noise, where all errors may be the sensors'
-_LOST = 0.5  # of the samples: a range of delays for which more are of no use is searched in part
+_BETTER = 0.1  # rise of log likelihood that is worth another round
+# Rise of log likelihood that ends a climb: of a plant with one pole too many it never converges.
+_GAIN = 1e-4
+_NEARLY = 3.0  # log likelihood below the maximum at which other delays are still tried
+_LESS = 1e-4  # factor of W where all noise is attributed to the sensors
+# Share of the samples: if the whole range of delays makes more of them unusable, part is searched.
+_LOST = 0.5
 
 
 class Scanned(NamedTuple):
-    """The likeliest plant, and how likely each cell of a delay is beside it, from `first` on."""
+    """The likeliest plant, and the log likelihood of each cell of a delay, from cell `first` on."""
 
     theta: Vector
     first: int
     curves: Float[np.ndarray, "delay cell"]
 
     def moved(self, vector: Vector) -> Vector:
-        """The vector with its plant, and its own noise."""
+        """This plant with the noise of `vector`."""
         return np.concatenate((self.theta, vector[self.theta.size :]))
 
 
 def scanned(log: NoisyLog, vector: Vector) -> Scanned:
-    """All delays of an even log, A and noise as they are in `vector`."""
+    """A scan of all delays of an even log, with A and noise of `vector`."""
     layout, h, rows = log.layout, log.recording.step, log.acting
     first, last = cell_range(h, log.bounds, layout.m)
     lags = np.arange(first - 1, last + 1)
@@ -72,10 +74,13 @@ def scanned(log: NoisyLog, vector: Vector) -> Scanned:
 def _gram(
     log: NoisyLog, vector: np.ndarray, rows: np.ndarray, lags: np.ndarray
 ) -> Float[np.ndarray, "z z"]:
-    """Sums of the errors without inputs and of the responses to each: modes, rows, lags × m (+ 1).
+    """Σ z zᵀ of the innovations without inputs, and of their derivatives by B at every lag.
 
-    Constant terms come last in each row, where there are any. A response is what an error would be
-    less by, in standard deviations, for one more input: the filter's derivative.
+    z is in standard deviations of the innovations. Its columns:
+
+        e | mode 0: row 0: lag 0: u_1 … u_m, lag 1: …, (1) | row 1: … | mode 1: …
+
+    with a column for the constant term at the end of each row, if the layout has one.
     """
     layout, whole = log.layout, log.filter(vector, log.starts(*log.bounds))
     modes, n, columns = layout.modes, layout.n, lags.size * layout.m + layout.constant
@@ -103,10 +108,9 @@ def _gram(
 
 
 def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "mode part r r"]:
-    """The share of b that the newer of two inputs adds in a period, at every part of it.
+    """K in W((1 − f) h) b = W(h) K b: the share of the newer of two inputs that arrives at f h.
 
-    An input that arrives a part f of the period h late acts on the rest of it, W((1 − f) h) b =
-    W(h) K b. K is close to 1 − f, which stands for it where b has rows that are 0.
+    Where some rows of b are 0, K is replaced by its approximation 1 − f.
     """
     late = np.arange(_PARTS) / _PARTS
     modes, n = log.layout.modes, log.layout.n
@@ -118,7 +122,7 @@ def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "
 
 
 class _DelayScan:
-    """Regressions of errors on what every input adds, at so many delays of each."""
+    """Regressions of innovations on the inputs, for all delays of each input."""
 
     def __init__(self, gram: np.ndarray, share: np.ndarray, layout: Layout, lags: int) -> None:
         self.layout, self.rows, self.share = layout, share.shape[-1], share
@@ -136,7 +140,7 @@ class _DelayScan:
             self.gram = gram - gram[:, self.constant] @ self.by_constant
 
     def _columns(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Of each mode, row and input that acts, columns of two lags and what they weigh."""
+        """For each mode, row and input with a delay, the columns of two lags and their weights."""
         of = self.layout.spread(np.arange(self.layout.delays))
         at, weight = [], []
         for i, row, j in np.ndindex(self.layout.modes, self.rows, self.layout.m):
@@ -150,7 +154,7 @@ class _DelayScan:
         return np.array(at, int).reshape(size), np.array(weight).reshape(size)
 
     def weights(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, float]:
-        """B (modes, rows, m), and the squares of errors that it explains."""
+        """B (modes, rows, m), and the sum of squares that it explains."""
         at, share = self._columns(places)
         if not len(at):
             return np.zeros(0), 0.0
@@ -162,18 +166,18 @@ class _DelayScan:
         return w.reshape(shape) if None not in places else w, float(b @ w)
 
     def constants(self, places: tuple[int | None, ...]) -> Float[np.ndarray, "mode row c"]:
-        """The constant terms beside the likeliest weights; none where there are none."""
+        """The constant terms with the likeliest weights."""
         at, share = self._columns(places)
         acting = np.einsum("cia,ia->ci", self.by_constant[:, at], share)
         terms = self.by_constant[:, 0] - acting @ self.weights(places)[0].ravel()
         return terms.reshape(self.layout.modes, self.rows, -1)
 
     def likelihood(self, places: tuple[int | None, ...]) -> float:
-        """Of errors in units of their deviation, but for a constant."""
+        """Log likelihood up to a constant."""
         return 0.5 * self.weights(places)[1]
 
     def best(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The likeliest delays, and each one's curve beside them."""
+        """The likeliest delays, and the log likelihood of each with the others held."""
         delays, options = self.layout.delays, range(self.options)
         begins = (None,) * delays, tuple(own.tolist())
         given = options, self.likelihood, _SWEEPS
@@ -191,10 +195,10 @@ def largest_maximum(
     climbed: Iterable[np.ndarray] = (),
     others: Callable[[np.ndarray], list[np.ndarray]] = lambda _: [],
 ) -> tuple[Maximum, Scanned]:
-    """The likeliest vector that is found, and the last scan.
+    """The likeliest vector found, and the last scan.
 
-    begins : vectors whose A and noise a scan begins with; climbed : those that are climbed from as
-    they are; others : what else to try beside a vector
+    begins : vectors with A and noise for scans; climbed : vectors from which to climb without a
+    scan; others : more starts near a vector
     """
     begins, climbed = list(begins), list(climbed)
     log = replace(log, bounds=_searched(log, (*begins, *climbed)[0]))
@@ -217,9 +221,9 @@ def largest_maximum(
 
 
 def _searched(log: NoisyLog, theta: np.ndarray) -> Window:
-    """The range of delays, or a part of it about a vector's where all of it would cost too much.
+    """The range of delays to search, or a part of it if all of it makes too many samples unusable.
 
-    What is usable of a log depends on how far back inputs must be known.
+    A sample is usable if all inputs back to the longest delay are known.
     """
     low, high = window_of(log, theta[log.layout.at_delays])
     most, least = (np.concatenate(log.starts(*ends)).sum() for ends in ((low, high), log.bounds))
@@ -227,7 +231,7 @@ def _searched(log: NoisyLog, theta: np.ndarray) -> Window:
 
 
 def _elsewhere(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
-    """Where else a maximum may be: where the scan is, and of each delay where it is nearly so."""
+    """Other starts: the scan's maximum, and cells of each delay that are nearly as likely."""
     place, h, found = log.layout.at_delays, log.recording.step, []
     if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
         found.append(scan.moved(best.theta))
@@ -242,9 +246,9 @@ def _elsewhere(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
 
 
 def of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
-    """A vector's plant, as if all that it cannot foretell were noise of the sensors.
+    """A vector's plant with all innovations attributed to noise of the sensors.
 
-    A climb does not come back by itself from a sensor without noise.
+    A climb does not return from a sensor without noise, where the score in its logarithm is 0.
     """
     e, _ = log.innovations(vector, log.starts(*log.bounds))
     changed, (i, j) = vector.copy(), log.places

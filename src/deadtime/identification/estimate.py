@@ -1,4 +1,4 @@
-"""An estimate with all that it rests on, before it is handed over; and modes that were hidden."""
+"""An estimate with its intervals and tests, and the probabilities of hidden modes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from deadtime.identification.residuals import ResidualTests, judge_residuals
 from deadtime.plant import SwitchedSystem
 from deadtime.switching.models.semi_markov import SemiMarkov
 
-SURE = 0.95  # a mode of at least that probability is sure
+SURE = 0.95  # least probability of a mode that counts as sure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HiddenModes(Frozen):
-    """Which mode was active when, where no log tells: the likeliest path, and how likely it is.
+    """The likeliest path of modes that were not logged, and their probabilities.
 
     Modes are numbered in the order in which the path visits them.
 
@@ -34,19 +34,19 @@ class HiddenModes(Frozen):
     time, mode : (samples,) arrays
         Times of all rows, seconds, log after log, and the likeliest path of modes (Viterbi).
     probability : (samples, modes) array
-        Of every mode in every row, given all of the log.
+        The probability of every mode in every row, given all of the log.
     chain : (modes, modes) array
         Probabilities of a switch from one row to the next; of uneven rows within a sampling period.
     numbers, bic : (fits,) arrays
         The numbers of modes that were tried, and Bayes' information criterion of each; less is
-        better. Those that the log is too short for are left out.
+        better. Numbers for which the log is too short are left out.
     likelihoods : (steps,) array
         The log likelihood after every step of expectation–maximisation, which never falls; with
         noisy sensors after every round.
     starts, agreed : int
-        How many starts were tried, and how many led to the likeliest.
+        The numbers of starts, and of starts that led to the likeliest plant.
     widening : float
-        How many times longer than with known modes the longest of the plant's intervals is.
+        The largest ratio of the plant's intervals to intervals with known modes.
 
     Examples
     --------
@@ -73,8 +73,8 @@ class HiddenModes(Frozen):
         return f"HiddenModes(modes={len(self.chain)}, sure={self.sure:.3f})"
 
 
-_REACH = 1.959963984540054  # of a normal distribution's 95 %
-_OWN = 0.5  # of a variance: an error beyond which it may be none
+_REACH = 1.959963984540054  # standard deviations of a normal distribution's 95 % interval
+_OWN = 0.5  # relative error of a variance beyond which the variance may be 0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,7 +87,7 @@ class Estimate(Peak):
     disturbance : (modes, n, n), W of each mode, x² per second
     noise : (p,), standard deviations of the sensors
     noise_errors : standard errors of W's diagonal, mode by mode, then of the sensors' variances
-    spare : (modes,), how many periods each W rests on beyond those that the matrices cost
+    spare : (modes,), degrees of freedom of each W: periods less unknowns of the matrices
     white : of every log, the whitened residuals, NaN where there are none
     ends : (unknowns, 2), of intervals of A and B where delays are open; None elsewhere
     of_outputs : the likelihood, where states were found from outputs alone
@@ -115,9 +115,9 @@ class Estimate(Peak):
         spent: int | None = None,
         **others: Any,
     ) -> Estimate:
-        """The estimate at a peak, from what its plant leaves of a recording; see `judge_residuals`.
+        """The estimate at a peak, with tests of its residuals: see `judge_residuals`.
 
-        others : its other fields, `best` among them where the noise is restricted
+        others : the other fields, including `best` where the noise is restricted
         """
         intervals, several = peak.delay_intervals()
         tests = judge_residuals(white, recording, plant.longest_delay, spent)
@@ -126,9 +126,9 @@ class Estimate(Peak):
 
     @cached_property
     def places(self) -> dict[str, int]:
-        """Where each unknown lies, by name: in the layout, then W's diagonals, then the sensors.
+        """The place of each unknown by name: in the layout, then W's diagonals, then the sensors.
 
-        Of states from outputs alone those that the choice of states fixes are left out.
+        With outputs alone, entries fixed by the choice of states are left out.
         """
         layout, (modes, n) = self.log.layout, self.disturbance.shape[:2]
         more = [f"disturbance[{i}][{a},{a}]" for i in range(modes) for a in range(n)]
@@ -140,7 +140,6 @@ class Estimate(Peak):
         return places
 
     def value(self, name: str) -> float:
-        """The likeliest value of an unknown, by its name."""
         place, size = self._place(name), self.log.layout.size
         if place < size:
             return float(self.best.theta[place])
@@ -148,7 +147,6 @@ class Estimate(Peak):
         return float(np.concatenate((diagonal.ravel(), self.noise))[place - size])
 
     def interval(self, name: str) -> tuple[float, float]:
-        """The ends of its 95 % interval."""
         layout, place = self.log.layout, self._place(name)
         if place >= layout.size:
             return self.noise_interval(place - layout.size)
@@ -162,7 +160,7 @@ class Estimate(Peak):
         return float(low), float(high)
 
     def noise_interval(self, place: int) -> tuple[float, float]:
-        """Of W's diagonal, mode by mode, then of the sensors' deviations."""
+        """The 95 % interval of an entry of W's diagonals, mode by mode, or a sensor's deviation."""
         W = np.diagonal(self.disturbance, axis1=1, axis2=2).ravel()
         variance = float(np.append(W, self.noise**2)[place])
         low, high = variance_ends(variance, float(self.noise_errors[place]))
@@ -170,15 +168,15 @@ class Estimate(Peak):
 
     @property
     def sensor_intervals(self) -> list[tuple[float, float]]:
-        """Of every sensor's deviation, where measurements are noisy."""
+        """The intervals of the sensors' standard deviations."""
         first = self.disturbance.shape[0] * self.disturbance.shape[1]
         return [self.noise_interval(first + j) for j in range(self.noise.size)]
 
     def require_inside(self) -> None:
-        """Refuse an estimate that lies outside an interval of its own.
+        """Refuse an estimate that lies outside one of its own intervals.
 
-        An interval over several plausible delays may leave the likeliest plant out: then this one
-        maximum is not what the log says.
+        An interval over several plausible delays may exclude the likeliest plant: then that plant
+        does not represent the log.
         """
         outside = []
         for name, place in self.places.items():
@@ -199,11 +197,10 @@ class Estimate(Peak):
 
 
 class IdentifiedLog(NamedTuple):
-    """An estimate, and all else that there is to hand over.
+    """An estimate with its recording and everything else that an `Identification` needs.
 
-    recording : with the modes that plants are of; states : their names
-    model : how modes switch, and `why` there is none
-    sentences, doubts : what there is to say beside what every estimate says
+    states : names of states; model : of the switching, or None and the reason `why`
+    sentences, doubts : those that not every estimate has
     """
 
     estimate: Estimate
@@ -218,11 +215,10 @@ class IdentifiedLog(NamedTuple):
 
 
 def variance_ends(value: float, error: float) -> tuple[float, float]:
-    """The interval of a variance.
+    """The 95 % interval of a variance w with standard error E.
 
-    Of a variance w with an error E the logarithm is nearly normal where E is well below w. Else w
-    is: where the log does not tell it from none its interval begins at 0, w + 1.96 E is the other
-    end, and all there is to say is that it is less.
+    log w is nearly normal where E is well below w. Otherwise w is, and its interval w ± 1.96 E
+    begins at 0 at the least: then the log only bounds w from above.
 
     Examples
     --------

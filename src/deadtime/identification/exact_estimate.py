@@ -1,4 +1,4 @@
-"""The estimate where states are measured without noise: a regression, and what it leaves."""
+"""The estimate where states are measured without noise: regressions and their residuals."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def estimate_of_plant(
     usable: Sequence[np.ndarray] | None = None,
     ends: Float[np.ndarray, "unknown 2"] | None = None,
 ) -> Estimate:
-    """Estimate and intervals at a peak, states being exact, with S what a period adds.
+    """Estimate and intervals at a peak with exact states and covariances S of a period's noise.
 
-    spare : periods of every mode that S rests on; told : of every part the periods whose mode is
-    told, by default all
+    spare : degrees of freedom of S in every mode; usable : periods of every part whose residuals
+    count, by default all
     """
     log, theta = peak.log, peak.best.theta
     plant, constant = log.layout.plant(theta), log.layout.constant_of(theta)

@@ -1,19 +1,16 @@
 """Expectation–maximisation where modes are hidden: over linear regressions, then over the plant.
 
-**Regressions.** With the cell N of every delay given, each mode is a regression x_{k+1} = P_i r_k +
-e, of which the maximum with weights is known; P and S are free, and so is the chain. Cells are
-found by scan.
+**Regressions.** With the cell N of every delay given, each mode is a weighted regression x_{k+1} =
+P_i r_k + e with a known maximum; P, S and the chain are free. Cells are found by a scan.
 
-It begins at regressions over short stretches of the log. Modes last, so most stretches of a few
-dozen periods have one mode. Each has a regression of its own, whatever the modes are; the cells in
-which these fit best together are those of the delays. Then as many stretches as there are modes are
-drawn, each from those that the ones before explain badly (the seeding of k-means++: Arthur and
-Vassilvitskii, SODA 2007).
+Starts are regressions over short stretches of the log. Modes last, so most stretches of a few dozen
+periods have one mode. Each stretch has its own regression; the cells in which these fit best
+together are taken for the delays. Then one stretch per mode is drawn, each from the stretches that
+the ones before fit badly (the seeding of k-means++: Arthur and Vassilvitskii, SODA 2007).
 
-**The plant**, with delays at any fraction of a period. Each step maximises, over A, B and D and
-with S that of the weighted residuals, the likelihood that periods would have if their modes were
-known, weighted by how likely they are. That never lowers the likelihood of the log (Dempster, Laird
-and Rubin, J. Royal Statistical Society B 39(1), 1977).
+**The plant**, with delays at any fraction of a period. Each step maximises the expected likelihood
+with known modes over A, B and D, with S from the weighted residuals. It never lowers the likelihood
+of the log (Dempster, Laird and Rubin, J. Royal Statistical Society B 39(1), 1977).
 """
 
 from __future__ import annotations
@@ -38,10 +35,10 @@ from deadtime.identification.parameters import Layout, ModeCells, Square, Square
 from deadtime.identification.scoring import STEPS, best_in_turn
 
 _MOST = 150  # stretches
-_PURE = (0.4, 0.8)  # of all stretches, those that fit best, are drawn from
-_FAR = 25.0  # of a squared deviation per state: farther off is no more likely to be drawn
-_WIDE = 4.0  # times the covariance of a stretch: its regression rests on few periods
-_LEAST = 1e-6  # of the covariance of one regression for all: of no noise, too, starts differ
+_PURE = (0.4, 0.8)  # shares of the best fitting stretches, one of which is drawn from
+_FAR = 25.0  # squared deviation per state beyond which weights of the draw are equal
+_WIDE = 4.0  # factor of the covariance of a stretch, whose regression has few periods
+_LEAST = 1e-6  # share of the covariance of all rows added to a start: without noise it is regular
 _SWEEPS = 3  # over the delays, in a scan
 
 # Runs of usable periods that follow each other, as places of rows.
@@ -49,9 +46,9 @@ Runs = Int[np.ndarray, "stretch period"]
 
 
 def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs | None:
-    """Half overlapping, some at most, spread over the log; None if there are less than modes.
+    """Half overlapping stretches spread over the log, at most 150; None if fewer than modes.
 
-    Short ones have periods for little more than a regression, and more often one mode.
+    Short ones have few periods more than a regression needs, and more often a single mode.
     """
     columns = layout.n + 2 * layout.m + layout.constant
     length = (1 if short else 2) * columns + layout.n + 2
@@ -69,7 +66,7 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs 
 
 
 def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.ndarray, " m"]:
-    """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
+    """The cells with the largest likelihood of separate regressions, inputs in turn, twice."""
     begin = (None,) * layout.m
     found = best_in_turn(
         begin, periods.cells.tolist(), lambda own: _together(periods, stretches, own, layout), 2
@@ -80,7 +77,7 @@ def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.nda
 def _together(
     periods: Periods, stretches: Runs, cells: tuple[int | None, ...], layout: Layout
 ) -> float:
-    """How likely all stretches are, inputs without a cell left out."""
+    """The log likelihood of all stretches, without the inputs that have no cell yet."""
     z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
     n = layout.n
     known = np.array([c is not None for c in cells])
@@ -109,9 +106,9 @@ def drawn_start(
     layout: Layout,
     rng: np.random.Generator,
 ) -> Regressions:
-    """Regressions over stretches that are drawn, with one covariance for all modes.
+    """Regressions over random stretches, with one covariance for all modes.
 
-    How many of all are drawn from is drawn, too: in noisy modes few fit well, in short ones few do.
+    The share of stretches to draw from is random, too: with short or noisy modes few fit well.
     """
     n, modes = layout.n, layout.modes
     z = periods.rows(cells)[stretches]
@@ -119,7 +116,8 @@ def drawn_start(
     pure = np.flatnonzero(size <= np.quantile(size, rng.choice(_PURE)))
     flat = z.reshape(-1, z.shape[2])
     _, whole = regressed(rooted(flat, np.ones(len(flat))), n, float(len(flat)))
-    best = pure[size[pure] <= np.median(size[pure])]  # entries' medians are no covariance
+    # The mean of the better half: entrywise medians need not form a covariance.
+    best = pure[size[pure] <= np.median(size[pure])]
     shared = S[best].mean(axis=0) + _LEAST * whole
     white = np.linalg.inv(np.linalg.cholesky(shared))
     P, off = [], np.full(pure.size, np.inf)
@@ -137,7 +135,7 @@ def drawn_start(
 class Regressions(NamedTuple):
     """One regression per mode, P (modes, n, r) and S (modes, n, n), and the chain between them.
 
-    cells : (modes, m); weight : (modes,), periods that each mode is expected to have
+    cells : (modes, m); weight : (modes,), expected numbers of periods
     """
 
     P: Float[np.ndarray, "mode n r"]
@@ -159,7 +157,7 @@ def regressed(
 
 
 def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
-    """The modes that a log tells under regressions."""
+    """The posterior of modes under regressions."""
     each = zip(rows, model.P, model.S, strict=True)
     return periods.posterior(
         np.column_stack([log_density(z, *one) for z, *one in each]), model.jumps
@@ -169,11 +167,11 @@ def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Po
 def maximised(
     rows: list[np.ndarray], found: Posterior, jumps: Jumps, cells: ModeCells, common: bool
 ) -> Regressions:
-    """The likeliest regressions given how likely each mode was; `common`: of one S for all."""
+    """The likeliest regressions given the posterior of modes; `common`: with one S for all."""
     count = found.weight.sum(axis=0)
     P, S = [], []
     for z, weight, total in zip(rows, found.weight.T, count, strict=True):
-        n = (z.shape[1] - 2 * cells.shape[1]) // 2  # of an odd number one column is the constant's
+        n = (z.shape[1] - 2 * cells.shape[1]) // 2  # an odd column is that of the constant term
         one = regressed(rooted(z, weight), n, max(float(total), 1e-300))
         P.append(one[0])
         S.append(one[1])
@@ -186,7 +184,7 @@ def maximised(
 def climbed(
     periods: Periods, model: Regressions, steps: int, least: float, common: bool, gain: float
 ) -> tuple[Regressions, Posterior] | None:
-    """The regressions after some steps; None where a mode has less periods than `least`."""
+    """The regressions after some steps; None if a mode has fewer periods than `least`."""
     rows, before = periods.rows_of_modes(model.cells), -np.inf
     found = expected(periods, model, rows)
     for _ in range(steps):
@@ -203,9 +201,9 @@ def climbed(
 def scanned(
     periods: Periods, weight: Float[np.ndarray, "period mode"], cells: ModeCells, layout: Layout
 ) -> tuple[ModeCells, Float[np.ndarray, "delay cell"]]:
-    """The likeliest cells, the modes being as likely as they are, and what others would be like.
+    """The likeliest cells with given weights of modes, and the log likelihood of all cells.
 
-    One delay after the other, the others in their cells.
+    Delays are scanned in turn, with the others in their cells.
     """
     options, count = periods.cells, weight.sum(axis=0)
     groups = [[i] for i in range(layout.modes)] if layout.per_mode else [list(range(layout.modes))]
@@ -231,15 +229,15 @@ def scanned(
     return cells, curves.reshape(-1, options.size)
 
 
-_GAIN = 1e-6  # of log likelihood that is still worth a step
+_GAIN = 1e-6  # rise of log likelihood that ends the climb
 _STEPS = 400
-_FEW = 4  # steps up the plant for one of the modes, where each takes a look at all of the log
+_FEW = 4  # scoring steps per step of expectation–maximisation, where each reads all of the log
 
 
 class Ascent(NamedTuple):
-    """Where the steps lead: the likelihood with its S and P, the unknowns, and the way up.
+    """The maximum reached: the likelihood with its S and P, and the unknowns.
 
-    values : log likelihood after every step; found : what the log says of the modes at the end
+    values : log likelihood after every step; found : the posterior of modes at the end
     """
 
     log: HiddenLog
@@ -251,11 +249,11 @@ class Ascent(NamedTuple):
 def ascended(
     log: HiddenLog, theta: Vector, least: float, found: Posterior | None = None
 ) -> Ascent | None:
-    """The maximum that a start leads to; None where a mode is left with less periods than `least`.
+    """The maximum near a start; None if a mode is left with fewer periods than `least`.
 
-    The first step takes the modes as `found`, by default as the log's own S and P have them. S of
-    regressions without a plant must not judge a plant that is near them alone: of little noise no
-    period would seem to be of a mode.
+    The first step uses the posterior `found`, by default that of the log's own S and P. The plant
+    is only near the regressions it starts from: with the small S of theirs, no period would be
+    assigned to a mode.
     """
     values = []
     if found is None:
@@ -273,10 +271,10 @@ def ascended(
 
 
 def _stepped(log: HiddenLog, theta: np.ndarray, found: Posterior) -> tuple[HiddenLog, Vector]:
-    """The next unknowns, S and the chain, given how likely each mode was."""
+    """The next unknowns, S and the chain, given the posterior of modes."""
     known, near = log.known(found.weight), window_of(log, theta[log.layout.at_delays])
     window = max(log.window[0], near[0]), min(log.window[1], near[1])
-    steps = STEPS if log.sampling.summed_up else _FEW  # a rise is all that is asked for
+    steps = STEPS if log.sampling.summed_up else _FEW  # any rise suffices
     best, _ = maximise(known, theta, window=window, steps=steps)
     terms = known.terms_in(*window)(log.cells(best.theta))(best.theta)
     S = concentrated(terms, log.layout.size)[1]

@@ -1,4 +1,4 @@
-"""`design_experiment`: inputs whose log tells a plant's delays best, as an `Experiment`."""
+"""`design_experiment`: inputs whose log identifies a plant's delays best, as an `Experiment`."""
 
 from __future__ import annotations
 
@@ -47,32 +47,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Frozen):
-    """Inputs within limits that tell a plant's delays and matrices well (immutable).
+    """Inputs within limits that identify a plant's delays and matrices well (immutable).
 
     Attributes
     ----------
     plant : SwitchedSystem
-        What they were designed for.
+        The plant that the inputs were designed for.
     time : (T,) array
         Seconds; an input is held from its row's time to the next one's.
     inputs : (m, T) array
-        To be sent, as deviations from rest; with a law, to be added to what it asks for.
+        Deviations from rest; with a law, they are added to its commands.
     mode : (T,) array
-        To be held from each row to the next.
+        The mode from each row to the next.
     delay_errors : dict of (delays,) arrays
-        Standard errors of the delays that are to be expected, seconds: "experiment", and beside it
+        Expected standard errors of the delays, seconds, of "experiment" and, for comparison, of
         "prbs", the best maximum-length binary sequence within the same limits, and "step".
     clock : int
-        For how many rows each value of that sequence is held.
+        The number of rows for which each value of that sequence is held.
     errors : (size,) array
-        Standard errors of all unknowns, in the order of `names`.
+        Expected standard errors of all unknowns, in the order of `names`.
     largest : (n + m,) array
-        What the magnitude of every state and input stays below, at three standard deviations
-        of the noise.
+        Bounds of the magnitudes of every state and input, at three standard deviations of the
+        noise.
     added : bool
         Whether the inputs are added to a law's.
     sentences : tuple of str
-        What there is to say, in words.
+        The results in words.
 
     Examples
     --------
@@ -102,15 +102,14 @@ class Experiment(Frozen):
         clock: int,
         averaged: bool,
     ) -> Experiment:
-        """The result of a search: inputs r, and others beside them.
+        """The result of a search: inputs r, and other inputs for comparison.
 
-        averaged : whether modes have a noise of their own each, and its mean was counted with
+        averaged : whether the noise of modes differs, so that its mean was used
         """
-        layout, chain = prospect.layout, prospect.chain
-        every = {name: prospect.errors(one)[layout.at_delays] for name, one in peers.items()}
-        errors = prospect.errors(r)
-        deviations = {"experiment": errors[layout.at_delays], **every}
-        deviations = {name: read_only(one) for name, one in deviations.items()}
+        layout, chain, errors = prospect.layout, prospect.chain, prospect.errors(r)
+        deviations = {"experiment": read_only(errors[layout.at_delays])}
+        for name, one in peers.items():
+            deviations[name] = read_only(prospect.errors(one)[layout.at_delays])
         largest = prospect.reach(r).max(axis=0)
         said = _sentences(plant, step, layout, deviations, clock, largest)
         if chain.V.any():
@@ -121,19 +120,18 @@ class Experiment(Frozen):
                 "Noise of the plant is taken to be the same in all modes, the mean of theirs over "
                 "the rows, as identify finds one for all where sensors are noisy.",
             )
-        time = step * np.arange(len(r))
-        closed = not chain.open
+        time, added = step * np.arange(len(r)), not chain.open
         return cls(
-            plant, time, r.T, chain.mode, deviations, clock, errors, largest, closed, said, layout
+            plant, time, r.T, chain.mode, deviations, clock, errors, largest, added, said, layout
         )
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The unknowns, as an `Identification` of the log will name them."""
+        """The unknowns, named as in the `Identification` of the log."""
         return tuple(self._layout.names())
 
     def standard_error(self, name: str) -> float:
-        """The standard error of an unknown that is to be expected, by its name in `names`."""
+        """The expected standard error of an unknown, by its name in `names`."""
         if name not in self.names:
             known = ", ".join(self.names)
             raise ArgumentError(f"name must be one of {known}, got {brief(name)}.")
@@ -145,7 +143,7 @@ class Experiment(Frozen):
         return " ".join(self.sentences)
 
     def sent(self, operating_point: OperatingPoint | None) -> Float[np.ndarray, "m T"]:
-        """`inputs` as the actuators get them: with the operating point."""
+        """`inputs` as sent to actuators: with the operating point added."""
         if operating_point is None or self.added:
             return self.inputs
         return operating_point.u[:, None] + self.inputs
@@ -185,17 +183,18 @@ def _sentences(
     clock: int,
     largest: np.ndarray,
 ) -> tuple[str, ...]:
-    """Errors to expect, beside those of usual inputs; and where the promise is weaker."""
+    """Expected errors beside those of usual inputs, and where they are less reliable."""
     names = layout.names()[layout.at_delays]
     held = "" if clock == 1 else f", each value held for {clock} periods"
     said = []
     for place, name in enumerate(names):
         own, prbs, edge = (
-            1e3 * float(deviations[key][place]) for key in ("experiment", "prbs", "step")
+            f"{error:.3g} ms" if np.isfinite(error) else "infinite: it does not identify it"
+            for error in (1e3 * deviations[key][place] for key in ("experiment", "prbs", "step"))
         )
         said.append(
-            f"Standard error of {name} to be expected: {own:.3g} ms; of the best binary sequence "
-            f"(PRBS{held}) {_milliseconds(prbs)}, of a step {_milliseconds(edge)}."
+            f"Expected standard error of {name}: {own}; of the best binary sequence (PRBS{held}) "
+            f"{prbs}, of a step {edge}."
         )
     D = plant.delays if layout.per_mode else plant.delays[0]
     off = np.abs(D - step * np.rint(D / step)).ravel()
@@ -214,22 +213,19 @@ def _sentences(
     return tuple(said)
 
 
-def _milliseconds(value: float) -> str:
-    return f"{value:.3g} ms" if np.isfinite(value) else "infinite: it does not tell it"
+# Relative to the trace of all noise: W has at least this in every direction, so its root has an
+# inverse.
+_FLOOR = 1e-9
 
 
-_FLOOR = 1e-9  # of all noise, that W has in every direction: its root has an inverse
-
-
-def modes_of_rows(
+def _modes_of_rows(
     plant: SwitchedSystem, signal: SwitchingSignal | None, step: float, samples: int
 ) -> Int[np.ndarray, " sample"]:
-    """The mode of every row."""
     if signal is None:
         if plant.modes > 1:
             raise ArgumentError(
-                f"signal must be given for a plant of {plant.modes} modes: those that it is put "
-                "into, such as SwitchingSignal.periodic([2.0, 2.0], [0, 1], horizon)."
+                f"signal must be given for a plant of {plant.modes} modes: the modes that it is "
+                "put into, such as SwitchingSignal.periodic([2.0, 2.0], [0, 1], horizon)."
             )
         return np.zeros(samples, np.int64)
     instance("signal", signal, SwitchingSignal)
@@ -237,10 +233,10 @@ def modes_of_rows(
     return np.asarray(modes_at(signal, step * np.arange(samples), step), np.int64)
 
 
-def used_periods(
+def _used_periods(
     plant: SwitchedSystem, mode: np.ndarray, step: float, layout: Layout, anywhere: bool
 ) -> Bool[np.ndarray, " sample"]:
-    """The periods that an identification uses: those whose inputs it knows."""
+    """The periods that an identification uses: the inputs that act in them are known."""
     first = int(cells_of(plant.delays.max(keepdims=True).ravel() + REACH * step, step)[0])
     used = np.arange(mode.size) >= first
     used[-1:] = False
@@ -252,14 +248,14 @@ def used_periods(
         what = f"signal must hold mode {i} for" if layout.modes > 1 else "horizon must have"
         raise ArgumentError(
             f"{what} at least {least} periods after the first "
-            f"{first * step:g} s, got {visits[i]}: so short a log hardly tells it. "
+            f"{first * step:g} s, got {visits[i]}: so short a log hardly identifies it. "
             "Lengthen the horizon, or visit the mode for longer."
         )
     return used
 
 
-def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Squares:
-    """W of every mode."""
+def _intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Squares:
+    """W of every mode, checked: symmetric and positive semidefinite."""
     n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
     given = as_floats("disturbance", disturbance, form)
     each = {0: lambda W: W * np.eye(n), 1: np.diag}.get(given.ndim, lambda W: W)(given)
@@ -275,8 +271,8 @@ def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Squares:
     return W
 
 
-def deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, " n"]:
-    """The standard deviations of the sensors of the states."""
+def _deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, " n"]:
+    """The standard deviations of the sensors of the states, checked."""
     deviation = bound("noise", noise, plant.states)
     if not ((deviation >= 0.0) & np.isfinite(deviation)).all():
         raise ArgumentError(
@@ -286,40 +282,39 @@ def deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, 
     return deviation
 
 
-def one_for_all(W: Squares, mode: Int[np.ndarray, " sample"]) -> tuple[Squares, bool]:
-    """The mean of W over the rows, in every mode, and whether modes had another one."""
+def _averaged(W: Squares, mode: Int[np.ndarray, " sample"]) -> tuple[Squares, bool]:
+    """The mean of W over the rows in every mode, and whether W differed between modes."""
     share = np.bincount(mode, minlength=len(W)) / mode.size
     mean = np.broadcast_to(np.tensordot(share, W, 1), W.shape)
     own = np.abs(W - W[0]).max() > 1e-9 * np.abs(W).max()
     return (mean, True) if own else (W, False)
 
 
-def added_noise(
+def _noise_of_period(
     plant: SwitchedSystem, W: Squares, step: float, deviation: Float[np.ndarray, " n"]
 ) -> Squares:
-    """S of every mode: what noise adds in a period."""
+    """S of every mode: the covariance of the noise of a period."""
     S = noise_covariances(plant.A, W, np.full(len(W), step))
     try:
         np.linalg.cholesky(S + np.diag(deviation**2))
     except np.linalg.LinAlgError:
         raise ArgumentError(
             "disturbance must move every state within a period, in every mode, or its sensor be "
-            "noisy: without noise a log tells a delay exactly, whatever the inputs. Give a W that "
-            "reaches all states, or their noise=."
+            "noisy: without noise a log identifies a delay exactly, whatever the inputs. Give a W "
+            "that reaches all states, or their noise=."
         ) from None
     return S
 
 
 def root_of(W: Square, deviation: Float[np.ndarray, " n"], step: float) -> Square:
-    """L with W = L Lᵀ, of a W that has a little in every direction."""
+    """L with L Lᵀ = W plus a little noise in every direction."""
     floor = _FLOOR * (float(np.trace(W)) + float((deviation**2).sum()) / step)
     return np.linalg.cholesky(W + floor * np.eye(len(W)))
 
 
-def table_of(
+def _table_of(
     law: Law | None, plant: SwitchedSystem, step: float, mode: np.ndarray
 ) -> Feedback | None:
-    """The law's table."""
     if law is None:
         return None
     from deadtime.feedback import Law
@@ -338,7 +333,7 @@ def table_of(
     if (n, m) != (plant.states, plant.inputs) or table.memory:
         raise ArgumentError(
             f"law must be a table of {plant.states} states and {plant.inputs} inputs without a "
-            f"memory of its own, got {n} and {m}."
+            f"state of its own, got {n} and {m}."
         )
     return table
 
@@ -363,47 +358,48 @@ def design_experiment(
     effort: int = 10,
     seed: int = 0,
 ) -> Experiment:
-    """The inputs within limits whose log tells the plant's delays best, of all that a search found.
+    """Inputs within limits whose log identifies the plant's delays best, found by a search.
 
-    They maximise Fisher's information: the least product of the delays' variances that any unbiased
-    estimate from the log can have, with A, B and the noise unknown, too. It is exact, for states
-    that are measured with noise or without: docs/theory/identification.md.
+    They minimise the Cramér–Rao bound of the delays: the least product of their variances that any
+    unbiased estimate from the log can have, with A, B and the noise unknown, too. The bound is
+    exact, for states measured with noise or without: docs/theory/identification.md.
 
     Parameters
     ----------
     plant : SwitchedSystem
-        What is known of the plant so far, such as `fit.plant` of a first, short log.
+        A first estimate, such as `fit.plant` of a short log.
     horizon : float
         Length of the experiment, seconds; at most 20,000 periods.
     step : float
         Sampling period, seconds.
     input_limit : float or (m,) array_like
-        What :math:`|u|` must not exceed.
+        The bound of :math:`|u|`.
     disturbance : array_like
         :math:`W`, the intensity of the process noise, :math:`x^2` per second: a number for number
         times :math:`I`, (n,) for a diagonal, (n, n), or (modes, n, n) for one per mode, such as
         `fit.disturbance`.
     noise : float or (n,) array_like
-        Standard deviation of every state's sensor, in its units, such as `fit.noise`; then the mean
-        of W over the rows is counted with in every mode, as `identify` will find one for all.
+        Standard deviation of every state's sensor, in its units, such as `fit.noise`. If not 0,
+        every mode has the mean of W over the rows, as `identify` then finds one W for all modes.
     signal : SwitchingSignal, optional
         The modes that the plant is put into; read at samples. Not needed for one mode.
     law : Law, optional
-        To whose inputs those of the experiment are added; an unstable plant needs one. It must be
-        told what was sent (`applied` of `Controller.update`), where it remembers inputs.
+        The experiment is added to the inputs of this law; an unstable plant needs one. A law that
+        uses past inputs must be given the inputs sent (`applied` of `Controller.update`).
     state_limit : float or (n,) array_like, optional
-        What every :math:`|x_i|` must not exceed at samples of a run from rest, by its mean and
-        three standard deviations.
+        The bound of every :math:`|x_i|` at samples of a run from rest, by its mean and three
+        standard deviations.
     criterion : "delay" or "all"
-        Whether the delays alone are to be told well, or all unknowns (D-optimal).
+        Whether to identify the delays alone, or all unknowns (D-optimal).
     hold : int
-        For how many periods each value is held at least.
+        The least number of periods for which each value is held.
     switches : "samples" or "anywhere"
-        As `identify` will be told; with "anywhere" it leaves out periods in which the mode changes.
+        The `switches` of `identify`; with "anywhere" it leaves out periods in which the mode
+        changes.
     effort : int
-        How often the search starts anew from the best it found.
+        The number of restarts of the search from its best result.
     seed : int
-        Of the search.
+        The seed of the search.
 
     Returns
     -------
@@ -413,7 +409,7 @@ def design_experiment(
     ------
     ArgumentError
         If an argument is malformed, a mode is hardly visited, the run is unstable, noise alone
-        exceeds a limit, or no inputs tell all unknowns apart.
+        exceeds a limit, or no inputs identify all unknowns.
 
     References
     ----------
@@ -447,17 +443,17 @@ def design_experiment(
             f"input_limit must be positive and finite, got {limit.tolist()}: the more an input "
             "moves the more a log tells."
         )
-    mode = modes_of_rows(plant, signal, step, samples)
+    mode = _modes_of_rows(plant, signal, step, samples)
     per_mode = bool((plant.delays != plant.delays[0]).any())
     layout = Layout(plant.modes, plant.states, plant.inputs, per_mode)
     cells = cells_of(plant.delays.ravel(), step).reshape(plant.delays.shape)
-    used = used_periods(plant, mode, step, layout, switches == "anywhere")
-    W = intensity_of(plant, disturbance)
-    deviation, averaged = deviations_of(plant, noise), False
+    used = _used_periods(plant, mode, step, layout, switches == "anywhere")
+    W = _intensity_of(plant, disturbance)
+    deviation, averaged = _deviations_of(plant, noise), False
     if deviation.any():
-        W, averaged = one_for_all(W, mode)
-    S = added_noise(plant, W, step, deviation)
-    table = table_of(law, plant, step, mode)
+        W, averaged = _averaged(W, mode)
+    S = _noise_of_period(plant, W, step, deviation)
+    table = _table_of(law, plant, step, mode)
     chain = chain_of(plant, step, mode, S, cells, layout, table, deviation**2)
     require_bounded(chain)
     if deviation.any():
@@ -471,7 +467,7 @@ def design_experiment(
     r = best_sequence(prospect, limit, count("hold", hold), effort, seed)
     if not np.isfinite(prospect.errors(r)).all():
         raise ArgumentError(
-            "horizon must leave inputs that tell all unknowns apart, got none such: lengthen it, "
+            "horizon must leave inputs that identify all unknowns, got none such: lengthen it, "
             "hold values for fewer periods, or leave out an input that does nothing."
         )
     usual = {
@@ -486,7 +482,7 @@ def design_experiment(
 def _room(
     prospect: Prospect, limit: Float[np.ndarray, " m"], state_limit: ArrayLike | None
 ) -> Float[np.ndarray, "sample y"]:
-    """Limits of the means of states and inputs: theirs less that of the noise."""
+    """Limits of the means of states and inputs: the limits less three deviations of the noise."""
     n, m = prospect.layout.n, prospect.layout.m
     largest = np.full(n + m, np.inf)
     if state_limit is not None:
@@ -499,7 +495,7 @@ def _room(
         what = f"state_limit[{place}]" if place < n else f"input_limit[{place - n}]"
         raise ArgumentError(
             f"{what} must be above {largest[place] - least[place]:.3g}, three standard deviations "
-            "of what the noise does alone, got "
-            f"{largest[place]:g}: widen it, or give a law that holds the plant tighter."
+            f"of the noise alone, got {largest[place]:g}: widen it, or give a law that holds the "
+            "plant tighter."
         )
     return room

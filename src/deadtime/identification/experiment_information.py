@@ -1,24 +1,23 @@
-"""The information that the log of an experiment will have, period by period.
+"""The expected information of the log of an experiment, period by period.
 
-**The loop.** With what is in flight, ξ_k = (x_k, u_{k−1}, …, u_{k−L}), the input u_k = U_k ξ_k +
-r_k and what acts in period k, z_k = (x_k, u_{k−N}, u_{k−N+1}) with N of every input in the mode of
-the period,
+**The loop.** The state and inputs in flight are ξ_k = (x_k, u_{k−1}, …, u_{k−L}), the input is
+u_k = U_k ξ_k + r_k. In period k z_k = (x_k, u_{k−N}, u_{k−N+1}) acts, with N of every input in the
+mode of the period:
 
     ξ_{k+1} = M_k ξ_k + E_k r_k + (w_k, 0),    z_k = Z_k ξ_k + Y_k r_k,    w_k ~ N(0, S_σ),
 
-so that means are linear in r and covariances do not depend on it. A law is told y_k = x_k + v_k, so
-that v_k, the sensors' noise, enters by it as r_k does.
+so means are linear in r, and covariances do not depend on it. A law receives y_k = x_k + v_k, so
+v_k, the sensors' noise, enters through U_k.
 
-**The information.** Without noise of sensors S_σ, what noise adds in a period, is not tied to the
-unknowns θ: then
+**The information.** Without noise of sensors the covariance S_σ of a period's noise does not depend
+on the unknowns θ, and
 
     F = Σ_k E[(∂P z_k)ᵀ S⁻¹ (∂P z_k)],    x_{k+1} = P_σ(θ) z_k + w_k,
 
-exactly. E z zᵀ = z̄ z̄ᵀ + Cov z: the first part is what the inputs do, the second what noise does,
-whatever the inputs.
+exactly. In E z zᵀ = z̄ z̄ᵀ + Cov z only the first term depends on the inputs.
 
-With noisy sensors it is that of the innovations of Kalman's filter. Of y_k = x_k + v_k,
-v ~ N(0, V), these are white, e_k ~ N(0, S_k), so that
+With noisy sensors it is the information of the Kalman filter's innovations. With y_k = x_k + v_k,
+v ~ N(0, V), these are white, e_k ~ N(0, S_k), and
 
     F = Σ_k E[∂e_kᵀ S_k⁻¹ ∂e_k] + ½ tr(S_k⁻¹ ∂S_k S_k⁻¹ ∂S_k).
 
@@ -26,11 +25,11 @@ With K its gain and η = ∂x̂, before a sample is measured,
 
     ∂e_k = −η_k,    η_{k+1} = Φ (I − K_k) η_k + ∂P ẑ_k + Φ ∂K_k e_k,
 
-ẑ_k being z_k with x̂_k in the place of x_k. The mean of η is linear in that of z, hence in the
-inputs; all else does not depend on them, and is summed up once. Where an identification begins, and
-after each period that it leaves out, nothing is known of the state but its measurement: x̂ = y,
-P = V, η = 0. Noise is unknown, too: W, one for all modes, and V. No mean depends on them, so that
-their part is taken out for good (Schur's complement).
+where ẑ_k is z_k with x̂_k in place of x_k. The mean of η is linear in the mean of z, hence in the
+inputs; everything else does not depend on them and is summed once. At the beginning, and after each
+period that an identification leaves out, the filter starts from the measurement alone: x̂ = y,
+P = V, η = 0. Noise is unknown, too: W, one for all modes, and V. No mean depends on them, so they
+are eliminated by a Schur complement once.
 """
 
 from __future__ import annotations
@@ -68,11 +67,11 @@ class GainRows(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """The matrices of distinct periods, and of every sample which they are.
+    """The matrices of distinct periods, with their index `kind` at every sample.
 
-    M, E, Z, Y as in the module, U that of `GainRows`; S : (modes, n, n), V : variances of sensors,
-    P : what a period makes of z, by_P : of each mode its derivatives by its unknowns,
-    (own, n, n + 2 m), place : whose they are
+    M, E, Z, Y : as in the module; U : as in `GainRows`; S : (modes, n, n); V : variances of sensors
+    P : x_{k+1} = P z_k; by_P : of each mode its derivatives by the mode's unknowns,
+    (own, n, n + 2 m), with their places in θ
     """
 
     M: Float[np.ndarray, "kind xi xi"]
@@ -91,7 +90,6 @@ class Chain(NamedTuple):
 
     @property
     def n(self) -> int:
-        """How many states there are."""
         return self.S.shape[1]
 
     def means(self, r: Inputs) -> Float[np.ndarray, "sample xi"]:
@@ -115,11 +113,11 @@ class Chain(NamedTuple):
 
     @property
     def random(self) -> int:
-        """How many of ξ noise moves: the states alone where no law makes inputs of them."""
+        """The number of random entries of ξ: without a law noise moves the states alone."""
         return self.n if self.open else self.M.shape[1]
 
     def covariances(self) -> Iterator[Float[np.ndarray, "xi xi"]]:
-        """Cov ξ of every sample, of what is random in it, from rest."""
+        """Cov of the random entries of ξ at every sample, from rest."""
         n, use = self.n, self.random
         M = self.M[:, :use, :use]
         measured = (self.E @ self.U[:, :, :n])[:, :use]
@@ -131,7 +129,7 @@ class Chain(NamedTuple):
             now[:n, :n] += self.S[self.mode[k]]
 
     def deviations(self) -> Float[np.ndarray, "sample y"]:
-        """The standard deviations of states and inputs, (T, n + m), that noise makes from rest."""
+        """The standard deviations of states and inputs by noise, (T, n + m), from rest."""
         n, use = self.n, self.random
         U = self.U[:, :, :use]
         measured = np.einsum("cmn,n->cm", self.U[:, :, :n] ** 2, self.V)
@@ -145,7 +143,7 @@ class Chain(NamedTuple):
 def rows_along(
     table: Feedback | None, mode: Int[np.ndarray, " sample"], n: int, m: int, past: int
 ) -> GainRows:
-    """The rows that a law adds to r at every sample, from the modes at samples."""
+    """The rows U_k of a law at every sample, from the modes at samples; 0 without a law."""
     if table is None:
         return GainRows(np.zeros((1, m, n + past * m)), np.zeros(mode.size, np.int64))
     ages = ages_along(mode, 0)
@@ -204,7 +202,10 @@ def chain_of(
 
 
 def require_bounded(chain: Chain) -> None:
-    """Refuse a run that noise alone would carry far away."""
+    """Refuse a run in which the noise grows without a law that stabilises the plant.
+
+    The product of all M is rescaled at every sample, so that it neither overflows nor underflows.
+    """
     use = chain.random
     M, over, growth = chain.M[:, :use, :use], np.eye(use), 0.0
     for kind in chain.kind.tolist():
@@ -224,17 +225,16 @@ def require_bounded(chain: Chain) -> None:
         raise ArgumentError(f"law must stabilise the plant: {far}. Give another, or none.")
 
 
-_MOST_GROWTH = 3.0  # of log |x|
-
+_MOST_GROWTH = 3.0  # of log |x| within the horizon
 
 Pullback = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class ExactStates(Frozen):
-    """F by means z̄ of what acts in every period.
+    """F as a function of z̄, with exact states.
 
-    white : of every mode ∂P in units of its noise; place : whose they are, of `size` unknowns
+    white : of every mode ∂P in units of its noise; place : of these unknowns, of `size` in all
     rows : the periods that count, of every mode; random : Σ Cov z over them
     """
 
@@ -246,7 +246,6 @@ class ExactStates(Frozen):
 
     @classmethod
     def of(cls, chain: Chain, used: Bool[np.ndarray, " sample"], size: int) -> ExactStates:
-        """Those of a chain, over the periods that an identification uses."""
         roots = np.linalg.cholesky(chain.S)
         white = [np.linalg.solve(L, one) for L, one in zip(roots, chain.by_P, strict=True)]
         rows = [np.flatnonzero(used & (chain.mode == i)) for i in range(len(white))]
@@ -276,10 +275,10 @@ class ExactStates(Frozen):
 
 
 class NoiseTables(NamedTuple):
-    """Q of every mode; `wide`, the unknowns that it or a sensor depends on; of_Q by those.
+    """Q of every mode, the unknowns `wide` of Q and sensors, and the derivatives of Q by these.
 
-    Unknowns behind the plant's are the lower triangle of L, its diagonal by its logarithm, then
-    the logarithms of the sensors' standard deviations.
+    After the plant's unknowns follow the lower triangle of L, its diagonal as logarithms, then the
+    logarithms of the sensors' standard deviations.
     """
 
     Q: Squares
@@ -288,7 +287,7 @@ class NoiseTables(NamedTuple):
 
     @classmethod
     def of(cls, layout: Layout, A: Squares, L: Square, step: float) -> NoiseTables:
-        """Those of periods of `step` seconds, with one W for all modes."""
+        """The tables of periods of `step` seconds, with one W = L Lᵀ for all modes."""
         n, square = layout.n, layout.n**2
         triangle = n * (n + 1) // 2
         wide = np.append(layout.of_A.ravel(), layout.size + np.arange(triangle + n))
@@ -301,9 +300,9 @@ class NoiseTables(NamedTuple):
 
 
 class FilterSample(NamedTuple):
-    """A sample of the filter: its gain, the innovation's variance and derivatives of both.
+    """A sample of the filter: its gain, the innovation's covariance and derivatives of both.
 
-    At a beginning the gain is I, and there is no innovation: S = 0, S⁻¹ = 0.
+    At a start the gain is I, and there is no innovation: S = 0, S⁻¹ = 0.
     """
 
     K: Square
@@ -315,11 +314,11 @@ class FilterSample(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class NoisyStates(Frozen):
-    """F by means z̄ of what acts in every period.
+    """F as a function of z̄, with noisy sensors.
 
-    white : S_k^{-1/2}, 0 where a sample only begins; carried : from η_k to η_{k+1}, before what is
-    added; by_P : ∂P of every mode; place : whose, of `size` unknowns; rows : the periods that
-    count, of every mode; constant : what of F inputs do not change
+    white : S_k^{-1/2}, 0 at starts; carried : Φ (I − K_k), from η_k to η_{k+1}
+    by_P : ∂P of every mode; place : of these unknowns; rows : the periods that count, of every mode
+    constant : the part of F that does not depend on the inputs
     """
 
     white: Float[np.ndarray, "sample n n"]
@@ -333,10 +332,6 @@ class NoisyStates(Frozen):
     def of(
         cls, chain: Chain, used: Bool[np.ndarray, " sample"], size: int, tables: NoiseTables
     ) -> NoisyStates:
-        """Those of a chain, over the periods that an identification uses.
-
-        tables : of the noise, whose unknowns stand behind the `size` others
-        """
         count, n = used.size, chain.n
         white, carried = np.zeros((2, count, n, n))
         joint = _Joint.of(chain, size, tables)
@@ -367,11 +362,11 @@ class NoisyStates(Frozen):
             eta[own[:, None] + 1, place] = np.einsum("anz,kz->kan", by_P, z[own])
         for k, M in enumerate(self.carried[:-1]):
             eta[k + 1] += eta[k] @ M.T
-        seen = eta @ self.white.swapaxes(1, 2)
-        flat = seen.swapaxes(0, 1).reshape(size, -1)
+        scaled = eta @ self.white.swapaxes(1, 2)
+        flat = scaled.swapaxes(0, 1).reshape(size, -1)
 
         def back(by_F: np.ndarray) -> np.ndarray:
-            of_eta, of_z = 2.0 * (by_F @ seen) @ self.white, np.zeros(z.shape)
+            of_eta, of_z = 2.0 * (by_F @ scaled) @ self.white, np.zeros(z.shape)
             for k in range(len(z) - 2, -1, -1):
                 of_eta[k] += of_eta[k + 1] @ self.carried[k]
             for by_P, place, own in every:
@@ -420,7 +415,6 @@ class _Joint(NamedTuple):
 
     @classmethod
     def of(cls, chain: Chain, size: int, tables: NoiseTables) -> _Joint:
-        """Of nothing yet."""
         n, unknowns = chain.n, int(tables.wide[-1]) + 1
         by_P = np.zeros((len(chain.S), unknowns, *chain.by_P[0].shape[1:]))
         for i, (own, place) in enumerate(zip(chain.by_P, chain.place, strict=True)):
@@ -430,7 +424,6 @@ class _Joint(NamedTuple):
 
     @property
     def unknowns(self) -> int:
-        """How many there are, those of the noise among them."""
         return self.by_P.shape[1]
 
     def of_eta(self) -> Float[np.ndarray, "unknown n unknown n"]:
@@ -439,7 +432,7 @@ class _Joint(NamedTuple):
         return part.reshape(self.unknowns, n, self.unknowns, n)
 
     def begun(self, now: Float[np.ndarray, "xi xi"], V: Float[np.ndarray, " n"]) -> _Joint:
-        """x̂ = y, of a run whose ξ has the covariance `now`; η = 0."""
+        """A start: x̂ = y, with Cov ξ = `now`, and η = 0."""
         covariance = np.zeros(self.covariance.shape)
         covariance[: self.use, : self.use] = now
         at = np.arange(V.size)
@@ -447,11 +440,12 @@ class _Joint(NamedTuple):
         return self._replace(covariance=covariance)
 
     def after(self, k: int, one: FilterSample, carried: Square) -> _Joint:
-        """That of the next sample."""
+        """The covariance before the next measurement."""
         n, use, i, kind = self.chain.n, self.use, self.chain.mode[k], self.chain.kind[k]
         Z, M = self.chain.Z[kind][:, :use], self.chain.M[kind][:use, :use]
         P = self.chain.P[i]
-        measured = self.chain.Z[kind][:, :n].copy()  # what e does to ẑ: the law is told y, not x̂
+        # The effect of e on ẑ, also through the law, which receives y and not x̂.
+        measured = self.chain.Z[kind][:, :n].copy()
         measured[:n] = one.K
         of_xi, of_eta = M[:, :n].copy(), self.by_P[i] @ measured
         of_xi[:n] = P @ measured

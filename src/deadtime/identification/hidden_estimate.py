@@ -1,15 +1,15 @@
-"""Estimates of plants whose modes were hidden, with intervals that count that in.
+"""Estimates of plants with hidden modes, whose intervals include the uncertainty of the modes.
 
-The information is that of the log, in place of that of known modes. With exact states the score in
-all unknowns, θ, S and P, is that of Fisher's identity, and the observed information is minus its
-derivative, by central differences: what Louis' formula gives (J. Royal Statistical Society B 44(2),
-1982). S and P are estimated, too, so that of θ there remains Schur's complement
+The information is the one of the log, instead of the one with known modes. With exact states the
+score in all unknowns, θ, S and P, follows from Fisher's identity, and the observed information is
+minus its derivative, by central differences, equal to Louis' formula (J. Royal Statistical Society
+B 44(2), 1982). S and P are estimated, too, so the information on θ is the Schur complement
 
     J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: S as L M Lᵀ about M = I, P by the logarithms of its odds.
 
 With noisy sensors, of the vector θ of plant and noise and the odds η of the chain, J is minus the
-second differences of the log likelihood; J_θθ − J_θη J_ηη⁻¹ J_ηθ is left, at most what the filter
-of logged modes would give along the likeliest path.
+second differences of the log likelihood. The Schur complement is bounded by the information of the
+filter with the modes of the likeliest path.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from deadtime.identification.intervals import Peak, left_of, spread_of
 from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog, Starts
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import estimate_of_sensors
-from deadtime.identification.parameters import Cells, FisherMatrix, Layout, Vector
+from deadtime.identification.parameters import Cells, FisherMatrix, Vector
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
-_FAINT = 1e-8  # of information: beside one that is so much larger, differences lose it
-_SMALL = 1e-3  # of a standard error, a step of differences
-_NEVER = 1e-6  # a jump of less probability is none that could be estimated
-_ROUND_OFF = 1e-12  # of the unknowns: a step so small is lost in them
-_CERTAIN = 1e-6  # Σ γ (1 − γ) of modes that are known
-_LEAST = 1e-4  # of the information of known modes that is left in every direction
+_FAINT = 1e-8  # relative eigenvalue of information that is lost in differences
+_SMALL = 1e-3  # step of first differences, in standard errors
+_NEVER = 1e-6  # least probability of a jump whose odds are estimated
+_ROUND_OFF = 1e-12  # step relative to the unknowns that is lost in round-off
+_CERTAIN = 1e-6  # Σ γ (1 − γ) below which modes count as known
+_LEAST = 1e-4  # least share of the information with known modes, in every direction
 
 
 class Information(NamedTuple):
-    """Of θ: with S and P held, and with these estimated; and that if the modes were known.
+    """Information on θ with S and P fixed, with S and P estimated, and with known modes.
 
-    least_left : the least share, over all directions, of what is left of the last
-    of_noise : (modes,), the least share that is left of what would be told of S's diagonal
+    least_left : the least share of the last that remains, over all directions
+    of_noise : (modes,), the least share that remains of the information on S's diagonal
     """
 
     held: FisherMatrix
@@ -56,13 +56,13 @@ class Information(NamedTuple):
 
     @property
     def widening(self) -> float:
-        """How many times longer than with known modes the longest interval is."""
+        """The largest ratio of an interval to the interval with known modes."""
         errors = [np.diagonal(np.linalg.inv(F)) for F in (self.left, self.known)]
         return float(np.sqrt((errors[0] / errors[1]).max()))
 
 
 class _Noise:
-    """M and the odds as a vector about where a likelihood has S and P."""
+    """M and the logarithms of odds as a vector η about S and P of a likelihood."""
 
     def __init__(self, log: HiddenLog) -> None:
         self.log, n = log, log.layout.n
@@ -71,7 +71,7 @@ class _Noise:
         self.jumps = log.jumps.likelier(_NEVER)
 
     def at(self, eta: np.ndarray) -> HiddenLog:
-        """The likelihood with other S and P."""
+        """The likelihood with S and P of η."""
         cut = len(self.L) * self.i.size
         M = np.tile(np.eye(self.L.shape[1]), (len(self.L), 1, 1))
         shift = eta[:cut].reshape(len(self.L), -1)
@@ -85,13 +85,13 @@ class _Noise:
 
     @property
     def known(self) -> Float[np.ndarray, "M M"]:
-        """The information on M if the modes were known, per period."""
+        """The information on M per period with known modes."""
         return np.diag(np.where(self.i == self.j, 0.5, 1.0))
 
     def shares(
         self, J: Float[np.ndarray, "M M"], counts: Float[np.ndarray, " mode"]
     ) -> Float[np.ndarray, " mode"]:
-        """Of the information on log S_aa that is left of known modes', the least of all a."""
+        """The least share over a of the information on log S_aa that remains, in each mode."""
         known = np.kron(np.diag(counts), self.known)
         covariance, own = np.linalg.inv(lifted(J, known)[0]), self.i.size
         found = np.empty(len(self.L))
@@ -104,7 +104,7 @@ class _Noise:
         return found
 
     def score(self, theta: np.ndarray, eta: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """The score in θ and in these."""
+        """The score in θ and η."""
         log = self.at(eta)
         n, parts = log.layout.n, [log.evaluate(theta, cells).score]
         terms, found = log.weighted(theta, cells)
@@ -127,7 +127,7 @@ def information_of(log: HiddenLog, theta: Vector, cells: Cells) -> Information:
     coarse = (_SMALL * unit).min() < _ROUND_OFF * np.abs(theta).max()
     coarse |= np.linalg.eigvalsh(known * unit * unit[:, None])[0] < _FAINT
     if coarse or (weight * (1.0 - weight)).sum() < _CERTAIN:
-        # of no noise differences tell nothing
+        # Without noise the steps are below round-off; known modes lose no information.
         return Information(known, known, known, 1.0, np.ones(log.layout.modes))
     of_S = np.repeat(1.0 / np.sqrt(weight.sum(axis=0)), noise.i.size)
     steps = _SMALL * np.concatenate((unit, of_S, np.full(len(noise.jumps), 0.3)))
@@ -147,32 +147,32 @@ def information_of(log: HiddenLog, theta: Vector, cells: Cells) -> Information:
 
 
 def lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
-    """J with some share, up to all, of what known modes would give in every direction; the least.
+    """J clipped to shares between `_LEAST` and 1 of the information with known modes.
 
-    More it cannot be, but for what differences and one log's own curvature add.
+    And its least share before that. Shares above 1 are errors of differences or of a single log.
     """
     unit = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
     try:
         L = np.linalg.cholesky(known / unit / unit[:, None])
     except np.linalg.LinAlgError:
-        return known, 1.0  # nothing can be seen in some direction: that is refused by its name
+        return known, 1.0  # singular: `require_identified` refuses it and names the direction
     inner = np.linalg.solve(L, np.linalg.solve(L, J / unit / unit[:, None]).T)
     values, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
     whole = L @ (vectors * np.clip(values, _LEAST, 1.0)) @ vectors.T @ L.T
     return whole * unit * unit[:, None], float(values[0])
 
 
-_BROAD = 0.1  # of a standard error, a step of second differences
-_VAGUE = 1e-2  # information on the logarithm of a noise: its standard error is 10 at most
-_ODDS = 0.03  # the same of the logarithm of a jump's odds
-_SELDOM = 1e-4  # a jump of less probability is none that could be estimated
+_BROAD = 0.1  # step of second differences, in standard errors
+_VAGUE = 1e-2  # information added on the logarithm of a noise: its standard error is at most 10
+_ODDS = 0.03  # step of the logarithm of a jump's odds
+_SELDOM = 1e-4  # least probability of a jump whose odds are estimated
 
 
 @dataclass(frozen=True, eq=False)
 class Decoded(Generic[Log]):
-    """A fit whose modes are in the order of its likeliest path, and the recording with that path.
+    """A fit with modes in the order of its likeliest path, and the recording with that path.
 
-    order : of its modes in those of the fit; theta : its vector
+    order : the fit's number of each mode; theta : the reordered vector
     """
 
     fit: HiddenFit[Log]
@@ -183,10 +183,7 @@ class Decoded(Generic[Log]):
 
 
 class ModesEstimate(NamedTuple):
-    """An estimate, how likely each mode was in every row, and how many times longer intervals are.
-
-    These are the plant's longest, beside those with known modes.
-    """
+    """An estimate, the probability of each mode in every row, and `Information.widening`."""
 
     estimate: Estimate
     node: list[Float[np.ndarray, "sample mode"]]
@@ -194,43 +191,31 @@ class ModesEstimate(NamedTuple):
 
 
 def decoded(fit: HiddenFit[Log]) -> Decoded[Log]:
-    """The likeliest path, modes in the order in which it visits them.
+    """The likeliest path of a fit, with modes in the order of their first visit.
 
     Raises
     ------
     ArgumentError
-        If it leaves a mode out.
+        If the path does not visit all modes.
     """
+    layout, recording = fit.layout, fit.log.recording
     paths = fit.log.path(fit.theta, fit.given)
-    order, record = _ordered_by_path(paths, fit.log.recording, fit.layout)
-    return Decoded(fit, fit.log.ordered(order), fit.layout.ordered(fit.theta, order), order, record)
-
-
-def _ordered_by_path(
-    paths: list[Int[np.ndarray, " sample"]], recording: Recording, layout: Layout
-) -> tuple[Int[np.ndarray, " mode"], Recording]:
-    """Modes in the order in which paths visit them, and the recording with these as its modes.
-
-    Raises
-    ------
-    ArgumentError
-        If the paths leave a mode out.
-    """
-    seen, first = np.unique(np.concatenate(paths), return_index=True)
-    if seen.size < layout.modes:
+    visited, first = np.unique(np.concatenate(paths), return_index=True)
+    if visited.size < layout.modes:
         raise ArgumentError(
             f"modes = {layout.modes} is too many for this log: its likeliest path has only "
-            f"{seen.size} of them: ask for fewer, or log for longer."
+            f"{visited.size} of them: ask for fewer, or log for longer."
         )
-    order = seen[np.argsort(first)]
-    back = np.argsort(order)
+    order = visited[np.argsort(first)]
+    number = np.argsort(order)
     each = zip(recording.parts, paths, strict=True)
-    parts = tuple(part._replace(mode=back[path]) for part, path in each)
-    return order, recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
+    parts = tuple(part._replace(mode=number[path]) for part, path in each)
+    record = recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
+    return Decoded(fit, fit.log.ordered(order), layout.ordered(fit.theta, order), order, record)
 
 
 def estimated(found: Decoded[HiddenLog]) -> ModesEstimate:
-    """With exact states."""
+    """The estimate with exact states."""
     log, theta, record = found.log, found.theta, found.recording
     layout, cells = log.layout, log.cells(theta)
     posterior = log.posterior(theta, cells)
@@ -249,7 +234,7 @@ def estimated(found: Decoded[HiddenLog]) -> ModesEstimate:
 
 
 def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesEstimate:
-    """With noisy sensors."""
+    """The estimate with noisy sensors."""
     fit, log, theta, record = found.fit, found.log, found.theta, found.recording
     layout, window, starts = log.layout, fit.window, fit.given
     cells = log.cells(theta)
@@ -275,7 +260,7 @@ def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesEstimate:
 
 
 def _start(found: Decoded) -> Start:
-    """A scan of the delays' other cells: peaks may lie far from those found."""
+    """A scan of the delays' other cells, where other peaks may lie."""
     fit, theta = found.fit, found.theta[: found.log.layout.size]
     whole, cells, layout = fit.grid.over(*fit.grid.bounds), fit.grid.cells(fit.on_grid), fit.layout
     periods, weight = whole.periods, whole.posterior(fit.on_grid, cells).weight
@@ -288,7 +273,7 @@ def _start(found: Decoded) -> Start:
 def _information(
     log: HiddenNoisyLog, theta: Vector, starts: Starts, cells: Cells, known: FisherMatrix
 ) -> Information:
-    """J of the vector, with the chain held and estimated; and that of the modes of the path."""
+    """Information on the vector, by second differences of the log likelihood."""
     jumps, size, vague = log.jumps.likelier(_SELDOM), theta.size, _vague(log)
     unit = _BROAD * np.minimum(1.0 / np.sqrt(np.maximum(np.diagonal(known), 1e-300)), log.most)
     steps = np.diag(np.concatenate((unit, np.full(len(jumps), _ODDS))))
@@ -316,5 +301,5 @@ def _information(
 
 
 def _vague(log: HiddenNoisyLog) -> FisherMatrix:
-    """Next to no information on the noise, so that one which the log does not tell may be any."""
+    """A little information on the noise, which keeps that of unidentified noise regular."""
     return np.diag(_VAGUE / log.most**2)

@@ -2,12 +2,12 @@
 
     BIC = −2 log L + q log N,    q unknowns: those of the plant, S of every mode, the chain's odds
 
-N: the periods that are usable whatever the delays are; they are the same for all numbers.
+N: the periods that are usable for all delays in the range; they are the same for all numbers.
 
-With noisy sensors a fit begins at each of the regressions that starts without noise lead to, with
-two guesses of how much of what a period adds is the sensors'; what leads highest in coarse steps,
-with modes that change at samples and last at first, goes on. Plant and noise are climbed with the
-chain held, and the chain is set to the jumps that are expected then, in turn.
+With noisy sensors a fit starts at each of the regressions found without noise, with two guesses of
+the sensors' share of the noise. The start that leads highest in coarse steps, with modes that
+change at samples, goes on. Steps over plant and noise with the chain fixed alternate with steps of
+the chain to its expected jumps.
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ _STARTS = 12
 _SHORT = 12  # steps of each start, with one covariance for all modes
 _LONG = 100  # steps of the best starts, and of those in other cells
 _KEPT = 3
-_ALIKE = 5.0  # of log likelihood: starts so close after a few steps lead to the same
+_ALIKE = 5.0  # starts with log likelihoods so close after a few steps lead to the same maximum
 
 
 class HiddenSearch(NamedTuple):
-    """A recording and its periods; and the same on a grid, where searches begin.
+    """A recording and its periods; and both on a grid, where searches begin.
 
-    plain : of plants with constant terms, the same without; None where 0 is far from the log
+    plain : the search without constant terms; None where 0 is far from the log
     """
 
     recording: Recording
@@ -81,10 +81,10 @@ class HiddenSearch(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """A plant near regressions whose modes are hidden, where a maximum is looked for.
+    """A start of a climb: the plant nearest to regressions with hidden modes.
 
-    log : of the recording on a grid; agreed : how many starts led there, of `starts`
-    found : what the log says of the modes under the regressions
+    log : of the recording on a grid; agreed : the number of `starts` that led to it
+    found : the posterior of modes under the regressions
     """
 
     log: HiddenLog
@@ -98,9 +98,9 @@ class Begun(NamedTuple):
 class HiddenFit(Generic[Log]):
     """The likeliest plant of a number of modes, and BIC.
 
-    given : what the likelihood is evaluated in: cells of delays, or samples at which it starts anew
-    window : of delays; values : log likelihood on the way up
-    grid, on_grid : the likelihood of exact states on a grid, and where it is large
+    given : arguments of the likelihood: cells of delays, or samples at which the filter restarts
+    window : of delays; values : log likelihood after every step
+    grid, on_grid : the likelihood of exact states on a grid, and its unknowns
     """
 
     log: Log
@@ -115,7 +115,6 @@ class HiddenFit(Generic[Log]):
 
     @property
     def layout(self) -> Layout:
-        """Where unknowns of the plant lie."""
         return self.log.layout
 
 
@@ -135,7 +134,7 @@ def search_of(recording: Recording, layout: Layout, bounds: Window, within: bool
 
 
 def _periods_on_a_grid(grid: Recording, one: Layout, bounds: Window, within: bool) -> Periods:
-    """Those of even rows, with one regression for all modes."""
+    """The usable periods of even rows, with one regression for all modes."""
     cell_range(grid.step, bounds, one.m)  # refuses more cells than a scan has room for
     sampling = sampling_of(grid, np.zeros(0))
     periods = Periods.of(sampling, grid.parts, bounds, None, one.constant)
@@ -149,7 +148,7 @@ def _periods_on_a_grid(grid: Recording, one: Layout, bounds: Window, within: boo
 
 
 def _one_plant(recording: Recording, grid: Recording, one: Layout, bounds: Window) -> Pooled:
-    """The plant of one mode that uneven rows are likeliest of."""
+    """The likeliest plant of one mode of uneven rows."""
     start = start_of(grid, one, bounds, within=False)
     A, _, _ = one.split(start.theta)
     log = ExactLog(recording, one, False, bounds, nodes_for(recording.parts, A))
@@ -181,7 +180,7 @@ def require_periods(periods: Periods, layout: Layout) -> None:
 
 
 def begun(search: HiddenSearch, layout: Layout, common: bool = False, seed: int = 0) -> list[Begun]:
-    """Where the best starts lead, the likeliest first; `common`: with one covariance of all modes.
+    """The climbs' ends from the best starts, likeliest first; `common`: with one covariance.
 
     Raises
     ------
@@ -223,7 +222,7 @@ def fitted(search: HiddenSearch, layout: Layout) -> HiddenFit[HiddenLog]:
 def _led(
     search: HiddenSearch, begin: Begun, found: Posterior | None
 ) -> HiddenFit[HiddenLog] | None:
-    """The maximum that a beginning leads to; None where a mode is left with next to no period."""
+    """The maximum near a start; None if a mode is left with too few periods."""
     layout = begin.log.layout
     ascent = ascended(begin.log, begin.theta, layout.least_periods, found)
     if ascent is None:
@@ -243,7 +242,7 @@ def _fit_at(ascent: Ascent, bic: float, begin: Begun, grid: HiddenLog) -> Hidden
 
 
 def bic_of(search: HiddenSearch, layout: Layout, of_noise: int, value: float) -> float:
-    """BIC of a plant, of so many unknowns of its noise, and a chain."""
+    """BIC of a plant with `of_noise` unknowns of its noise, and of a chain."""
     unknowns = layout.size + of_noise + layout.modes * (layout.modes - 1)
     return unknowns * float(np.log(search.periods.count)) - 2.0 * value
 
@@ -332,11 +331,11 @@ def _in_best_cells(
         model = maximised(rows, posterior, model.jumps, cells, common)
 
 
-_ENOUGH = 2_000  # samples that tell which of two beginnings is the better one
-_ROUNDS = 10  # of plant and chain, each the other held
+_ENOUGH = 2_000  # samples that suffice to compare starts
+_ROUNDS = 10  # of plant and chain, alternating
 _CHAIN = 20  # steps of the chain in a round
-_FAR = 10.0  # times what BIC asks of constant terms: they are no chance
-_SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at first, at the end
+_FAR = 10.0  # times BIC's threshold of constant terms: then they are certain
+_SOON, _LATE = 0.3, 1e-3  # rise of log likelihood that ends a climb: at first, at the end
 
 
 def fitted_with_noise(
@@ -429,9 +428,10 @@ def _best_start(
 
 
 def _starts(search: HiddenSearch, layout: Layout) -> list[Begun]:
-    """Those that regressions lead to with one covariance of all modes, and with one of each.
+    """Starts from regressions with one covariance of all modes, and with one of each.
 
-    Noise of sensors is that of all modes; where one hides another, though, the others may not.
+    Sensor noise is the same in all modes, which favours one covariance; but where that hides a
+    mode, separate ones may not.
     """
     found, errors = [], []
     for common in (True, False)[: layout.modes]:
@@ -447,7 +447,7 @@ def _starts(search: HiddenSearch, layout: Layout) -> list[Begun]:
 def _of_start(
     start: Begun, search: HiddenSearch, recording: Recording, C: SensorMatrix
 ) -> tuple[HiddenNoisyLog, Square]:
-    """The likelihood, with modes that last; and what a period adds, as noise of the plant."""
+    """The likelihood with a chain of long stays, and W with all noise attributed to the plant."""
     exact, theta, layout = start.log, start.theta, start.log.layout
     A, _, _ = layout.split(theta)
     share = start.found.weight.sum(axis=0)
@@ -467,7 +467,7 @@ def _least_rows(log: HiddenNoisyLog, theta: Vector, window: Window) -> float:
 def _climbed(
     log: HiddenNoisyLog, theta: Vector, window: Window, gain: float
 ) -> tuple[HiddenNoisyLog, Maximum, Float[np.ndarray, " round"]]:
-    """Rounds of the plant and of the chain, until they gain little; and the likelihood of each."""
+    """Rounds of the plant and of the chain until they gain little; log likelihood of each."""
     values, starts = [], log.starts(*window)
     while True:
         best, _ = maximise(log, theta, window=window, gain=gain)
@@ -490,6 +490,6 @@ def _next_chain(log: HiddenNoisyLog, theta: np.ndarray, starts: Starts) -> Hidde
 
 
 def _units(W: Square) -> Float[np.ndarray, " entry"]:
-    """How large the entries of a triangle L, L Lᵀ = W, are; of its diagonal the logarithms are."""
+    """Sizes of the entries of a triangle L, L Lᵀ = W; 1 for the logarithms of its diagonal."""
     i, j = np.tril_indices(len(W))
     return np.where(i == j, 1.0, np.sqrt(np.maximum(np.diagonal(W)[i], 1e-300)))

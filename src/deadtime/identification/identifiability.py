@@ -1,4 +1,4 @@
-"""Why a log hardly tells a delay, or a mode: what its inputs are, and what they follow from."""
+"""Reasons why a log hardly identifies a delay or a mode: repeated inputs, feedback, short stays."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from deadtime.base.wording import number_of
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
 
-_LIKE = 0.95  # a correlation of samples so large: one may stand for the other
-_FELL = 0.7  # what it must fall below before: a slow input is like itself a moment later
-_FOLLOWS = 0.99  # of an input's variance, that the states of the same row explain
-_BRIEF = 2  # rows: in so short a stay no period, or one, is of a mode alone
-_MINUTE = 60.0  # s: periods of whole seconds are parts or multiples of it
-_JITTER = 0.1  # of a period: rows of a clock of milliseconds are seldom exactly a period apart
-_PAST = 3  # rows: of measurements and of the input itself, that a controller reads
-_SHARE = 0.5  # of what is new in an input, that measurements explain in a loop with little else
-_MOVES = 1e-9  # of an input's variance: an input that its own past tells so well is no feedback's
+_LIKE = 0.95  # correlation at which an input repeats itself
+_FELL = 0.7  # correlation must fall below this first: a slow input resembles itself a moment later
+_FOLLOWS = 0.99  # share of an input's variance explained by the states of the same row
+_BRIEF = 2  # rows: a stay so short has at most one period in one mode
+_MINUTE = 60.0  # s: periods of whole seconds divide a minute or are multiples of it
+_JITTER = 0.1  # of a period: milliseconds differ from row to row, seconds usually do not
+_PAST = 3  # past rows of measurements and of the input that a controller may use
+_SHARE = 0.5  # share of an input's innovation explained by measurements in a closed loop
+_MOVES = 1e-9  # least relative innovation of an input: an input known from its past is no feedback
 
 
 def reasons(recording: Recording, j: int, longest: float) -> list[str]:
@@ -42,14 +42,14 @@ def reasons(recording: Recording, j: int, longest: float) -> list[str]:
         of = "follows from what was measured in its row and before, as in a loop that regulates"
     if of:
         said.append(
-            f"{name} {of}: the log tells A + B K rather than A and B. Add steps or noise to what "
-            "the law asks for."
+            f"{name} {of}: the log determines A + B K rather than A and B. Add steps or noise to "
+            "the commands of the law."
         )
     others = [recording.inputs[i] for i in _alike(recording, j)]
     if others:
         said.append(
-            f"{name} moves as {', '.join(others)} does throughout: which of them acts, and when, "
-            "is hardly told. Move them apart, or leave one out by inputs=[…], --inputs."
+            f"{name} moves as {', '.join(others)} does throughout: the log hardly shows which of "
+            "them acts, and when. Move them apart, or leave one out by inputs=[…], --inputs."
         )
     if counts_milliseconds(recording):
         said.append(
@@ -60,10 +60,10 @@ def reasons(recording: Recording, j: int, longest: float) -> list[str]:
 
 
 def counts_milliseconds(recording: Recording) -> bool:
-    """Whether stamps look like milliseconds: whole numbers, and not as clocks of seconds tick.
+    """Whether times look like milliseconds: whole numbers that are unusual for seconds.
 
-    Those tick at a whole part of a minute, or at whole minutes, without jitter; rows of an even
-    period of 1, 2, 5, 10 or 60 may be seconds as well as not.
+    Logs in whole seconds usually have a period that divides a minute, or whole minutes, without
+    jitter; an even period of 1, 2, 5, 10 or 60 may be seconds.
     """
     times = [part.time for part in recording.parts]
     if max(float(np.abs(t - np.rint(t)).max()) for t in times) > 1e-6:
@@ -75,7 +75,7 @@ def counts_milliseconds(recording: Recording) -> bool:
 
 
 def _repeat(part: Part, step: float, j: int, longest: float) -> tuple[float, float] | None:
-    """After how long an input is like itself again, seconds, and with which sign."""
+    """The period after which an input repeats itself, seconds, and the sign."""
     u = part.input[:, j]
     fallen = False
     for lag in range(1, min(int(longest / step), u.size // 2) + 1):
@@ -113,7 +113,7 @@ def _follows(recording: Recording, j: int) -> bool:
 
 
 def _alike(recording: Recording, j: int) -> list[int]:
-    """Other inputs that are this one, times a number."""
+    """Other inputs proportional to this one."""
     u = np.vstack([part.input for part in recording.parts])
     others = [i for i in range(u.shape[1]) if i != j]
     return [i for i in others if abs(_likeness(u[:, i], u[:, j])) > 1.0 - 1e-6]
@@ -122,7 +122,7 @@ def _alike(recording: Recording, j: int) -> list[int]:
 def require_enough(
     recording: Recording, layout: Layout, count: Int[np.ndarray, " mode"], window: float
 ) -> None:
-    """Every mode has more periods than unknowns."""
+    """Refuse a log with too few periods of a mode."""
     least = layout.least_periods
     for i in np.flatnonzero(count < least):
         name = recording.modes[i]
@@ -150,7 +150,7 @@ def require_enough(
 
 
 def _longest_stay(recording: Recording, mode: int) -> int:
-    """Most rows in a row that have a mode."""
+    """The largest number of consecutive rows in a mode."""
     stays = [0]
     for part in recording.parts:
         there = np.concatenate(([False], part.mode == mode, [False]))
@@ -160,10 +160,10 @@ def _longest_stay(recording: Recording, mode: int) -> int:
 
 
 def fed_back(recording: Recording) -> Bool[np.ndarray, " m"]:
-    """Which inputs follow from the measurements of their row and the last ones.
+    """Which inputs are feedback of the measurements of their row and the last ones.
 
-    What is new in an input, beside its own past, is compared with what is left of that once
-    measurements are known, by linear regressions in each mode.
+    The residuals of an input predicted from its own past, by linear regression in each mode, are
+    compared with the residuals when measurements are used, too.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def fed_back(recording: Recording) -> Bool[np.ndarray, " m"]:
 
 
 def _rows(part: Part, mode: int) -> tuple[np.ndarray, np.ndarray]:
-    """Measurements of rows of a mode and of those before, in one line each; inputs likewise."""
+    """Measurements (rows, lags × p) and inputs (rows, lags, m) of rows that stay in a mode."""
     k = np.arange(_PAST, part.time.size)
     lags = k[:, None] - np.arange(_PAST + 1)
     y, u = part.output[lags].reshape(k.size, lags.shape[1] * part.output.shape[1]), part.input[lags]

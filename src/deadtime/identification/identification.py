@@ -1,4 +1,4 @@
-"""Identification: a plant from a log, how well the log knows it, and what to do with it."""
+"""`Identification`: a plant found in a log, with intervals, a verdict and a problem file."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ class Identification(Findings):
     noise : (p,) array
         Standard deviations of the sensors; 0 where measurements are taken as exact.
     model : switching model or None
-        How the mode switches, where enough sojourns were logged.
+        The model of the switching, where enough sojourns were logged.
     tests : ResidualTests
-        Whether what is left looks like chance.
+        Tests of the residuals.
     states, inputs, modes : tuple of str
-        Names: those of the log's columns and of its modes.
+        Names of the log's columns and of its modes.
     log_likelihood : float
     samples : int
         Rows of the log.
     hidden : HiddenModes or None
-        Of modes that were not logged: which was active when, and how sure that is.
+        Modes that were not logged, with their probabilities.
     sentences : tuple of str
-        What there is to say, in words.
+        The results in words.
     doubts : tuple of str
-        Why intervals of delays may not hold them; then no verdict is "enough".
+        Reasons why intervals may not contain the delays; then no verdict is "enough".
 
     Examples
     --------
@@ -93,24 +93,27 @@ class Identification(Findings):
         return replace(fit, sentences=(*own, *said) if modes is None else (*said, *own))
 
     def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
-        """Whether a law stands every delay that the log allows.
+        """Whether a law tolerates every delay in the intervals, as a sentence.
 
-        A margin is of delays that all err alike. Of several delays it is "enough" only where the
-        law is given, too: then each input's delay alone is held against its margin, and the loop
-        must decay in every mode, held, at all corners of the box of intervals (up to 4 inputs).
-        Delays between corners, and different errors while modes switch, are not looked at. Nothing
-        is enough while intervals are in doubt: see `doubts`. Of a law
-        that is given it also says on how many plants, drawn from all that the log leaves open
-        (`uncertain`), every mode held decays.
+        A margin is for a common error of all delays. For several delays the verdict is "enough"
+        only if the law is given, too: each input's delay alone is then compared with its margin,
+        and the loop must decay in every constant mode at all corners of the box of intervals (up to
+        4 inputs). Delays between corners, and different errors while modes switch, are not tested.
+        Nothing is enough while intervals are in doubt: see `doubts`. With a law the sentence also
+        gives the share of plants, drawn from `uncertain`, on which every constant mode decays.
 
         Parameters
         ----------
         margin : DelayMargin
             Of the law on `plant`: `deadtime.delay_margin(fit.plant, law, fit.step, dwell_time)`.
         law : Law, optional
-            The law, for errors that differ, and those of A and B.
+            The law, for different errors of delays, and errors of A and B.
         step : float, optional
-            Its sampling period, seconds; that of the log by default.
+            Its sampling period, seconds; the log's by default.
+
+        Returns
+        -------
+        str
 
         Examples
         --------
@@ -132,17 +135,17 @@ class Identification(Findings):
     def save(
         self, path: str | PathLike[str], *, title: str = "", horizon: float | None = None
     ) -> None:
-        r"""Write a problem file: plant, names, switching, mode filter, and gains to begin with.
+        r"""Write a problem file: plant, names, switching, mode filter, and first gains.
 
-        Gains are those of least :math:`\int |x|^2 + |u|^2 \, dt`; change them to yours. Laws are
-        the paper's.
+        The gains minimise :math:`\int |x|^2 + |u|^2 \, dt`; change them to yours. Laws are the
+        paper's.
 
         Parameters
         ----------
         path : path
             The file, TOML.
         title : str
-            Of the problem.
+            The title of the problem.
         horizon : float, optional
             Length of its run, seconds; by default 20 times the longest delay, and at least 5 mean
             sojourns of the mode that lasts longest.

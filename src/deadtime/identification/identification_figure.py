@@ -61,7 +61,6 @@ def rows_shown(fit: Findings, part: Part) -> str:
 
 
 def draw_modes(axes: Axes, fit: Findings, part: Part) -> None:
-    """The mode over time."""
     axes.step(part.time, part.mode, where="post", color=COLOURS[0])
     axes.set_yticks(range(fit.plant.modes), [plain(name) for name in fit.modes])
     axes.set_ylabel("mode")

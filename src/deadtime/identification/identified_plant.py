@@ -17,12 +17,12 @@ from deadtime.identification.residuals import ResidualTests
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
 
-_SINGULAR = 1e9  # a condition number: rests are not found beyond it
+_SINGULAR = 1e9  # condition number of A beyond which the rest is not unique
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Findings(Frozen):
-    """A plant that was found in a log, with intervals at 95 %: see `Identification`."""
+    """A plant found in a log, with intervals at 95 %: see `Identification`."""
 
     plant: SwitchedSystem
     delay_interval: Float[np.ndarray, "mode m 2"]
@@ -58,11 +58,11 @@ class Findings(Frozen):
     def rest_error(self) -> Float[np.ndarray, " n"]:
         """Standard errors of the states at which the plant rests under u₀ of the operating point.
 
-        A plant of one mode rests at a state for every input, so that x₀ and u₀ are chosen together;
-        what the log leaves open is x₀ for that u₀: the solution of A_i x = −B_i u₀ − c_i over all
-        modes by least squares, of which the right-hand sides are as uncertain as the entries. NaN
-        where many states solve it, as of a plant that integrates, where modes rest apart
-        (`offset`), and where there is no point.
+        A plant of one mode has a rest for every input, so x₀ and u₀ are chosen together. The error
+        is that of x₀ for this u₀: of the least-squares solution of A_i x = −B_i u₀ − c_i over all
+        modes, by propagation of the covariance of all entries. NaN where the solution is not
+        unique, as for an integrating plant, where modes have different rests (`offset`), and where
+        there is no operating point.
         """
         modes, n, _ = self.plant.A.shape
         point, level = self.operating_point, self._recording.level
@@ -114,9 +114,9 @@ class Findings(Frozen):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names that `interval` knows: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
+        """Names of unknowns: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
 
-        From outputs alone those entries that the choice of states fixes are left out.
+        With outputs alone, entries fixed by the choice of states are left out.
         """
         return tuple(self._found.places)
 
@@ -132,8 +132,12 @@ class Findings(Frozen):
         name : str
             One of `names`: "delay", or "delay[j]" of input j where there are several, "delay[i][j]"
             where every mode i has its own; "A[0][0,1]", "B[1][2,0]"; "disturbance[0][1,1]" for a
-            diagonal entry of W in mode 0; "noise[1]" for the second sensor. Noise that the log does
-            not tell from none begins at 0: it is less than the other end.
+            diagonal entry of W in mode 0; "noise[1]" for the second sensor. An interval of noise
+            that may be 0 begins at 0.
+
+        Returns
+        -------
+        low, high : float
 
         Raises
         ------

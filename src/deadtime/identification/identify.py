@@ -61,48 +61,48 @@ def identify(
     rest: bool | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    r"""The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
+    r"""The maximum-likelihood plant of a log: matrices, delays and noise, with intervals.
 
     .. math::
 
         \dot x = A_\sigma x + \sum_j b_{\sigma,j} u_j(t - D_j) + \text{white noise},
         \quad y_k = C x_k + v_k
 
-    by maximum likelihood, exact at any fraction of a period: docs/theory/identification.md.
+    The likelihood is exact for delays at any fraction of a period: docs/theory/identification.md.
 
     Parameters
     ----------
     log : path, DataFrame, or list of them
         CSV with a header, or a table: columns t (seconds, rising), x1, x2, … (y1, y2, … with C or
-        order), u1, u2, … and the mode. An input holds from its row's t to the next one's. A
-        measurement that is missing is left empty. The rows need not be evenly spaced.
+        order), u1, u2, … and the mode. An input is held from its row's t to the next row's. A
+        missing measurement is an empty cell. The rows need not be evenly spaced.
     modes : str, None, int or sequence of int
-        The column of the mode, numbers or texts; None: the plant has one. Of modes that were not
-        logged their number; of several, such as ``range(1, 4)``, the one of least BIC is taken.
+        The column of the mode, numbers or texts; None for a plant of one mode. For modes that were
+        not logged their number, or several, such as ``range(1, 4)``, of which BIC selects one.
     delay : (low, high)
-        The range in which all delays are looked for, seconds.
+        The range in which all delays are searched, seconds.
     per_mode : bool
         Whether every mode has delays of its own.
     noise : bool, optional
-        Whether measurements are noisy. By default that is tried where the residuals are not white.
+        Whether measurements are noisy. By default noise is tried if the residuals are not white.
     C : array_like, shape (p, n), optional
-        Of the outputs y = C x, of rank n; without it the states themselves are logged.
+        The matrix of the outputs y = C x, of rank n; without it the states themselves are logged.
     switches : "anywhere" or "samples"
-        Whether the mode changes at any time, so that of a period in which it does nothing is known,
-        or only at samples.
+        Whether the mode changes at any time, so that periods in which it does are left out, or only
+        at samples.
     states, inputs, outputs : sequence of str, optional
         The columns, where they have other names; outputs with C or order.
     order : int or sequence of int, optional
-        How many states each output has, where there are fewer outputs than states: 2 of a position.
-        Then the states are outputs and their derivatives: docs/theory/outputs.md.
+        The number of states of each output, if there are fewer outputs than states: 2 for a
+        position. The states are outputs and their derivatives: docs/theory/outputs.md.
     zeros : bool, optional
-        Of `order`: whether inputs act on all states of an output, and not on the last derivative
-        alone, so that the others are no derivatives. By default, where the log asks for it.
+        With `order`: whether inputs act on all states of an output, which are then not derivatives,
+        instead of the last derivative alone. By default, if the log shows it significantly.
     rest : bool, optional
-        Whether inputs before the log were those of its first row. By default, where inputs and
-        states are still at first and what is left of the log does not contradict it.
+        Whether inputs before the log equal those of its first row. By default, if inputs and states
+        are constant at first and the residuals do not contradict it.
     progress : callable, optional
-        Called with a few words whenever something else is begun.
+        Called with a few words at every stage.
 
     Returns
     -------
@@ -111,8 +111,8 @@ def identify(
     Raises
     ------
     ArgumentError
-        If the log is malformed (its line is named), too short, or does not tell an unknown; if
-        modes that were not logged are too many for it; if outputs do not have so many states.
+        If the log is malformed (the message names the line), too short, or does not identify an
+        unknown; if there are too many hidden modes for it; if outputs do not have so many states.
 
     References
     ----------
@@ -203,13 +203,12 @@ def identify(
 
 
 def require_switches(switches: object) -> None:
-    """Refuse what is none of the values that there are."""
     if switches not in ("anywhere", "samples"):
         raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
 
 
 def choice(name: str, value: object) -> bool | None:
-    """True, False, or None, which leaves it to the log."""
+    """A checked option: True, False, or None to decide by the log."""
     if value is None:
         return None
     if isinstance(value, bool | np.bool_):
@@ -220,7 +219,6 @@ def choice(name: str, value: object) -> bool | None:
 
 
 def range_of_delays(delay: object) -> tuple[float, float]:
-    """The range of delays."""
     try:
         low, high = delay  # pyright: ignore[reportGeneralTypeIssues]
     except (TypeError, ValueError):
@@ -236,11 +234,11 @@ def range_of_delays(delay: object) -> tuple[float, float]:
 
 
 def require_order_for(zeros: object, outputs: object, C: object) -> None:
-    """Refuse what only outputs alone have."""
+    """Refuse arguments that need `order`."""
     if zeros is not None:
         raise ArgumentError("zeros is of outputs alone: give order, too, or leave zeros out.")
     if outputs is not None and C is None:
         raise ArgumentError(
-            "outputs needs order, how many states each has, or C, what they are of the states; "
-            "columns that are the states are states=[…]."
+            "outputs needs order, the number of states of each, or C in y = C x; columns of the "
+            "states themselves are states=[…]."
         )

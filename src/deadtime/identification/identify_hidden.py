@@ -37,17 +37,15 @@ from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.switching.models.semi_markov import SemiMarkov
 
-_CERTAIN = 1e-12  # a stay of so nearly all probability is never left
-_MOST = 20  # numbers, and modes
+_CERTAIN = 1e-12  # a mode with less probability to leave it is absorbing
+_MOST = 20  # modes
 
 
 class Sensed(NamedTuple):
-    """A recording of the states; the same as it was logged, y = C x; and whether sensors are noisy.
+    """A recording as states and as logged, y = C x, both about a level; and the kind of noise.
 
-    Both are about a level.
-
-    named : what states are called
-    noise : None where that is to be tried if what is left without may be noise of sensors
+    named : names of states
+    noise : whether sensors are noisy; None to try it if residuals suggest it
     """
 
     states: Recording
@@ -65,11 +63,11 @@ def identify_hidden(
     within: bool,
     progress: Callable[[str], None],
 ) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
-    """The likeliest plant whose modes are hidden, of one of several numbers of them, by BIC.
+    """The likeliest plant with hidden modes, their number chosen by BIC; and sentences on it.
 
-    None where one mode is the likeliest, and what there is to say of their number.
+    The plant is None where one mode is the likeliest.
 
-    layout : with one mode, as the recording has, and constant terms
+    layout : with one mode, as in the recording, and constant terms
     """
     expect_many_calls()
     search = search_of(sensed.states, layout, bounds, within)
@@ -77,7 +75,7 @@ def identify_hidden(
         tried = _tried(
             numbers, lambda modes: fitted(search, replace(layout, modes=modes)), progress
         )
-        progress("looking how well the log tells them")
+        progress("finding intervals")
         found, said = _chosen(tried, sensed, within, lambda fit: decoded(refined(fit)), estimated)
         if sensed.noise is False or numbers == (1,):
             return found, said
@@ -90,14 +88,14 @@ def identify_hidden(
         lambda modes: fitted_with_noise(search, replace(layout, modes=modes), *given),
         lambda said: progress(f"{said}, sensors taken for noisy"),
     )
-    progress("looking how well the log tells them, sensors taken for noisy")
+    progress("finding intervals, sensors taken for noisy")
     return _chosen(noisy, sensed, within, decoded, estimated_with_noise)
 
 
 def _holds(found: IdentifiedLog) -> bool:
-    """Whether states may be taken as exact, told as of logged modes, those of the likeliest path.
+    """Whether states may be taken as exact, tested with the modes of the likeliest path as logged.
 
-    That takes seconds where noise behind hidden modes takes minutes.
+    This takes seconds where a fit of noisy sensors with hidden modes takes minutes.
     """
     exact = found.estimate
     if not alternates(list(exact.white)):
@@ -108,12 +106,12 @@ def _holds(found: IdentifiedLog) -> bool:
 def _tried(
     numbers: tuple[int, ...], fit: Callable[[int], HiddenFit[Log]], progress: Callable[[str], None]
 ) -> TriedNumbers[Log]:
-    """Fits of numbers of modes, as far as they go; of a single number of the next smaller, too.
+    """Fits of numbers of modes until one is refused; for a single number also of the next smaller.
 
     Raises
     ------
     ArgumentError
-        If not even the first goes.
+        If the first number is refused.
     """
     fits, refused = [], None
     for number in numbers:
@@ -139,7 +137,7 @@ def _chosen(
     decode: Callable[[HiddenFit[Log]], Decoded[Log]],
     estimate: Callable[[Decoded[Log]], ModesEstimate],
 ) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
-    """The best fit as an answer."""
+    """The best fit with its estimate and sentences."""
     best, found, left_out = best_of(tried, decode)
     said = of_numbers(best.layout.modes, tried, left_out)
     if found is None:
@@ -166,17 +164,17 @@ def _chosen(
 def best_of(
     tried: TriedNumbers[Log], decode: Callable[[HiddenFit[Log]], Decoded[Log]]
 ) -> tuple[HiddenFit[Log], Decoded[Log] | None, list[int]]:
-    """The fit of least BIC whose likeliest path visits all modes, and what that path makes of it.
+    """The fit of least BIC whose likeliest path visits all modes, decoded if it has several.
 
-    And the numbers of modes that have less BIC, but no such path. One mode needs none.
+    And the numbers of modes with lower BIC whose path does not visit all modes.
 
     Raises
     ------
     ArgumentError
         If there is no such fit.
     """
-    asked = [fit for fit in tried.fits if fit.layout.modes in tried.numbers]
-    *order, last = sorted(asked, key=lambda one: one.bic)
+    requested = [fit for fit in tried.fits if fit.layout.modes in tried.numbers]
+    *order, last = sorted(requested, key=lambda one: one.bic)
     left_out = []
     for fit in order:
         if fit.layout.modes == 1:
@@ -188,7 +186,7 @@ def best_of(
 
 
 def _switching(recording: Recording, chain: np.ndarray) -> tuple[SemiMarkov | None, str]:
-    """The model of the likeliest path's sojourns; of the chain where these are too few for one."""
+    """The switching model of the likeliest path, or of the chain if sojourns are too few."""
     from scipy.stats import expon
 
     model, why = fit_switching(recording)
@@ -202,7 +200,7 @@ def _switching(recording: Recording, chain: np.ndarray) -> tuple[SemiMarkov | No
 
 @dataclass(frozen=True, eq=False)
 class TriedNumbers(Generic[Log]):
-    """Fits of several numbers of modes, those that were asked for, and why others were refused."""
+    """Fits of several numbers of modes, the numbers requested, and why others are refused."""
 
     fits: Sequence[HiddenFit[Log]]
     numbers: tuple[int, ...]
@@ -210,7 +208,7 @@ class TriedNumbers(Generic[Log]):
 
 
 def of_numbers(number: int, tried: TriedNumbers, left_out: Sequence[int]) -> tuple[str, ...]:
-    """Sentences on the number of modes; of those left out the path leaves out a mode."""
+    """Sentences on the number of modes; `left_out` have paths that do not visit all modes."""
     numbers, refused = tried.numbers, tried.refused
     bic = {one.layout.modes: one.bic for one in tried.fits}
     table = ", ".join(f"{bic[one]:.1f} with {one}" for one in sorted(bic) if one in numbers)
@@ -218,13 +216,13 @@ def of_numbers(number: int, tried: TriedNumbers, left_out: Sequence[int]) -> tup
     if len(numbers) > 1:
         most = number_of(number, "mode")
         row = len(numbers) == numbers[-1] - numbers[0] + 1
-        asked = f"{numbers[0]} to {numbers[-1]}" if row else ", ".join(map(str, numbers))
-        said.append(f"{most} of {asked}: BIC is least, {table}.")
+        options = f"{numbers[0]} to {numbers[-1]}" if row else ", ".join(map(str, numbers))
+        said.append(f"{most} of {options}: BIC is least, {table}.")
         if left_out:
             others = " and ".join(map(str, left_out))
             said[-1] = (
-                f"{most} of {asked}: BIC is least of those whose likeliest path visits every mode, "
-                f"{table}; that of {others} leaves one out."
+                f"{most} of {options}: BIC is least of those whose likeliest path visits every "
+                f"mode, {table}; that of {others} leaves one out."
             )
         if number == max(bic) and number > 1 and refused is None:
             said.append("More might do better still: let the numbers go on.")
@@ -242,7 +240,7 @@ def of_numbers(number: int, tried: TriedNumbers, left_out: Sequence[int]) -> tup
 
 
 def of_sureness(modes: HiddenModes, within: bool) -> tuple[str, ...]:
-    """How sure the modes are, and what is taken for granted."""
+    """Sentences on the probabilities of modes and on assumptions."""
     longer = 100.0 * (modes.widening - 1.0)
     said = [
         "Modes were not logged; they are numbered as the likeliest path visits them. "
@@ -255,7 +253,7 @@ def of_sureness(modes: HiddenModes, within: bool) -> tuple[str, ...]:
 
 
 def numbers_of(modes: Any) -> tuple[int, ...] | None:
-    """The numbers of hidden modes that `modes` asks for, rising; None where it names a column.
+    """The numbers of hidden modes in `modes`, ascending; None where it names a column.
 
     Examples
     --------

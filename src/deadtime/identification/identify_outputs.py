@@ -1,7 +1,7 @@
-"""`identify` from outputs alone: the likeliest plant, and which states it has.
+"""`identify` from outputs alone: the likeliest plant, and the states it has.
 
-It is sought from where a scan of delays leads. Of long logs that is done on stretches: they tell
-where the maximum is. Uneven ones are scanned on a grid.
+The search begins at scans of the delays, for a long log on stretches of it, which suffice to locate
+the maximum. Uneven logs are scanned on a grid.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum
 from deadtime.numerics.kernels import expect_many_calls
 
-_FEW = 4_000  # samples that tell where to begin
-CHANCE = 1e-3  # that inputs seem to act on all states, or chains to jump, though they do not
-_DOUBT = 0.05  # of a rise by chance: from there on zeros are plausible
-_WIDE = 0.2  # of an input's weight: a standard error that comes with poles that are not there
+_FEW = 4_000  # samples that locate the maximum
+CHANCE = 1e-3  # significance level of zeros and of chains that jump
+_DOUBT = 0.05  # level at which zeros are plausible
+_WIDE = 0.2  # relative standard error of an input's weight that suggests a spurious pole
 
 
 class OutputsRequest(NamedTuple):
-    """A request of a plant; zeros None: where the log asks for them.
+    """A recording with the states and the range of delays to identify.
 
-    progress : told what is begun
+    zeros : None to include them if significant; progress : called at every stage
     """
 
     recording: Recording
@@ -58,11 +58,11 @@ class OutputsRequest(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """A plant, what it is likeliest of, and the last scan.
+    """A plant with its likelihood and the last scan.
 
-    added : how many unknowns each thing added that was asked of the log: jumps, zeros, a level
-    other : the likeliest one with zeros if it has none, without if it has; None if not asked
-    rise : 2 (log L with zeros − log L without); more : how many numbers of B zeros have
+    added : the numbers of unknowns that jumps, zeros and a level added, as far as they were tried
+    other : the likeliest plant with zeros if it has none, without if it has; None if not tried
+    rise : 2 (log L with zeros − log L without); more : the number of unknowns that zeros add
     """
 
     log: NoisyLog
@@ -75,16 +75,15 @@ class Chosen(NamedTuple):
 
     @property
     def shape(self) -> Embedding:
-        """Which states it has."""
         assert self.log.embedding is not None
         return self.log.embedding
 
     @property
     def worth(self) -> float:
-        """2 log L less what chance alone would add to it, seldom, by each thing added.
+        """2 log L less the significance threshold of each extension.
 
-        So plants compare of which neither is a special case of the other: one at rest elsewhere
-        than at 0, and one with zeros that make up for it.
+        So plants can be compared of which neither is a special case of the other: one with an
+        operating point, and one with zeros that compensate for it.
         """
         from scipy.stats import chi2
 
@@ -92,7 +91,7 @@ class Chosen(NamedTuple):
         return 2.0 * self.best.found.value - chance
 
     def adding(self, wider: Chosen) -> Chosen:
-        """A wider plant, told what it adds to this one."""
+        """A wider plant with its number of additional unknowns recorded."""
         return wider._replace(added=(*self.added, wider.log.free.size - self.log.free.size))
 
     @property
@@ -126,19 +125,19 @@ def chosen_of(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> C
         return chosen
     progress("trying inputs that act on all states")
     wider = _with_zeros(chosen, guess)
-    if wider.shape.zeros and wider.shape.jumps:  # what zeros do may have looked like a jump
+    if wider.shape.zeros and wider.shape.jumps:  # zeros may have been mistaken for a jump
         alone = _with_zeros(simple, guess)
         return worthier(alone, wider)
     return wider
 
 
 def worthier(simple: Chosen, wider: Chosen) -> Chosen:
-    """The wider one of two plants if it is likelier than chance makes it, else the other."""
+    """The wider of two plants if it is significantly likelier, else the simple one."""
     return wider if wider.worth > simple.worth else simple
 
 
 def _with_zeros(simple: Chosen, guess: Guess) -> Chosen:
-    """A plant, or one with zeros beside it, if that is likelier than chance makes it."""
+    """A plant, or the one with zeros if that is significantly likelier."""
     log = replace(simple.log, embedding=replace(simple.shape, zeros=True))
     wider = simple.adding(Chosen(log, *_begun(log, guess, simple.best.theta)))
     own = worthier(simple, wider)
@@ -148,7 +147,7 @@ def _with_zeros(simple: Chosen, guess: Guess) -> Chosen:
 
 
 def _begun(log: NoisyLog, guess: Guess, *more: np.ndarray) -> tuple[Maximum, Scanned]:
-    """The likeliest plant that scans of all delays or outputs' past lead to; and the last scan."""
+    """The likeliest plant from scans of all delays and from past outputs, and the last scan."""
     return _searched(log, (*begins_of(log, guess), *more), by_past(log, guess))
 
 
@@ -159,10 +158,10 @@ def _searched(
 
 
 def zeros_in_doubt(chosen: Chosen, inputs: tuple[str, ...]) -> list[str]:
-    """Sentences on the delays of the other way round, where both ways are plausible.
+    """Sentences on the delays with, or without, zeros where both are plausible.
 
-    A zero looks like a delay, so that its likelihood may rise by chance at any of many delays: it
-    is beyond doubt at Bonferroni's level of all cells that were looked at.
+    A zero resembles a delay, so likelihood may rise by chance at any of many delays: a zero is
+    certain at Bonferroni's level over all cells scanned.
     """
     from scipy.stats import chi2
 
@@ -178,16 +177,16 @@ def zeros_in_doubt(chosen: Chosen, inputs: tuple[str, ...]) -> list[str]:
     whether = "the last derivative alone" if chosen.shape.zeros else "all states"
     acting = "inputs act" if inputs[1:] else f"{inputs[0]} acts"
     return [
-        f"The log hardly tells whether {acting} on all states or on the last derivative alone: if "
+        f"The log hardly shows whether {acting} on all states or on the last derivative alone: if "
         f"on {whether}, {were}. Say which by zeros=True or zeros=False, --zeros or --no-zeros."
     ]
 
 
-def hardly_tells(found: Estimate, shape: Embedding) -> bool:
-    """Whether the order may be too high: of a chain no input's weight is well known.
+def weights_are_uncertain(found: Estimate, shape: Embedding) -> bool:
+    """Whether the order may be too high: in some chain no input's weight is well known.
 
-    A pole that is not there may be anywhere far out, as a delay, or beside a zero: with it goes
-    what inputs weigh.
+    A spurious pole may lie anywhere far to the left, where it acts as a delay, or next to a zero;
+    the weights of inputs depend on its place.
     """
     layout, theta = found.log.layout, found.best.theta
     error = np.sqrt(np.diagonal(found.spread.covariance))
@@ -199,14 +198,14 @@ def hardly_tells(found: Estimate, shape: Embedding) -> bool:
 
 
 def order_too_high(request: OutputsRequest, chosen: Chosen) -> list[str]:
-    """Which smaller order explains the log better, by BIC of the same measurements."""
+    """A sentence on a smaller order with lower BIC of the same measurements, if there is one."""
     order, fewer = request.order, []
     for j, count in enumerate(order):
         if count > 1:
             own = (*order[:j], count - 1, *order[j + 1 :])
             layout = replace(request.layout, n=sum(own))
-            asked = request._replace(layout=layout, order=own)
-            fewer.append((chosen_of(asked, lead=order).bic, own))
+            smaller = request._replace(layout=layout, order=own)
+            fewer.append((chosen_of(smaller, lead=order).bic, own))
     if not fewer or min(fewer)[0] >= chosen.bic:
         return []
     bic, own = min(fewer)
@@ -242,12 +241,12 @@ def identify_outputs(
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
     names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
-    high = order_too_high(request, chosen) if hardly_tells(found, shape) else []
+    high = order_too_high(request, chosen) if weights_are_uncertain(found, shape) else []
     found, others = with_others(found)
     unsure = [] if high or others else zeros_in_doubt(chosen, recording.inputs)
     said = high or others or unsure
     doubts = ("a smaller order explains the log better",) if high else ()
-    doubts += ("the log hardly tells on which states inputs act",) if unsure else ()
+    doubts += ("the log hardly shows on which states inputs act",) if unsure else ()
     given = found, found.log.recording, *fit_switching(recording), shape.C, names
     return IdentifiedLog(*given, tuple(said), doubts)
 
@@ -265,9 +264,9 @@ def _require_moving(recording: Recording) -> None:
 
 
 def _about_its_rest(request: OutputsRequest) -> tuple[Chosen, OutputsRequest]:
-    """The likeliest plant that rests at 0, or elsewhere if that is likelier than chance makes it.
+    """The likeliest plant that rests at 0, or elsewhere if that is significantly likelier.
 
-    Each is sought by itself: a maximum of the one may lead to a lower one of the other.
+    Each is searched on its own: a climb from a maximum of one may end at a lower one of the other.
     """
     if request.layout.constant and not near_zero(request.recording):
         return chosen_of(request), request
@@ -283,13 +282,13 @@ def _about_its_rest(request: OutputsRequest) -> tuple[Chosen, OutputsRequest]:
 
 
 def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, Chosen]:
-    """The likeliest plant with the states that were asked for, and how it was chosen."""
+    """The estimate of the requested plant, and how it was chosen."""
     chosen, request = _about_its_rest(request)
     recording = request.recording
     best, scan = chosen.best, chosen.scan
     nodes = nodes_for(recording.parts, request.layout.split(best.theta[: request.layout.size])[0])
     log = replace(chosen.log, recording=recording, nodes=nodes)
-    request.progress("looking how well the log tells it")
+    request.progress("finding intervals")
     top, window = maximise(log, best.theta)
     curves = scan.curves * (recording.samples / chosen.log.recording.samples)
     start = start_beside(log, top, scan.first, curves)
@@ -300,7 +299,7 @@ def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, Chosen]:
 
 
 def order_of(order: Any, outputs: tuple[str, ...]) -> tuple[int, ...]:
-    """How many states each output has; one number is that of every output.
+    """The number of states of each output; one number applies to every output.
 
     Examples
     --------
@@ -324,12 +323,12 @@ def order_of(order: Any, outputs: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def is_states(order: Any, outputs: tuple[str, ...]) -> bool:
-    """Whether outputs are the states: one of each."""
+    """Whether outputs are the states: the order is 1 for each."""
     return set(order_of(order, outputs)) == {1}
 
 
 def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
-    """Refuse what outputs alone are not identified with."""
+    """Refuse arguments that do not go with `order`."""
     if C is not None:
         raise ArgumentError(
             "C must be left out beside order: the states are chosen so that outputs are the first "
@@ -342,16 +341,16 @@ def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
         )
     if hidden:
         raise ArgumentError(
-            "modes must be logged where order is given, got a number of hidden ones: they are told "
-            "from all states alone. Log the mode, or all states; of one mode say modes=None, "
-            "--one-mode."
+            "modes must be logged where order is given, got a number of hidden ones: they can be "
+            "identified from all states alone. Log the mode, or all states; of one mode say "
+            "modes=None, --one-mode."
         )
 
 
 def state_names(
     outputs: tuple[str, ...], order: tuple[int, ...], numbered: bool
 ) -> tuple[str, ...]:
-    """Names of states: outputs and primes for their derivatives, or numbers.
+    """Names of states: outputs with primes for their derivatives, or with numbers.
 
     Examples
     --------

@@ -1,8 +1,9 @@
-"""Input sequences and how much their log will tell: the usual ones, and the best that is found.
+"""Input sequences and the information in their logs: the usual ones, and the best one found.
 
-Fisher's information F is a constant and a quadratic form of the means z̄ of what acts in every
-period, which are linear in the inputs (`experiment_information`). The errors of unbiased estimates
-are no less than F⁻¹ (Cramér and Rao), which maximum likelihood reaches as logs grow.
+Fisher's information F is a constant plus a quadratic form of z̄, the means of states and inputs
+that act in every period, which are linear in the inputs (`experiment_information`). The covariance
+of unbiased estimates is at least F⁻¹ (Cramér and Rao), which maximum likelihood attains for long
+logs.
 
 The criterion is smooth in the inputs and has many local maxima, most of them with nearly all inputs
 at their limits. It is climbed by a quasi-Newton method with bounds (L-BFGS-B), its exact gradient
@@ -26,9 +27,9 @@ _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of 
 
 
 class Worth(NamedTuple):
-    """The worth of inputs, its derivatives by them, and how far they carry the loop out.
+    """The criterion of inputs, its derivatives by them, and the excess over limits.
 
-    value : of the criterion; by_r : (T, m); beyond : the largest excess over a limit, of it
+    value : of the criterion; by_r : (T, m); beyond : the largest relative excess over a limit
     """
 
     value: float
@@ -38,12 +39,12 @@ class Worth(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Prospect(Frozen):
-    """The information that inputs r promise.
+    """The expected information of inputs r.
 
-    measured : how states are, which says what a mean z̄ is worth
-    room : (T, n + m), what |mean of x| and |mean of u| may reach; inf for no limit
+    measured : the information as a function of z̄, for exact or noisy states
+    room : (T, n + m), limits of |mean of x| and |mean of u|; inf for no limit
     criterion : "delay", −log det of the delays' covariance, or "all", log det F
-    deviation : of states and inputs, what noise alone does
+    deviation : (T, n + m), standard deviations of states and inputs by noise
     """
 
     chain: Chain
@@ -57,13 +58,12 @@ class Prospect(Frozen):
     def of(
         cls, chain: Chain, layout: Layout, measured: ExactStates | NoisyStates, criterion: str
     ) -> Prospect:
-        """That of a chain, without limits."""
+        """The information along a chain, without limits."""
         room = np.full((chain.kind.size, layout.n + layout.m), np.inf)
         return cls(chain, layout, measured, criterion, room, chain.deviations())
 
     @property
     def samples(self) -> int:
-        """How many rows there are."""
         return self.chain.kind.size
 
     def reach(self, r: Inputs) -> Float[np.ndarray, "sample y"]:
@@ -83,15 +83,23 @@ class Prospect(Frozen):
         return xi, z + np.einsum("kzm,km->kz", chain.Y[chain.kind], r)
 
     def information(self, r: Inputs) -> FisherMatrix:
-        """F of inputs."""
         return self.measured.information(self.acting(r)[1])[0]
 
     def errors(self, r: Inputs) -> Vector:
-        """The standard error of every unknown; infinite where the inputs do not tell it."""
-        return errors_of(self.information(r))
+        """The standard error of every unknown, roots of the diagonal of F⁻¹; infinite if singular.
+
+        Errors do not depend on the units of unknowns: F is scaled to a diagonal of ones first.
+        """
+        F = self.information(r)
+        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
+        scaled = F * unit[:, None] * unit
+        if not _is_identified(scaled):
+            return np.full(len(F), np.inf)
+        values, vectors = np.linalg.eigh(scaled)
+        return unit * np.sqrt((vectors**2 / values).sum(axis=1))
 
     def worth(self, r: Inputs, price: float = 0.0) -> Worth:
-        """The criterion less `price` times the squares of what is beyond limits, relative."""
+        """The criterion less `price` times the sum of squares of relative excesses over limits."""
         chain, n = self.chain, self.layout.n
         xi, z = self.acting(r)
         F, back = self.measured.information(z)
@@ -111,7 +119,7 @@ class Prospect(Frozen):
         return Worth(value, by_r + chain.back(of_xi)[0], float(excess.max()))
 
     def _criterion(self, F: np.ndarray) -> tuple[float, np.ndarray]:
-        """The worth of F, and its derivative by F; −∞ where an unknown is not told."""
+        """The criterion of F, and its derivative by F; −∞ where an unknown is not identified."""
         unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
         scaled = F * unit[:, None] * unit
         first = self.layout.size - self.layout.delays
@@ -127,28 +135,19 @@ class Prospect(Frozen):
         return float(value), by_F * unit[:, None] * unit
 
 
-def errors_of(F: FisherMatrix) -> Vector:
-    """Roots of the diagonal of F⁻¹; infinite where F is singular."""
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
-    scaled = F * unit[:, None] * unit
-    if not _is_identified(scaled):
-        return np.full(len(F), np.inf)
-    values, vectors = np.linalg.eigh(scaled)
-    return unit * np.sqrt((vectors**2 / values).sum(axis=1))
-
-
 def _is_identified(scaled: np.ndarray) -> bool:
-    """Whether an information, scaled to a diagonal of ones, has a part in every direction."""
+    """Whether an information, scaled to a diagonal of ones, is regular."""
     return bool(np.isfinite(scaled).all()) and bool(np.linalg.eigvalsh(scaled)[0] > _UNSEEN)
 
 
-CLOCKS = (1, 2, 4, 8, 16)  # times the holding time, of sequences to begin with
-_PRICES = (10.0, 1e3)  # of what is beyond a limit, one after the other
-_CLIMBED = 5  # starts, those that are worth most
+CLOCKS = (1, 2, 4, 8, 16)  # holding times of binary sequences, times that of the search
+_PRICES = (10.0, 1e3)  # penalty weights of excesses over limits, used in turn
+_CLIMBED = 5  # best starts from which the criterion is climbed
 _ITERATIONS = 60
-_INSIDE = 0.6  # of the limit: starts, so that bounds do not hold them at once
-_PACES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)  # how often random starts turn
-_STRETCH = 20  # samples of a kick at most
+# Starts lie at this share of the limit, so that bounds are not active at once.
+_INSIDE = 0.6
+_PACES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)  # sign changes per value of a start
+_STRETCH = 20  # most samples whose sign a perturbation changes
 
 
 def binary_sequence(count: int, limit: Float[np.ndarray, " m"], clock: int) -> Inputs:
@@ -183,18 +182,17 @@ def steps(count: int, limit: Float[np.ndarray, " m"]) -> Inputs:
 
 
 def within_limits(prospect: Prospect, r: Inputs) -> np.ndarray:
-    """The inputs, made smaller where they would carry the loop beyond its limits: it is linear."""
-    beyond = prospect.worth(r).beyond
-    return r / (1.0 + beyond)
+    """The inputs scaled to keep all limits: the loop is linear."""
+    return r / (1.0 + prospect.worth(r).beyond)
 
 
 def best_sequence(
     prospect: Prospect, limit: Float[np.ndarray, " m"], hold: int, kicks: int, seed: int
 ) -> Inputs:
-    """The inputs within ±limit, each held for `hold` samples, that are worth most of those found.
+    """The best inputs found within ±limit, each held for `hold` samples.
 
-    First from sequences of all paces; then the best is kicked, a stretch of it turned about, and
-    climbed from again, `kicks` times.
+    The search climbs from the best of binary sequences of all paces. Then it changes the sign of a
+    random stretch of the best inputs and climbs again, `kicks` times.
     """
     count, m = prospect.samples, limit.size
     rng = np.random.default_rng(seed)
@@ -203,8 +201,8 @@ def best_sequence(
     for pace in _PACES:
         turns = np.where(rng.random((values, m)) < pace, -1.0, 1.0)
         begin.append(limit * np.cumprod(turns, axis=0))
-    as_they_are = [prospect.worth(within_limits(prospect, _held(v, hold, count))) for v in begin]
-    order = np.argsort([-worth.value for worth in as_they_are])[:_CLIMBED]
+    first = [prospect.worth(within_limits(prospect, _held(v, hold, count))) for v in begin]
+    order = np.argsort([-worth.value for worth in first])[:_CLIMBED]
     found = [_climb(prospect, _INSIDE * begin[place], limit, hold, _PRICES) for place in order]
     best = max(found, key=lambda one: one[0])
     for _ in range(kicks):
@@ -223,7 +221,7 @@ def _held(v: np.ndarray, hold: int, count: int) -> np.ndarray:
 def _climb(
     prospect: Prospect, first: np.ndarray, limit: np.ndarray, hold: int, prices: tuple[float, ...]
 ) -> tuple[float, Inputs]:
-    """The worth of the local maximum that a start leads to, made to keep its limits, and it."""
+    """The criterion at the local maximum near a start, and its inputs, scaled to keep limits."""
     from scipy.optimize import minimize
 
     count, m = prospect.samples, limit.size

@@ -1,16 +1,16 @@
 """Intervals: from the information, at a kink from the profile, and over all plausible peaks.
 
-Where several delays are plausible, intervals of A and B go over all of them. One about the
-likeliest delay takes that one for granted. Of many delays that noise makes about as likely, the
-likeliest is where the input seems to do most, so that B alone would be told too large, and too
-surely. So every plausible cell c of the delay has its own maximum θ_c, with log L_c and information
-F_c, and what is known of an unknown is the mixture
+Where several delays are plausible, intervals of A and B cover all of them. An interval about the
+likeliest delay alone ignores that the delay is uncertain: of many delays that are about equally
+likely by noise, the likeliest is the one with the largest apparent effect of the input, so B is
+biased upwards, and its interval is too short. So every plausible cell c of the delay has its own
+maximum θ_c, with log L_c and information F_c, and the distribution of an unknown is the mixture
 
     Σ_c w_c t_ν((θ − θ_c)/σ_c),    w_c ∝ L_c |F_c|^{−½},    σ_c² = (F_c⁻¹)_aa,
 
-Laplace's approximation of what the log says where before it all delays were as likely. F_c is with
-12/h² for the delay, what is known of one that is anywhere in a cell of length h. With noisy sensors
-|F_c|^{−½} is that of A, B and the delay, whatever the noise is.
+Laplace's approximation of the posterior with a uniform prior of the delay. F_c includes 12/h² for
+the delay, the information of a uniform distribution over a cell of length h. With noisy sensors
+|F_c|^{−½} is the determinant for A, B and the delay, without the noise.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from deadtime.identification.start import Start
 LEVEL = 0.95
 _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
 _PROFILE = 3.841458820694124  # χ² of one degree of freedom at 95 %
-_CELL_GAIN = 1e-3  # of log likelihood, that a cell's maximum may be short of
-_WORTH = 1e-5  # of log likelihood, which falls by 1.9 or more to the end of an interval
-_NEAR = 4.0  # standard errors: a kink so close bends the likelihood within the interval
+_CELL_GAIN = 1e-3  # rise of log likelihood that ends the climb in a cell
+_WORTH = 1e-5  # the same for profiles, which fall by 1.9 or more to the end of an interval
+_NEAR = 4.0  # standard errors: a nearer kink lies within the interval or close to it
 
 
 class Spread(NamedTuple):
-    """The covariance of all unknowns, and how many standard errors an interval of each reaches.
+    """The covariance of all unknowns, and the half widths of intervals in standard errors.
 
-    inflation : of each unknown's variance, over that of the information as it is
-    spare : observations beyond those that unknowns cost, of each unknown
+    inflation : ratio of each unknown's variance to the one from the information alone
+    spare : degrees of freedom of each unknown: observations less unknowns
     """
 
     covariance: FisherMatrix
@@ -50,18 +50,18 @@ class Spread(NamedTuple):
 
 
 def spread_of(F: FisherMatrix, names: list[str], known: FisherMatrix, spare: Vector) -> Spread:
-    """The inverse of what is `known`, the information F less what the noise's own estimate costs.
+    """The inverse of `known`, the information F reduced by the estimation of the noise.
 
-    spare : observations beyond those that unknowns cost, of each unknown
+    spare : degrees of freedom of each unknown
 
     Raises
     ------
     ArgumentError
-        If the log does not tell a direction of the unknowns, which is named.
+        If F is singular; the message names the direction.
     """
     from scipy.stats import t
 
-    require_seen(F, names)
+    require_identified(F, names)
     covariance = inverse(known)
     inflation = np.diagonal(covariance) / np.diagonal(inverse(F))
     return Spread(covariance, np.asarray(t.ppf(0.5 + 0.5 * LEVEL, spare)), inflation, spare)
@@ -73,14 +73,14 @@ def inverse(F: FisherMatrix) -> FisherMatrix:
     return np.linalg.inv(F * unit[:, None] * unit) * unit[:, None] * unit
 
 
-def require_seen(F: FisherMatrix, names: list[str]) -> None:
-    """Refuse an information that is singular, by the direction that it does not hold."""
+def require_identified(F: FisherMatrix, names: list[str]) -> None:
+    """Refuse a singular information and name the direction."""
     diagonal = np.diagonal(F)
     blind = [names[a] for a in np.flatnonzero(~(diagonal > 0.0)) if a < len(names)]
     if blind or not np.isfinite(F).all():
         raise ArgumentError(
-            f"log tells nothing of {', '.join(blind) or 'its unknowns'}: what they multiply never "
-            "moves. Excite it, or leave it out."
+            f"log tells nothing of {', '.join(blind) or 'its unknowns'}: the states or inputs that "
+            "they multiply never move. Excite them, or leave them out."
         )
     scaled = F / np.sqrt(diagonal)[:, None] / np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(scaled)
@@ -100,9 +100,9 @@ def require_seen(F: FisherMatrix, names: list[str]) -> None:
 def left_of(
     J: Float[np.ndarray, "all all"], of: Int[np.ndarray, " of"]
 ) -> Float[np.ndarray, "of of"]:
-    """Schur's complement: what is left of the information on some unknowns, the others estimated.
+    """The Schur complement: the information on some unknowns with the others estimated.
 
-    Of scaled unknowns, so that units do not matter to what counts as no information.
+    It is computed for scaled unknowns, so that the cutoff of singular values has no unit.
     """
     rest = np.setdiff1d(np.arange(len(J)), of)
     unit = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(J)), 1e-300))
@@ -114,10 +114,10 @@ def left_of(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Peak(Frozen):
-    """Where a likelihood is largest, how well a log knows that, and where it is nearly as large.
+    """The maximum of a likelihood, its covariance, and the scan that shows other peaks.
 
-    log, best, window : the likelihood, where it is largest, and the delays that it was sought in
-    spread : of all unknowns; start : the first guess, with what tells other peaks
+    log, best, window : the likelihood, its maximum, and the range of delays searched
+    spread : of all unknowns; start : the first guess with the likelihood of all cells
     """
 
     log: Likelihood
@@ -127,10 +127,7 @@ class Peak(Frozen):
     start: Start
 
     def delay_intervals(self) -> tuple[Float[np.ndarray, "delay 2"], Bool[np.ndarray, " delay"]]:
-        """The interval of each delay, seconds, within the range that is searched.
-
-        And whether it goes on beyond delays that are less likely than its end: to another peak.
-        """
+        """The interval of each delay, seconds, and whether it has several peaks."""
         log, spread, place = self.log, self.spread, self.log.layout.delay_places
         error = np.sqrt(np.diagonal(spread.covariance))[place]
         result, several = np.empty((place.size, 2)), np.zeros(place.size, bool)
@@ -146,16 +143,16 @@ class Peak(Frozen):
         return result, several
 
     def profile(self, place: int, delay: float) -> float:
-        """The log likelihood with one delay held, less the largest one."""
+        """The log likelihood with one delay fixed, less the largest one."""
         theta, fixed = self.best.theta.copy(), np.zeros(self.best.theta.size, bool)
         theta[place], fixed[place] = delay, True
         held, _ = maximise(self.log, theta, fixed, self.window, _WORTH)
         return held.found.value - self.best.found.value
 
     def _profile_end(self, place: int, step: float) -> float:
-        """Where the profile has fallen as far as at an interval's end; the range's end at most.
+        """The end of the interval on one side, where the profile crosses its level, or the bound.
 
-        Where it has not at the window's end, all is maximised anew in a window twice as wide.
+        If the crossing lies outside the window, everything is maximised again in one twice as wide.
         """
         from scipy.optimize import brentq
 
@@ -187,21 +184,22 @@ class Peak(Frozen):
                 top = replace(top, best=best, window=window)
 
     def _over_other_peaks(self, interval: np.ndarray, row: int, inflation: float) -> np.ndarray:
-        """An interval and all beyond it up to the last cell that a fresh rise makes plausible."""
+        """An interval extended to the last plausible cell of another peak."""
         log, start = self.log, self.start
         h, curve = log.recording.step, start.scanned[row]
         fall = plausible_fall(log.layout, start.weights, curve.size, inflation)
         ends = interval.copy()
         first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
         last = max(int(np.ceil(interval[1] / h - 1e-9)) - start.first, 0)
-        top = int(curve.argmax())  # a neighbour is the same peak: cells of uneven rows are rough
+        # A neighbour of the interval is the same peak: cells of uneven rows are not exact.
+        top = int(curve.argmax())
         first, last = first - (top == first - 1), last + (top == last + 1)
         below, above = curve[: first + 1][::-1], curve[last:]
         if (found := fresh_rise(below, curve.max() - fall)) is not None:
             ends[0] = min(ends[0], (start.first + first - found - 1) * h)
         if (found := fresh_rise(above, curve.max() - fall)) is not None:
             ends[1] = max(ends[1], (start.first + last + found) * h)
-        if start.vectors is not None:  # then the curve is a profile, and no place is left out of it
+        if start.vectors is not None:  # the curve is a profile, maximised in every cell
             near = start.first + np.flatnonzero(curve >= curve.max() - 0.5 * inflation * _PROFILE)
             if near[0] * h < interval[0] - h:
                 ends[0] = min(ends[0], (near[0] - 1) * h)
@@ -231,7 +229,7 @@ class Peak(Frozen):
     def _mixed(
         self, row: int, cells: np.ndarray, begins: np.ndarray | None
     ) -> Float[np.ndarray, "size 2"]:
-        """The ends of all intervals over cells of one delay."""
+        """The ends of all intervals over cells of one delay, from the mixture of the module."""
         log, best, h = self.log, self.best, self.log.recording.step
         size, place = log.layout.size, log.layout.delay_places
         inflation, spare = self.spread.inflation[:size], self.spread.spare[:size]
@@ -262,10 +260,10 @@ class Peak(Frozen):
 
 
 def plausible_fall(layout: Layout, weights: int, cells: int, inflation: float) -> float:
-    """How far below the likeliest cell's log likelihood a plausible one's is at most.
+    """The largest difference of log likelihood between the likeliest and a plausible cell.
 
-    A cell's weights are free in each mode that has the delay. Of as many cells as there are each
-    may be the likeliest by chance, so that the level is Bonferroni's.
+    A cell's weights are free in each mode that has the delay. Each of many cells may be the
+    likeliest by chance, so the level is Bonferroni's.
     """
     from scipy.stats import chi2
 
@@ -286,7 +284,7 @@ def mixture_ends(
     weight: Float[np.ndarray, " cell"],
     spare: Vector,
 ) -> Float[np.ndarray, "size 2"]:
-    """Between which 95 % of mixtures of Student's distributions lie, as much below as above.
+    """The central 95 % intervals of mixtures of Student's distributions, by bisection.
 
     Examples
     --------

@@ -2,17 +2,16 @@
 
     dx/dt = A_σ (x − x₀) + B_σ (u(t − D) − u₀) = A_σ x + B_σ u(t − D) + c_σ
 
-A log is taken about a level of its own, (x̄, ū), where it rests or its mean, and there each mode
-has a constant term c̃ of its own. About 0 that is c = c̃ − A x̄ − B ū. Where 0 lies within what was
-logged and all c are 0 as far as the log tells (Wald's test), the log is about 0 and terms are left
-out. Far from 0 that would be no test: c = 0 ties the states to the inputs of the level, so that a
-log which cannot contradict it would have its matrices from it. Else an operating point is what
-every mode rests at,
+A level (x̄, ū), the rest at the beginning of the log or its mean, is subtracted from the log. About
+it each mode has a constant term c̃, which about 0 is c = c̃ − A x̄ − B ū. If 0 lies within the range
+of the log and no c differs significantly from 0 (Wald's test), constant terms are left out. Far
+from 0 the test is not made: c = 0 ties the states to the inputs at the level, and would determine
+the matrices of a log that cannot contradict it. Otherwise the operating point satisfies
 
-    A_i x₀ + B_i u₀ = A_i x̄ + B_i ū − c̃_i    for all i,
+    A_i x₀ + B_i u₀ = A_i x̄ + B_i ū − c̃_i    for all i.
 
-of all that do the nearest to (x̄, ū) in deviations of the log: where modes share no such point,
-what is left over is an offset of each.
+Of several solutions it is the nearest to (x̄, ū) in standard deviations of the log. If there is
+none, each mode has its residual as an offset.
 """
 
 from __future__ import annotations
@@ -33,24 +32,24 @@ from deadtime.plant import OperatingPoint
 
 _Log = TypeVar("_Log", bound=Likelihood)
 
-CHANCE = 1e-3  # that constant terms are taken for such though there are none
-_SELDOM = 1e-6  # the same where noise has to be told, too
-_APART = 1e-3  # that modes are taken to rest apart though they do not
-_NOTHING = 1e-6  # of what states and inputs move dx/dt by: a term so small is round-off
-_RIDGE = 1e-4  # of what a unit of deviation moves: of many points the nearest
-_BESIDE = 0.1  # of the range of a column: 0 is next to it
-_RANK = 1e-6  # of the largest singular value, scaled: a direction that hardly moves a rest
+CHANCE = 1e-3  # significance level of constant terms
+_SELDOM = 1e-6  # the same where noise is estimated, too
+_APART = 1e-3  # significance level of different rests of modes
+_NOTHING = 1e-6  # constant terms relative to the other terms of dx/dt: smaller ones are round-off
+_RIDGE = 1e-4  # weight of the distance to the level, which selects the nearest of many points
+_BESIDE = 0.1  # of the range of a column: so far outside it 0 still counts as near
+_RANK = 1e-6  # relative singular value of directions that hardly change a rest
 
 
 def near_zero(recording: Recording) -> bool:
-    """Whether 0 lies within what was logged of all outputs and inputs, or next to it."""
+    """Whether 0 lies within or near the range of all outputs and inputs."""
     parts = recording.absolute().parts
     low, high = _ends(np.vstack([np.hstack((part.output, part.input)) for part in parts]))
     return bool(((low <= 0.0) & (high >= 0.0)).all())
 
 
 class Rest(NamedTuple):
-    """Where a plant rests, and what each mode adds there: dx/dt = A_σ (x − x₀) + … + offset_σ.
+    """The operating point and offsets in dx/dt = A_σ (x − x₀) + B_σ (u − u₀) + offset_σ.
 
     error : (n + m,), standard errors of x₀ and u₀; offset : 0 where modes rest at the same point
     """
@@ -61,7 +60,7 @@ class Rest(NamedTuple):
 
 
 def level_of(recording: Recording) -> Level:
-    """The level that a log is taken about: where it rests before its inputs move, else its mean."""
+    """The level to subtract: the rest before inputs move, else the mean."""
     for part in recording.parts:
         if part.rests:
             own = slice(rest_rows(part.input))
@@ -71,7 +70,7 @@ def level_of(recording: Recording) -> Level:
 
 
 def known_mean(column: Float[np.ndarray, "sample p"]) -> Float[np.ndarray, " p"]:
-    """The mean of what is known of each column; 0 where nothing is."""
+    """The mean of the known values of each column; 0 if there are none."""
     known = np.isfinite(column)
     return np.where(known, column, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
 
@@ -79,7 +78,7 @@ def known_mean(column: Float[np.ndarray, "sample p"]) -> Float[np.ndarray, " p"]
 def with_constant(
     theta: Vector, layout: Layout, level: Level, back: Float[np.ndarray, "n p"]
 ) -> tuple[Float[np.ndarray, " larger"], Layout]:
-    """The vector of the same plant about a level; `back` makes states of outputs."""
+    """The vector of the same plant about a level; `back` maps outputs to states."""
     if layout.constant:
         return theta, layout
     A, B, delays = layout.split(theta)
@@ -92,9 +91,9 @@ def with_constant(
 def without_level(
     log: _Log, theta: Vector, information: FisherMatrix, back: Float[np.ndarray, "n p"]
 ) -> tuple[_Log, Int[np.ndarray, " kept"]]:
-    """The likelihood without constant terms, if the log does not ask for them; and what it keeps.
+    """The likelihood without constant terms unless these are significant; and the places kept.
 
-    information : of a vector at which the likelihood is largest
+    information : at the maximum `theta`
     """
     from scipy.stats import chi2
 
@@ -107,17 +106,18 @@ def without_level(
 
 
 def at_zero(log: _Log, size: int) -> tuple[_Log, Int[np.ndarray, " kept"]]:
-    """The likelihood of plants that rest at 0; and what they keep of a vector of this one."""
+    """The likelihood of plants that rest at 0, and the places of a vector that it keeps."""
     smaller, kept = log.layout.without_constant()
     plain = replace(log, recording=log.recording.absolute(), layout=smaller)
     return plain, np.append(kept, np.arange(log.layout.size, size))
 
 
 def likelier_than_chance(rise: float, more: int) -> bool:
-    """Whether log L rises by more than chance makes it, seldom, with constant terms added.
+    """Whether constant terms raise log L significantly.
 
-    In logs of 300 rows, of 26 unknowns and noise of plant and sensors, 2 log L rose by twice what
-    χ² has on average: constants take up what the plant's noise adds, which is told as less then.
+    The level is strict. In logs of 300 rows with 26 unknowns and noise of plant and sensors, 2 log
+    L rose by twice the mean of χ²: constants absorb some of the plant's noise, and its estimate
+    falls.
     """
     from scipy.stats import chi2
 
@@ -131,7 +131,7 @@ def from_zero(
     recording: Recording,
     back: Float[np.ndarray, "n p"],
 ) -> tuple[float, int]:
-    """Wald's statistic of constant terms about 0, and of how many: of those beyond round-off."""
+    """Wald's statistic of the constant terms about 0 that exceed round-off, and their number."""
     assert recording.level is not None
     level, scale = recording.level, _deviations(recording, back)
     terms, variance = _about(layout, theta, information, back @ level.output, level.input)
@@ -144,7 +144,7 @@ def from_zero(
 
 
 def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
-    """Where the plant of an estimate rests; None where that is 0 as far as the log tells."""
+    """The operating point of an estimate; None where it is 0."""
     from scipy.optimize import lsq_linear
     from scipy.stats import chi2
 
@@ -164,7 +164,7 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
     shift, ends = -solve @ terms, _ends(logged)
     spare = int(np.linalg.matrix_rank(weighted, tol=_RANK))
     if ((shift < ends[0]) | (shift > ends[1])).any():
-        # Modes whose rests hardly differ meet anywhere: the nearest point of the log to that.
+        # Nearly parallel rest equations of modes meet far away: search within the log's range.
         own = np.vstack((weighted, _RIDGE * np.eye(shift.size)))
         given = np.append(-size * terms, np.zeros(shift.size))
         shift, spare = scale * lsq_linear(own, given, ends / scale).x, 0
@@ -180,14 +180,14 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
 
 
 def _ends(columns: Float[np.ndarray, "row xu"]) -> Float[np.ndarray, "2 xu"]:
-    """The ends of what was logged, and next to it."""
+    """The ends of the range of each column, widened by `_BESIDE`."""
     low, high = np.nanmin(columns, axis=0), np.nanmax(columns, axis=0)
     beside = _BESIDE * np.where(high > low, high - low, np.inf)  # a speed that was not logged
     return np.array([low - beside, high + beside])
 
 
 def _deviations(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[np.ndarray, " xu"]:
-    """Of states and inputs over the log."""
+    """Standard deviations of states and inputs over the log."""
     every = [np.vstack([part[a] for part in recording.parts]) for a in (1, 2)]
     states, inputs = (np.nanstd(one, axis=0) for one in every)
     scale = np.concatenate((np.abs(back) @ states, inputs))
@@ -211,15 +211,14 @@ def _about(
     for j, u in enumerate(inputs):
         by_theta[row, layout.of_B[:, :, j]] = -u
     by_theta[row, layout.of_B[:, :, layout.m]] = 1.0
-    seen = np.diagonal(information) > 0.0
-    C = inverse(information[np.ix_(seen, seen)])
-    by_theta[:, ~seen] = 0.0
-    variance = by_theta[:, seen] @ C @ by_theta[:, seen].T
+    known = np.diagonal(information) > 0.0
+    C = inverse(information[np.ix_(known, known)])
+    variance = by_theta[:, known] @ C @ by_theta[:, known].T
     return terms.ravel(), variance
 
 
 def _wald(terms: Float[np.ndarray, " term"], variance: Float[np.ndarray, "term term"]) -> float:
-    """How far terms are from 0, in their covariance."""
+    """cᵀ V⁺ c of terms c with covariance V, scaled first: units of terms differ."""
     unit = 1.0 / np.sqrt(np.diagonal(variance))
     scaled = np.linalg.pinv(variance * unit * unit[:, None], rcond=1e-10, hermitian=True)
     return float((terms * unit) @ scaled @ (terms * unit))

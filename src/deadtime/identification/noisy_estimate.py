@@ -1,29 +1,30 @@
 """Estimates with noisy sensors, in open and in closed loop.
 
-The likeliest noise is too small, as a variance is that is divided by N where N − p are left: the p
-unknowns θ of the plant have followed the noise. With θ integrated out (Laplace), what is left is
-the likelihood of the noise η alone, over which Harville maximises:
+The likeliest noise is too small, like a variance divided by N instead of N − p, because the p
+unknowns θ of the plant fit some of the noise. Restricted likelihood (Harville) integrates θ out by
+Laplace's approximation and maximises over the noise η alone:
 
     log L(θ, η) − ½ log det F_θθ(η).
 
-The gradient g of the second term hardly moves with η, the logarithms of deviations: of one
-regression it is p whatever η, so log L + gᵀη is maximised instead, which gives N − p exactly.
+The gradient g of the second term hardly depends on η, the logarithms of deviations: for a single
+regression it is p for every η. So log L + gᵀη is maximised instead, which gives N − p exactly.
 
-**Closed loops**, in which inputs are hardly more than a function of what was measured. With sensors
-of noise v, y_k = x_k + v_k, and one state, a period is
+**Closed loops**, in which inputs are little more than a function of the measurements. With noise v
+of sensors, y_k = x_k + v_k, and one state, a period is
 
     y_{k+1} = Φ y_k + Γ₁ u_{k−N} + Γ₂ u_{k−N+1} + ε_k,    ε_k = w_k + v_{k+1} − Φ v_k.
 
-ε_k is correlated with y_k, by −Φ V, and with its neighbours, so that of all predictors the best one
-reads y_k, y_{k−1}, y_{k−2}, … with weights that fall by the ratio of the filter. Where u_k = K y_k,
-an input of a period or two ago *is* such a measurement: as if sensors had no noise, a delay that
-short lets B K stand for a weight of the predictor. That is a maximum of the likelihood which is
-higher than the plant's own, with another B, often of the other sign, and it leaves white residuals.
+ε_k is correlated with y_k, by −Φ V, and with its neighbours, so the best predictor uses y_k,
+y_{k−1}, y_{k−2}, … with weights that decrease by the ratio of the filter. Where u_k = K y_k, an
+input one or two periods old *is* such a measurement. In a model without sensor noise, a delay that
+short lets B K act as a weight of the predictor. This maximum of the likelihood is higher than the
+plant's own, has another B, often of the other sign, and white residuals.
 
-With the noise of sensors among the unknowns it is none any more. What is left of a delay is how y
-follows itself after D + h, a B K part of it that noise hides: there may be many maxima. So the
-likelihood is maximised in every cell of the delay, from several beginnings, and intervals go over
-all cells that are plausible. Where these are most of the range, the log tells A + B K, no more.
+With sensor noise among the unknowns it is no maximum any more. The delay then shows only in the
+dependence of y on itself after D + h, by a share B K that noise may hide, and there may be many
+maxima. So the likelihood is maximised in every cell of the delay, from several starts, and
+intervals cover all plausible cells. Where these are most of the range, the log determines A + B K
+only.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from deadtime.identification.intervals import (
     Spread,
     inverse,
     plausible_fall,
-    require_seen,
+    require_identified,
     spread_of,
 )
 from deadtime.identification.levels import (
@@ -60,13 +61,13 @@ from deadtime.identification.scoring import Evaluate, Evaluation, Maximum, climb
 from deadtime.identification.start import Start, cell_range
 from deadtime.numerics.kernels import expect_many_calls
 
-_ENOUGH = 10_000  # samples that tell how noise is restricted
-_FEW = 4_000  # samples that tell where the largest maximum is
-_FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
+_ENOUGH = 10_000  # samples that suffice for the gradient g
+_FEW = 4_000  # samples that locate the largest maximum
+_FLOOR = 1e-9  # of the trace of W: least noise in every direction of a start
 _STEP = 1e-3  # of a logarithm, for differences
-_GAIN = 1e-4  # of log likelihood that is still worth a step
-_IDENTIFIED = 1.0  # information on a logarithm: one that is told to less than a factor of e stays
-_FEWEST = 3.0  # degrees of freedom: of fewer Student's has no variance
+_GAIN = 1e-4  # rise of log likelihood that ends a climb
+_IDENTIFIED = 1.0  # information on a logarithm: noise known worse than by a factor of e stays fixed
+_FEWEST = 3.0  # degrees of freedom: with 2 or less Student's distribution has no variance
 
 
 def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
@@ -79,7 +80,7 @@ def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) 
     if kept.size < best.theta.size:
         log, (best, window) = smaller, maximise(smaller, best.theta[kept])
     elif log.layout.constant and near_zero(recording):
-        # Noise that is told as less than it is makes Wald's test too sure.
+        # Underestimated noise makes Wald's test reject too often: compare likelihoods instead.
         plain, kept = at_zero(log, best.theta.size)
         climbed = [best.theta[kept]]
         few, _ = at_zero(some, best.theta.size)
@@ -96,7 +97,7 @@ def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) 
 def start_beside(
     log: NoisyLog, best: Maximum, first: int, curves: Float[np.ndarray, "delay cell"]
 ) -> Start:
-    """A maximum, and how likely a scan says that each cell of a delay is beside it."""
+    """A maximum with the log likelihood of each cell of a delay from a scan."""
     theta = best.theta[: log.layout.size]
     return Start(theta, log.cells(theta), first, curves, log.acting.size)
 
@@ -104,7 +105,7 @@ def start_beside(
 def begun_with_noise(
     recording: Recording, C: SensorMatrix, exact: Estimate
 ) -> tuple[NoisyLog, list[Vector]]:
-    """The likelihood with noisy sensors, and vectors to climb from."""
+    """The likelihood with noisy sensors, and starts."""
     expect_many_calls()
     layout, theta = exact.log.layout, exact.best.theta
     if recording.level is not None:
@@ -122,7 +123,7 @@ def estimated_of(
     start: Start,
     spare: Int[np.ndarray, " mode"] | None = None,
 ) -> Estimate:
-    """The estimate at a maximum; `spare` periods of each mode, of measurements if None."""
+    """The estimate at a maximum; `spare`: degrees of freedom of W, of measurements if None."""
     beyond = max(log.measured(log.starts(*window)) - log.free.size, 1)
     some = replace(log, recording=log.recording.stretches(_ENOUGH, log.recording.lag(window[1])))
     spread, theta = _spread(log, some, best, window, float(beyond))
@@ -167,19 +168,19 @@ def estimate_of_sensors(
 def _spread(
     log: NoisyLog, some: NoisyLog, best: Maximum, window: Window, most: float
 ) -> tuple[Spread, Vector]:
-    """Of all unknowns, and these with the noise restricted.
+    """The covariance of all unknowns, and the vector with restricted noise.
 
-    What is known has no variance, noise that the log does not tell any.
+    Known entries have variance 0, unidentified noise a very large one.
     """
     F, names, size, free = best.found.information, log.layout.names(), log.layout.size, log.free
-    seen = log.identified(best.theta, F)
-    own, named = np.ix_(seen, seen), [names[a] for a in seen if a < size]
-    require_seen(F[own], named)
+    known = log.identified(best.theta, F)
+    own, named = np.ix_(known, known), [names[a] for a in known if a < size]
+    require_identified(F[own], named)
     less = restricted(log, some, best, window, most)
-    of = spread_of(F[own], named, less.information[own], less.spare[seen])
+    of = spread_of(F[own], named, less.information[own], less.spare[known])
     covariance = np.zeros(F.shape)
-    unidentified = np.setdiff1d(free, seen)
-    cross = F[np.ix_(unidentified, seen)]
+    unidentified = np.setdiff1d(free, known)
+    cross = F[np.ix_(unidentified, known)]
     beside = np.einsum("as,st,at->a", cross, inverse(F[own]), cross)
     least = 1e-12 * np.diagonal(F)[unidentified] + np.finfo(float).tiny
     covariance[unidentified, unidentified] = 1.0 / np.maximum(
@@ -187,14 +188,14 @@ def _spread(
     )
     covariance[own] = of.covariance
     reach, inflation = np.full(len(F), of.reach.min()), np.ones(len(F))
-    reach[seen], inflation[seen] = of.reach, of.inflation
+    reach[known], inflation[known] = of.reach, of.inflation
     return Spread(covariance, reach, inflation, less.spare), less.theta
 
 
 def noisy_residuals(
     log: NoisyLog, theta: Vector, window: Window
 ) -> list[Float[np.ndarray, "sample p"]]:
-    """The innovations of every part, each over its deviation; NaN where there are none."""
+    """The innovations of every part in standard deviations; NaN where there are none."""
     starts = log.starts(*window)
     e, s = log.innovations(theta, starts)
     fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
@@ -205,7 +206,7 @@ def noisy_residuals(
 
 
 def first_noises(W: Square, C: SensorMatrix, step: float) -> list[NoiseLevels]:
-    """Two guesses: what a period adds, of W, is mostly the plant's, or mostly the sensors'."""
+    """Two guesses: noise W of periods is mostly the plant's, or mostly the sensors'."""
     floor = max(_FLOOR * float(np.trace(W)), np.finfo(float).tiny)
     W = W + floor * np.eye(len(W))
     added = np.sqrt(np.diagonal(C @ W @ C.T) * step)
@@ -213,7 +214,7 @@ def first_noises(W: Square, C: SensorMatrix, step: float) -> list[NoiseLevels]:
 
 
 class Restricted(NamedTuple):
-    """The unknowns with restricted noise, their information, and the freedom each rests on."""
+    """The unknowns with restricted noise, their information and degrees of freedom."""
 
     theta: Vector
     information: FisherMatrix
@@ -223,9 +224,9 @@ class Restricted(NamedTuple):
 def restricted(
     log: NoisyLog, some: NoisyLog, best: Maximum, window: Window, most: float
 ) -> Restricted:
-    """From the maximum of the likelihood; how information moves is seen on `some` of the log.
+    """The maximum of the restricted likelihood with delays fixed, from that of the likelihood.
 
-    Delays stay. most : degrees of freedom that there are at most
+    some : part of the log, for derivatives of the information; most : bound of degrees of freedom
     """
     cells, size = log.cells(best.theta), log.layout.size
     evaluate, own = log.evaluate_in(*window)(cells), some.evaluate_in(*window)(cells)
@@ -248,7 +249,7 @@ def restricted(
     low[still], high[still] = best.theta[still], best.theta[still]
     after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
     value = after.found.value - float(gradient @ (after.theta - best.theta))
-    if not value > best.found.value - free.size:  # so much less likely it is no correction any more
+    if not value > best.found.value - free.size:  # too much less likely to be a correction
         return Restricted(best.theta, best.found.information, np.full(log.size, most))
     fewer = np.sqrt(np.append(np.ones(size), _noise_shares(log, best.theta, after.theta)))
     F = after.found.information * fewer[:, None] * fewer
@@ -303,16 +304,16 @@ def variance_errors(
     variance = np.einsum("va,ab,vb->v", slope, C, slope)
     for a in range(n):
         own = np.flatnonzero(off & (i == a))
-        with np.errstate(over="ignore"):  # what the log does not tell at all may be any
+        with np.errstate(over="ignore"):  # the variance of unidentified noise is huge
             variance[a] += 2.0 * float((C[np.ix_(own, own)] ** 2).sum())
     W, R = np.split(np.sqrt(variance), [n])
     return np.concatenate((np.tile(W, log.layout.modes), R))
 
 
 def exact_holds(exact: Estimate, noisy: Estimate) -> bool:
-    """Whether measurements may be taken as exact: sensors' noise is not told, and little changes.
+    """Whether measurements may be taken as exact: sensor noise may be 0, and intervals overlap.
 
-    Else the exact estimate is biased, and its intervals are too narrow by far.
+    Otherwise the exact estimate is biased, and its intervals are far too narrow.
     """
     if not exact.tests.white or noisy.several.any():
         return False
@@ -321,16 +322,16 @@ def exact_holds(exact: Estimate, noisy: Estimate) -> bool:
     return bool((low <= high).all()) and all(least == 0.0 for least, _ in noisy.sensor_intervals)
 
 
-_MANY = 40  # cells: in so many all beginnings are tried, in others only the neighbour's maximum
-_LOOK = 2_000  # samples of a first look at all cells
-_CELL_GAIN = 1e-3  # of log likelihood that is worth a step
-_SAME = 0.1  # of log likelihood: a neighbour that is so much likelier leads elsewhere
+_MANY = 40  # cells from which all starts are tried; others start from their neighbour's maximum
+_LOOK = 2_000  # samples for a first pass over all cells
+_CELL_GAIN = 1e-3  # rise of log likelihood that ends a climb in a cell
+_SAME = 0.1  # a neighbour likelier by more than this is tried as a start
 
 
 def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
-    """The estimate with the likelihood of every cell of each delay as what tells it.
+    """The estimate from maxima of the likelihood in every cell of each delay.
 
-    begins : vectors of the likelihood to climb from, in each cell
+    begins : starts in each cell
     """
     recording, bounds = log.recording, log.bounds
     lag = recording.lag(bounds[1])
@@ -353,7 +354,7 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
         best, window = maximise(log, best.theta[kept], gain=_CELL_GAIN)
         vectors = [[vector[kept] for vector in each] for each in vectors]
     cells = log.cells(best.theta)
-    for row, cell in enumerate(cells):  # a climb over kinks may have gone further
+    for row, cell in enumerate(cells):  # the last climb, over kinks, may have reached higher
         own = log.evaluate_in(*bounds)(cells)(best.theta).value
         curves[row][cell - first] = max(curves[row][cell - first], own)
         vectors[row][cell - first] = best.theta
@@ -382,7 +383,7 @@ def _in_cells(
 def _anew(
     log: NoisyLog, tops: list[Maximum], row: int, every: Int[np.ndarray, " cell"]
 ) -> list[Maximum]:
-    """The likeliest vectors of a whole log in cells that a part of it leaves plausible."""
+    """The maxima over the whole log in the cells that a part of it shows to be plausible."""
     evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
     fall = values.max() - values
     near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
@@ -401,7 +402,7 @@ def _top(
     row: int,
     cell: int,
 ) -> Maximum:
-    """The maximum that a vector leads to with one delay in a cell, the others in theirs."""
+    """The maximum near a vector with one delay in a given cell, the others in theirs."""
     cells, begin = log.cells(theta), theta
     if cells[row] != cell:
         begin, cells[row] = theta.copy(), cell
@@ -416,6 +417,6 @@ def _highest(found: list[Maximum]) -> Maximum:
 def estimate_in_loop(
     recording: Recording, C: SensorMatrix, exact: Estimate, sure: bool
 ) -> Estimate:
-    """The estimate with noisy sensors; that without noise where it holds, unless noise is sure."""
+    """The estimate with noisy sensors, or the exact one where it holds and noise is not `sure`."""
     found = over_all_cells(*begun_with_noise(recording, C, exact))
     return exact if not sure and exact_holds(exact, found) else found

@@ -1,37 +1,37 @@
-"""The maxima of outputs alone: where climbs begin, and other delays for the same samples.
+"""Maxima of the likelihood of outputs alone: starts, and other delays with the same samples.
 
 **Other delays** explain the same samples where inputs act on all states of an output. An input u
 that stays for a period from t = 0 on makes, with a delay D,
 
     y(k h) = C (G(k h − D) − G(k h − D − h)) b,    G(t) = ∫₀ᵗ e^{As} ds,  0 before t = 0,
 
-and all that evenly spaced rows tell of b and D is this pulse. With D in (N − 1) h … N h it follows
-from y(N h) and the state at (N + 1) h, which is e^{A(N h − D)} G(h) b: another delay D' of the same
-cell leaves that as it is with b' = e^{A(D' − D)} b, and of one output only
+and evenly spaced rows depend on b and D through this pulse alone. With D in (N − 1) h … N h it
+follows from y(N h) and the state at (N + 1) h, which is e^{A(N h − D)} G(h) b. Another delay D' of
+the same cell has the same state there with b' = e^{A(D' − D)} b, so for one output only
 
     C G(N h − D') b' = C G(N h − D) b
 
-is asked, one equation for one number. For a double integrator with b = (β, 1) it is a parabola, and
-D' = D − 2 β: b' = (−β, 1), the zero on the other side. So a zero at z is told from that at −z where
-2/|z| is longer than what is left of the cell, or where rows are unevenly spaced.
+remains, one equation for one number. For a double integrator with b = (β, 1) it is a parabola, and
+D' = D − 2 β: b' = (−β, 1), the zero of opposite sign. So a zero at z can be distinguished from one
+at −z if 2/|z| exceeds the rest of the cell, or if rows are unevenly spaced.
 
-Delays whose pulse comes close, with the likeliest b', are sought on a grid of three cells.
+Delays with similar pulses, for the best b', are searched on a grid of three cells.
 
-**Beginnings.** Derivatives of outputs are found by a smoother that knows no plant, and taken as
-measured. Each output is the first of a chain of integrators, the last of which is driven by white
-noise: the spline whose stiffness is likeliest (Wahba, J. Royal Statistical Society B 40(3), 1978).
+**Starts.** Derivatives of outputs are found by a smoother without a plant, and taken as measured.
+Each output is the first of a chain of integrators, the last of which is driven by white noise: the
+spline with the likeliest stiffness (Wahba, J. Royal Statistical Society B 40(3), 1978).
 
-What outputs are is told by what they were, too: A of their chains, whatever the delays. With x the
-states of `Embedding`, stand-ins for them are outputs that are q periods apart,
+A second start is A of the chains from past outputs, independent of the delays. Outputs q periods
+apart replace the states x of `Embedding`,
 
     z_k = (y_j,k, y_j,k−q, …, y_j,k−(n_j−1)q),    all outputs j,
     z_{k+q} = M z_k + what inputs add, linear in all those since row k − (n_j − 1) q − lag.
 
-Of M a row for each output is unknown. z has the sensors' noise, as z_{k+q} has, so a row is what is
-least between both, once inputs are taken out of them: total least squares (Golub and Van Loan, SIAM
-J. Numerical Analysis 17(6), 1980), which tends to the truth where the plant has no noise. It needs
-not know B nor delays. log M / (q h) is A in the states z, and the rows C_j A^a, a < n_j, take it to
-the chains. Fast poles want a small q, slow ones a large one, by which noise matters less.
+One row of M for each output is unknown. Both z_k and z_{k+q} have sensor noise, so after inputs are
+regressed out, the rows follow from total least squares (Golub and Van Loan, SIAM J. Numerical
+Analysis 17(6), 1980), which is consistent if the plant has no noise. It needs neither B nor delays.
+log M / (q h) is A in the states z, and the rows C_j A^a, a < n_j, transform it to the chains. Fast
+poles need a small q, slow ones a large one, which reduces the effect of noise.
 """
 
 from __future__ import annotations

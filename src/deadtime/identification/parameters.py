@@ -83,12 +83,10 @@ class Layout(Frozen):
 
     @property
     def delays(self) -> int:
-        """How many delays there are."""
         return self.m * (self.modes if self.per_mode else 1)
 
     @property
     def size(self) -> int:
-        """How many unknowns there are."""
         return self.of_A.size + self.of_B.size + self.delays
 
     @property
@@ -102,7 +100,6 @@ class Layout(Frozen):
 
     @property
     def delay_places(self) -> Int[np.ndarray, " delay"]:
-        """The places of all delays."""
         return np.arange(self.size)[self.at_delays]
 
     @property
@@ -187,5 +184,4 @@ def cell_of(delay: float, step: float, up: bool = False) -> int:
 
 
 def cells_of(delays: Float[np.ndarray, " delay"], step: float) -> Int[np.ndarray, " delay"]:
-    """The cell of each delay."""
     return np.array([cell_of(float(delay), step) for delay in delays])

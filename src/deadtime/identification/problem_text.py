@@ -1,12 +1,12 @@
 """An identified plant as a problem file, and the process noise that its observer is designed on.
 
-Where a log does not tell a disturbance from none, its likeliest intensity may be next to nothing.
-A Kalman filter of it trusts its model alone: its error decays at the pace of the plant, or not at
-all, whatever the gains. Such a filter is no use to a loop, and the log does not ask for it.
+If a disturbance is not significant, its likeliest intensity may be nearly 0. A Kalman filter
+designed on it trusts its model alone: its error decays at the rate of the plant, or not at all.
+Such a filter is of no use in a loop, and the log does not require it.
 
-The states are chains of derivatives. White noise of intensity q that acts on the last of each chain
-reaches all of its states through integrators, without zeros, so that the error decays the faster
-the larger q: like q^(1/2k) in a chain of k states, up to what sampling allows.
+The states are chains of derivatives. White noise of intensity q on the last state of each chain
+reaches all of its states through integrators, without zeros. So the error decays faster for larger
+q, like q^(1/2k) in a chain of k states, up to the limit of sampling.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
 
 
 def _length(fit: Findings) -> float:
-    """Of a run, seconds: long beside the delays, and such that modes switch."""
+    """The length of a run, seconds: many delays, and several sojourns of every mode."""
     longest = 0.0 if fit.model is None else float(fit.model.mean.max())
     return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * longest)
 
@@ -125,7 +125,7 @@ def _switching(fit: Findings, filtered: tuple[np.ndarray, str]) -> list[str]:
 
 
 def _noise(fit: Findings) -> list[str]:
-    """The noise of the log acts in the file's runs, too."""
+    """Imperfections of the file's runs: the noise of the log."""
     lines = ["", "[[imperfection]]", 'kind = "white-disturbance"']
     lines += _disturbance("intensity", fit)
     if fit.noise.any() and (_of_states(fit) or _alone(fit)):
@@ -187,17 +187,16 @@ def _texts(names: tuple[str, ...]) -> str:
 
 
 def write_problem(text: str, path: str | PathLike[str]) -> None:
-    """Write a problem file."""
     with replacing(path) as place:
         place.write_text(text, encoding="utf-8")
 
 
 def filter_noise(fit: Findings) -> tuple[Square, str]:
-    """W for the observer, and a sentence that says why it is not the likeliest; empty where it is.
+    """W for the observer, and the reason in a sentence if it is not the likeliest.
 
-    Noise on the last derivative of every output is raised from the upper end of its interval, by
-    the fewest factors of 4 with which the observer's error decays, in every mode held, at least as
-    fast as the loop of the file's gains does.
+    Noise on the last derivative of every output is raised from the upper end of its interval by the
+    smallest power of 4 for which the observer's error decays, in every constant mode, at least as
+    fast as the loop with the file's gains.
     """
     W, shape = fit.disturbance[0], fit._found.of_outputs and fit._found.of_outputs.embedding
     if shape is None or not fit.noise.all():

@@ -1,4 +1,4 @@
-"""Residuals of a model, and tests of whether they look like chance."""
+"""Residuals of a model, and tests of their whiteness."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ CHANCE = 1e-3  # a test fails whose figure has a smaller probability
 
 
 class ResidualTests(NamedTuple):
-    """Whether residuals look like white noise that the inputs have nothing to do with.
+    """Tests of residuals: white noise, and uncorrelated with inputs.
 
-    whiteness : the probability of residuals that differ from white noise by more
+    whiteness : the probability of a larger deviation from white noise
     lag, correlation : of the largest correlation with themselves, in samples
     input_chance : the probability of a larger correlation with any input
     input_delay : after how long it is largest, seconds; input : with which
@@ -37,12 +37,11 @@ class ResidualTests(NamedTuple):
 
     @property
     def white(self) -> bool:
-        """Whether residuals pass for white noise."""
         return self.whiteness >= CHANCE
 
     @property
     def unrelated(self) -> bool:
-        """Whether residuals pass for having nothing to do with the inputs."""
+        """Whether residuals are uncorrelated with the inputs."""
         return self.input_chance >= CHANCE
 
 
@@ -114,8 +113,7 @@ def judge_residuals(
 ) -> ResidualTests:
     """Tests of whitened residuals, by Ljung and Box, and by the largest correlation with inputs.
 
-    Of the correlations of the first kind n² of one lag are spent on the matrices that were fitted,
-    or as many as are told.
+    spent : correlations that the fitted matrices remove, n² by default
     """
     from scipy.stats import chi2, norm
 
@@ -181,11 +179,11 @@ def autocorrelation(
 
 
 def alternates(white: list[Float[np.ndarray, "sample n"]]) -> bool:
-    """Whether errors of exact states tend to change sign, as noise of sensors makes them.
+    """Whether errors of exact states tend to change sign, as caused by noise of sensors.
 
-    Noise v adds v_{k+1} − Φ v_k to the error of a period, −Φ times its variance to neighbours'
-    product. A log that shows less of that than chance makes every sixth time is told no otherwise
-    by it; a test that fails once in a thousand would miss noise that biases a delay.
+    Noise v adds v_{k+1} − Φ v_k to the error of a period, hence −Φ V to the covariance of
+    neighbours. The level is one standard deviation, exceeded by chance every sixth time: a test at
+    1e-3 would miss noise that biases a delay.
     """
     r, count = autocorrelation(white)
     return bool((r[0] * np.sqrt(count[0]) < -1.0).any())

@@ -1,4 +1,4 @@
-"""Sampling, even or uneven: which periods of a log are usable, and what the unknowns make of them.
+"""Sampling, even or uneven: the usable periods of a log, and their regressions on the unknowns.
 
     x_{k+1} = P_σ(θ) r_k + w_k,    w_k ~ N(0, S_σ τ_k / h),    τ_k = t_{k+1} − t_k
 
@@ -8,7 +8,7 @@ u_{k−N+1} after it:
     x_{k+1} = Φ(h) x_k + Σ_j [(W(h) − W(s_j)) b_j u_{j,k−N} + W(s_j) b_j u_{j,k−N+1}] + W(h) c
               + w_k,    s_j = N h − D_j
 
-All that this asks of the log of a mode, for all delays of a window, is one triangular root over
+For all delays of a window this depends on the log of a mode only through one triangular root over
 x_{k+1}, x_k and the inputs of all lags. A likelihood has a kink at every whole number of periods.
 
 **Uneven.** A period is cut where each input arrives, at t_i + D. With c the arrivals within
@@ -19,7 +19,7 @@ x_{k+1}, x_k and the inputs of all lags. A likelihood has a kink at every whole 
 and ∂x_{k+1}/∂D_j = −Σ_c Φ(t_{k+1} − c) b_j Δu_j(c). Φ and W of the many times are interpolated
 between nodes, to round-off, so that all this is a regression again, on the weights of the nodes.
 
-Rows that were lost divide a log in parts (`Recording`), each sampled as the whole is.
+Lost rows divide a log into parts (`Recording`).
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ from deadtime.identification.parameters import (
 from deadtime.identification.scoring import Climb, EvaluateIn, Maximum, climb, climb_cells
 from deadtime.identification.transition import interpolation, nodes_of, noise_tables, transitions_of
 
-_BLOCK = 2_000_000  # numbers of a log that are stacked at a time
-_ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
+_BLOCK = 2_000_000  # numbers stacked at a time, which bounds memory
+_ROUND_OFF = 1e-9  # of a period: an arrival this close to a sample counts as at it
 
 Roots = Callable[[np.ndarray], list[np.ndarray]]  # of what modes read, a root for each
 
 
 class WeightMap(NamedTuple):
-    """P (n, r) of a mode, its derivatives by the unknowns of the mode, and where these lie."""
+    """P (n, r) of a mode, its derivatives by the unknowns of the mode, and their places."""
 
     P: Float[np.ndarray, "n r"]
     by_P: Float[np.ndarray, "own n r"]
@@ -66,7 +66,7 @@ class Term(NamedTuple):
 
     root : (rows, n + r), rootᵀ root = Σ z zᵀ
     periods : N_i, or the sum of weights
-    P : (n, r), by_P : (unknowns, n, r) its derivatives, place : (unknowns,) whose
+    P : (n, r); by_P : (unknowns, n, r), its derivatives by the unknowns at `place`
     """
 
     root: Float[np.ndarray, "row z"]
@@ -85,7 +85,7 @@ class FilterPeriods(NamedTuple):
     mode : (T,), and kind : (T,), the row of the next four
     Phi, Q : (kinds, n, n); by_Phi : (kinds, n², n, n) by its mode's A; by_Q : by A and then by L,
     W = L Lᵀ, (kinds, n² + n (n + 1)/2, n, n)
-    added : (T, n), what inputs add; by_added : (T, own, n), by A, B and the delays of its mode
+    added : (T, n), by inputs; by_added : (T, own, n), by A, B and the delays of the mode
     """
 
     mode: Int[np.ndarray, " T"]
@@ -145,10 +145,10 @@ class UsablePeriods(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Sampling(Frozen, ABC):
-    """How logs were sampled, as far as likelihoods ask.
+    """How logs are sampled: the regressions and filter periods of likelihoods.
 
-    step : the sampling period, the median of all, seconds; nodes : of interpolation over a period
-    summed_up : whether what a log tells of all delays of a window is summed up once
+    step : the median sampling period, seconds; nodes : of interpolation over a period
+    summed_up : whether one root is sufficient for all delays of a window
     """
 
     step: float
@@ -166,15 +166,15 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def usable(self, part: Part, within: bool, low: float, high: float) -> Int[np.ndarray, " k"]:
-        """The periods of which all that acts is known, for delays in a range, seconds.
+        """The periods whose states and acting inputs are known, for delays in a range, seconds.
 
-        `within`: whether the mode may change at any time, so that of a period that begins and ends
-        in other modes nothing is known.
+        within : whether the mode may change at any time, so that a period that begins and ends in
+        different modes is not usable.
         """
 
     @abstractmethod
     def reads(self, layout: Layout, theta: Vector, cells: Cells) -> np.ndarray:
-        """Cells of delays, or delays, that tell which inputs act in each mode, (modes, m)."""
+        """Cells of delays, or delays, which select the acting inputs of each mode, (modes, m)."""
 
     @abstractmethod
     def rows(
@@ -207,7 +207,7 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def to_kink(self, delay: float) -> float:
-        """How far a delay is from the nearest kink of the likelihood, seconds."""
+        """The distance of a delay from the nearest kink of the likelihood, seconds."""
 
     def terms_in(self, layout: Layout, periods: UsablePeriods, window: Window) -> TermsIn:
         """The regressions of all modes, for delays in a window, in cells of theirs."""
@@ -221,13 +221,12 @@ class Sampling(Frozen, ABC):
 
 
 def sampling_of(recording: Recording, nodes: Nodes) -> Sampling:
-    """That of a recording."""
     return (EvenSampling if recording.even else UnevenSampling)(recording.step, nodes)
 
 
 @dataclass(frozen=True, eq=False)
 class EvenSampling(Sampling):
-    """Samples a period apart, but for rounded times and rows that were lost."""
+    """Samples one period apart up to rounding, with gaps of lost rows."""
 
     summed_up: ClassVar[bool] = True
 
@@ -419,7 +418,7 @@ def usable_lags(part: Part, within: bool, low: int, high: int) -> Int[np.ndarray
 
 
 def fed(part: Part, longest: float, shortest: float) -> Bool[np.ndarray, " period"]:
-    """The periods in which all that can act is known, for delays between two, seconds."""
+    """The periods whose acting inputs are known, for delays in a range, seconds."""
     t = part.time
     lost = np.concatenate(([0], np.cumsum(~np.isfinite(part.input).all(axis=1))))
     slack = _ROUND_OFF * float(np.median(np.diff(t)))

@@ -3,8 +3,8 @@
     θ ← θ + (F + μ diag F)⁻¹ score,    kept within bounds
 
 A likelihood over a delay has a kink at every whole number of periods, where the other samples of
-the input begin to act. Between two of them, in a *cell*, it is smooth: a maximum is sought there,
-and beyond a kink only where one at the cell's end says that it goes on rising.
+the input begin to act. Between two kinks, in a *cell*, it is smooth. A maximum is searched in one
+cell, and in the next one only if the maximum lies at the cell's end.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from jaxtyping import Bool
 
 from deadtime.identification.parameters import FisherMatrix, Vector, Window, cells_of
 
-GAIN = 1e-10  # of log likelihood that is still worth a step
+GAIN = 1e-10  # rise of log likelihood that ends a climb
 STEPS = 200
-_AS_PROMISED = 0.25  # of a rise: after less of it the damping stays, or steps overshoot in turn
-_CLOSE = 0.1  # of a period: so near a cell's end a climb of coarse steps may be on its way beyond
+# Share of the predicted rise: after less of it the damping stays, or steps overshoot alternately.
+_AS_PREDICTED = 0.25
+_CLOSE = 0.1  # of a period: a coarse climb that ends so near a kink may go on beyond it
 
 
 class Evaluation(NamedTuple):
@@ -32,7 +33,7 @@ class Evaluation(NamedTuple):
 
 
 class Maximum(NamedTuple):
-    """Where a likelihood is largest; `bound` tells the unknowns that a bound keeps."""
+    """A maximum of a likelihood; `bound`: whether each unknown is at a bound."""
 
     theta: Vector
     found: Evaluation
@@ -45,10 +46,10 @@ Stride = Callable[[np.ndarray], np.ndarray]
 
 
 class Climb(NamedTuple):
-    """How a maximum is climbed to.
+    """The options of a climb.
 
-    delays : where they lie; limits : the least and the largest value of all unknowns
-    fixed : which unknowns stay; stride, gain, steps : see `climb`
+    delays : their places; limits : bounds of all unknowns; fixed : unknowns that do not move
+    stride, gain, steps : see `climb`
     """
 
     delays: slice
@@ -61,7 +62,7 @@ class Climb(NamedTuple):
     def within(
         self, theta: Vector, low: np.ndarray, high: np.ndarray
     ) -> tuple[Vector, Vector, Vector]:
-        """A start, and bounds of all unknowns, with delays between two; what is fixed stays."""
+        """A start and bounds of all unknowns, with delays between two bounds."""
         bounds = self.limits[0].copy(), self.limits[1].copy()
         bounds[0][self.delays], bounds[1][self.delays] = low, high
         start = np.where(self.fixed, theta, np.clip(theta, *bounds))
@@ -76,7 +77,7 @@ def best_in_turn(
     worth: Callable[[tuple[int | None, ...]], float],
     sweeps: int,
 ) -> tuple[int | None, ...]:
-    """Choices of which none alone is better otherwise: one after the other, sweep by sweep.
+    """Coordinate search: the best option of each choice in turn, in several sweeps.
 
     Examples
     --------
@@ -102,9 +103,9 @@ def climb(
     gain: float = GAIN,
     stride: Stride | None = None,
 ) -> Maximum:
-    """The local maximum within bounds that a start leads to; `gain` is worth a step.
+    """The local maximum within bounds near a start; a predicted rise below `gain` ends the climb.
 
-    stride : from unknowns, how far each may go at a time that does next to nothing there
+    stride : maps unknowns to the largest step of those whose information is nearly 0
 
     Examples
     --------
@@ -125,7 +126,7 @@ def climb(
             break
         after = evaluate(trial)
         if np.isfinite(after.value) and after.value > now.value:
-            if after.value - now.value > _AS_PROMISED * rise:
+            if after.value - now.value > _AS_PREDICTED * rise:
                 damping = max(0.1 * damping, 1e-12)
             theta, now = trial, after
         elif damping > 1e8:
@@ -144,7 +145,7 @@ def _step(
     high: np.ndarray,
     stride: np.ndarray | float,
 ) -> tuple[np.ndarray, float]:
-    """The next vector, and the rise that the quadratic promises."""
+    """The next vector, and the rise predicted by the quadratic model."""
     free = np.flatnonzero(~held)
     if free.size == 0:
         return theta, 0.0
@@ -161,10 +162,9 @@ def _step(
 def climb_cells(
     evaluate_in: EvaluateIn, theta: Vector, step: float, bounds: Window, how: Climb
 ) -> tuple[Maximum, np.ndarray]:
-    """The maximum with delays free, from cell to cell; and the cells that it lies in.
+    """The maximum over delays, searched from cell to cell; and its cells.
 
-    Cell N of a delay is [(N − 1) h, N h], cut at `bounds`. `evaluate_in` gives the likelihood in
-    cells.
+    Cell N of a delay is [(N − 1) h, N h], cut at `bounds`.
     """
     delays, gain, free = how.delays, how.gain, ~how.fixed[how.delays]
 

@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 
 _EDGE = 1e-6  # of the range searched
-_SINGULAR = 1e8  # a condition of A: such a mode, as an integrator, has no rest of its own
-_WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
+_SINGULAR = 1e8  # condition number of A beyond which a mode, as an integrator, has no unique rest
+_WIDE = 0.25  # of the range searched: a longer interval hardly identifies a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
-_OFTEN = 0.03  # of rows begin such a run
-_OWN = 0.9  # of measurements that are no repeats are met once: they are not rounded
-_NEVER = 1e-6  # that one of all rows lies so far off by chance
-_FAINT = 1e-3  # of a column's deviation
-_COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
+_OFTEN = 0.03  # share of rows at which a run of repeated values begins
+_OWN = 0.9  # share of distinct values among those not repeated: rounded values have fewer
+_NEVER = 1e-6  # significance level of the farthest row
+_FAINT = 1e-3  # of a column's deviation: smaller errors are round-off
+_COARSE = 0.8  # of half a turn per period: faster oscillations may be aliases
 
 
 class OddReadings(NamedTuple):
-    """Sentences on outputs that repeat what was measured before, and on a row that lies far off."""
+    """Sentences on outputs that repeat earlier values, and on a row far from its prediction."""
 
     repeats: list[str]
     far_off: list[str]
@@ -52,7 +52,7 @@ def sentences_of(
     states: tuple[str, ...],
     odd: OddReadings,
 ) -> tuple[str, ...]:
-    """How well the log knows the delays, what the residuals say, and what was left out."""
+    """Sentences on delays, operating point, noise, residuals, and assumptions."""
     said = [*_delays(found, recording), *_levels(found, recording, rest, states)]
     said += [*_noise(found), *_tests(found, recording, odd)]
     said += _period(found, recording)
@@ -100,7 +100,7 @@ def _delays(found: Estimate, recording: Recording) -> list[str]:
 
 
 def _at_edge(found: Estimate) -> Bool[np.ndarray, " delay"]:
-    """Which delays lie where the range searched ends."""
+    """Which delays lie at the edge of the range searched."""
     low, high = found.log.bounds
     margin, D = _EDGE * (high - low), _values(found)
     return (low + margin > D) | (high - margin < D)
@@ -119,7 +119,7 @@ def _open(found: Estimate) -> Bool[np.ndarray, " delay"]:
 
 
 def doubts_of(found: Estimate, recording: Recording, odd: OddReadings) -> tuple[str, ...]:
-    """Why intervals of delays may not hold them, as ends of a sentence."""
+    """Reasons why intervals may not contain the delays, as ends of a sentence."""
     names = delay_names(recording, found)
     names = [f"{name[0].lower()}{name[1:]}" for name in names] if len(names) == 1 else names
     kinds = (_at_edge(found), _cut(found, recording), _open(found))
@@ -142,20 +142,20 @@ def doubts_of(found: Estimate, recording: Recording, odd: OddReadings) -> tuple[
 
 
 def _bounds(found: Estimate, recording: Recording) -> tuple[float, float]:
-    """The range searched as it was given: a delay of 0 stands for one too short to tell."""
+    """The range searched as given: its shortest delay is 0 where the search replaced 0."""
     low, high = found.log.bounds
     return (low if low > _EDGE * recording.step * (1.0 + _EDGE) else 0.0), high
 
 
 def _digits(D: float, width: float) -> int:
-    """So many that an interval's ends differ in two of them."""
+    """The number of digits of which two differ between the ends of an interval."""
     if not 0.0 < width < abs(D):
         return 4
     return min(max(4, 1 + int(np.ceil(np.log10(abs(D) / width)))), 12)
 
 
 def _beyond(right: float, high: float, margin: float) -> str:
-    """Advice where the interval ends where the search did: nothing longer was tried."""
+    """Advice where the interval ends at the longest delay searched."""
     if right < high - margin:
         return ""
     return f"; if it may be longer than {high:.4g} s, widen delay=(low, high), --delay LOW HIGH"
@@ -179,7 +179,7 @@ def delay_names(recording: Recording, found: Estimate) -> list[str]:
 def _levels(
     found: Estimate, recording: Recording, rest: Rest | None, states: tuple[str, ...]
 ) -> list[str]:
-    """Where the plant rests, and what is taken for granted of inputs."""
+    """Sentences on the operating point and on assumptions about inputs."""
     said = []
     if rest is not None:
         names, values = (*states, *recording.inputs), (*rest.point.x, *rest.point.u)
@@ -207,7 +207,7 @@ def _levels(
 
 
 def _apart(found: Estimate, recording: Recording, rest: Rest, states: tuple[str, ...]) -> list[str]:
-    """Where each mode rests with the same inputs, if not all rest there."""
+    """Sentences on the rest of each mode with the same inputs, if they differ."""
     if not rest.offset.any():
         return []
     where = []
@@ -260,7 +260,7 @@ def _tests(found: Estimate, recording: Recording, odd: OddReadings) -> list[str]
 
 
 def _repeats(recording: Recording) -> list[str]:
-    """Outputs that often repeat what was measured before, though their values are not rounded."""
+    """Sentences on outputs that often repeat the value before, though values are not rounded."""
     said = []
     for column, name in enumerate(recording.outputs):
         each = [part.output[:, column] for part in recording.parts]
@@ -278,10 +278,10 @@ def _repeats(recording: Recording) -> list[str]:
 
 
 def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str]:
-    """The row that lies farthest from what the model foretells, if chance makes no such row.
+    """A sentence on the row farthest from its prediction, if that is significant.
 
-    Errors of less than a thousandth of what a column moves by are left aside: without noise what is
-    left is round-off, and that is not normal.
+    Errors below a thousandth of a column's deviation are ignored: without noise they are round-off,
+    which is not normal.
     """
     from scipy.stats import norm
 
@@ -290,7 +290,7 @@ def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str
     if not far:
         return []
     row, column = max(far, key=lambda at: z[*at])
-    if [row - 1, column] in far:  # a wrong reading foretells the next one wrongly, too
+    if [row - 1, column] in far:  # a wrong reading also spoils the prediction of the next one
         row -= 1
     moves = np.nanstd(np.vstack([part.output for part in recording.parts]), axis=0)
     size, W = z[:, column].max(), found.disturbance.max(axis=0)
@@ -333,7 +333,7 @@ def _states(found: Estimate, recording: Recording) -> list[str]:
 
 
 def _larger(found: Estimate) -> str:
-    """How to ask for one more state."""
+    """Advice on the option for one more state."""
     shape = found.of_outputs and found.of_outputs.embedding
     if shape is None:
         return " (if not all states are logged, say how many each column has: order=2, --order 2)"
@@ -343,7 +343,7 @@ def _larger(found: Estimate) -> str:
 
 
 def _period(found: Estimate, recording: Recording) -> list[str]:
-    """Whether oscillations are so fast that others would look the same at samples."""
+    """Sentences on uneven rows and on oscillations that may be aliases."""
     said = []
     if not recording.even:
         said.append(f"Rows are unevenly spaced, {recording.step:.4g} s apart by their median.")
@@ -357,7 +357,7 @@ def _period(found: Estimate, recording: Recording) -> list[str]:
 
 
 _NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
-MOST_INPUTS = 4  # of a box whose corners are all looked at
+MOST_INPUTS = 4  # of a box whose 2^m corners are all tested
 
 
 @runtime_checkable
@@ -404,11 +404,11 @@ def delays_beside(
     failure: str | None = None,
     doubt: str = "",
 ) -> str:
-    """The intervals beside a margin: how far every delay may be off beside how far it is borne.
+    """The intervals of delays compared with a margin, in words.
 
-    A margin is of delays that all err alike. Of several, `failure` says what fails where each errs
-    by itself, "" if nothing does; None where that was not looked at. `doubt` says why intervals may
-    not hold the delays: beside such nothing is enough.
+    A margin is for a common error of all delays. For several, `failure` names what fails with
+    separate errors, "" if nothing does, None if it was not tested. `doubt` is a reason why
+    intervals may not contain the delays: then nothing is enough.
     """
     j = margin.input
     column = slice(None) if j is None else slice(j, j + 1)
@@ -455,9 +455,9 @@ def _end(enough: bool, others: bool = False) -> str:
 def failure_of(
     plant: SwitchedSystem, interval: Float[np.ndarray, "mode m 2"], law: Law, step: float
 ) -> str:
-    """The failure of a law, in words; "" if none: of each input alone, and of corners.
+    """The failure of a law with separate errors of delays, in words; "" if none.
 
-    In a mode that is held its own delays alone act, so that corners are taken in all modes at once.
+    In a constant mode its own delays alone act, so corners are taken in all modes at once.
     """
     from deadtime.margins import delay_margin
     from deadtime.spectrum import growth_rate
@@ -469,7 +469,7 @@ def failure_of(
         off = interval[:, j] - plant.delays[:, j, None]
         short, long = margin.lower - margin.nominal, margin.upper - margin.nominal
         if off[:, 0].min() < short or off[:, 1].max() > long:
-            return f"that of input {j} alone is borne from {short:+.2g} to {long:+.2g} s"
+            return f"that of input {j} alone is tolerated from {short:+.2g} to {long:+.2g} s"
     for corner in itertools.product((0, 1), repeat=plant.inputs):
         delays = interval[:, np.arange(plant.inputs), corner]
         truth = SwitchedSystem(plant.A, plant.B, delays)

@@ -1,8 +1,9 @@
 """Where to begin: a linear regression at every whole number of periods, and its logarithm.
 
 With D in the cell [(N − 1) h, N h] only u_{k−N} and u_{k−N+1} act, so x_{k+1} is linear in x_k and
-those, whatever D is. The N with the likeliest residuals is taken; A = log Φ / h, and the weights of
-the two samples tell B and the fraction of the period. A cell needs inputs of its own lags alone.
+those for every D in the cell. The N with the likeliest residuals is taken; A = log Φ / h, and the
+weights of the two samples give B and the fraction of the period. A cell needs inputs of its own
+lags alone.
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ from deadtime.identification.scoring import best_in_turn
 from deadtime.identification.transition import transitions_of
 
 MOST_COLUMNS = 1000  # of past inputs, in a scan
-_MOST_OF = 0.75  # of the periods of each mode: so many that all cells are compared by
-_ENOUGH = 10_000  # samples that tell where to begin, where cells are compared by their own periods
+_MOST_OF = 0.75  # share of each mode's periods that suffices to compare all cells by common ones
+_ENOUGH = 10_000  # samples that suffice where each cell has its own periods
 _SWEEPS = 3  # over the delays
 _ALL = 2000  # combinations of cells that are all tried
 
 
 class Start(NamedTuple):
-    """A first guess, and the likelihood of every cell of each delay beside it.
+    """A first guess, and the log likelihood of every cell of each delay.
 
     theta : of the `Layout`; cells : of each of its delays
-    scanned : (delays, cells), log likelihood, the others in their cells, from cell `first` on
-    weights : of each input, how many are free in each of its cells, mode by mode
-    vectors : (delays, cells, size), where it is so large, if a maximum was sought in each cell
+    scanned : (delays, cells), log likelihood with other delays in their cells, from cell `first` on
+    weights : the number of free weights of an input in each mode
+    vectors : (delays, cells, size), the maximum in each cell, if it was searched
     """
 
     theta: Vector
@@ -69,9 +70,9 @@ def start_of(recording: Recording, layout: Layout, bounds: Window, within: bool)
 def _sums_of(
     recording: Recording, layout: Layout, first: int, last: int, within: bool
 ) -> _CommonPeriods | _OwnPeriods:
-    """The periods that a scan compares cells by: the same for all where most are left so.
+    """The periods by which a scan compares cells: common ones if these are most of all.
 
-    And where the log is shorter than twice the range of delays, which is refused as too short.
+    Also if the log is shorter than twice the range of delays: it is refused later as too short.
     """
     usable = [usable_lags(part, within, first - 1, last) for part in recording.parts]
     periods = UsablePeriods(recording.parts, usable)
@@ -179,12 +180,11 @@ class _CellScan:
         self.cells = np.arange(first, last + 1)
 
     def own(self, cells: np.ndarray, mode: int) -> np.ndarray:
-        """The cells of a mode."""
         m = self.layout.m
         return cells[mode * m : (mode + 1) * m] if self.layout.per_mode else cells
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
-        """The likeliest cells, and what each delay's others would be like."""
+        """The likeliest cells, and the log likelihood of all cells of each delay."""
         groups = range(self.layout.modes) if self.layout.per_mode else [None]
         found = [self._best_of(group) for group in groups]
         return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
@@ -218,7 +218,7 @@ class _CellScan:
         return self.sums.of(mode, columns)
 
     def periods(self, mode: int, chosen: np.ndarray) -> int:
-        """How many periods of a mode tell of some cells."""
+        """The number of periods of a mode in the regression with these cells."""
         return self._sums(mode, tuple(chosen.tolist()))[1]
 
     def _likelihood(self, mode: int, chosen: tuple[int | None, ...], plausible: bool) -> float:
@@ -253,7 +253,7 @@ def _regressed(M: Float[np.ndarray, "z z"], n: int) -> tuple[Float[np.ndarray, "
 def _logarithm(
     P: Float[np.ndarray, "n r"], layout: Layout, h: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, and what part of a period the newer sample acts."""
+    """A, B, and the part of a period in which the newer sample acts."""
     n, m = layout.n, layout.m
     A = matrix_logarithm(P[:, :n]) / h
     old, new = P[:, n : n + m], P[:, n + m : n + 2 * m]

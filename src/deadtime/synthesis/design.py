@@ -81,7 +81,7 @@ def decay_asked(decay_rate: float) -> float:
     return asked
 
 
-def require_seen(plant: SwitchedSystem, weight: Weight) -> None:
+def require_identified(plant: SwitchedSystem, weight: Weight) -> None:
     """Refuse a weight under which a loop that grows may cost little."""
     weight_matrix("weight.R", weight.R, plant.inputs, "m", strict=True)
     for i, A in enumerate(plant.A):
@@ -300,7 +300,7 @@ def design(
     given = None if gains is None else check_gains(plant, gains, True)
     weight = weight_of(weight, plant)
     if weight is not None:
-        require_seen(plant, weight)
+        require_identified(plant, weight)
     budget, seed = count("budget", budget, 20), count("seed", seed, 0)
     make = partial(AveragedPredictor, allow_unstable=True) if law is None else law
     for mode in range(plant.modes):

@@ -13,11 +13,11 @@ Molecular Biology 4(1), 2005), Λ_ij ← E N_ij / E T_i,
 
 E T_i the sum for i = j without Λ_ij in front. Of even rows N are jumps, stays too, and T rows.
 
-In each mode a period is normal about what the mode foretells, e = x_{k+1} − P_i r_k ~ N(0, S_i).
-With a `pooled` model the mode may change at any time: a period that begins and ends in other modes
-has the density of that, one model for all modes. No unknown is in it, so that such periods tell
-where a switch was and nothing of the plant, as where modes are logged. Without it the mode of a row
-holds for its period. A period of which something is missing says nothing, and the chain goes on.
+In each mode a period is normal about the mode's prediction, e = x_{k+1} − P_i r_k ~ N(0, S_i).
+With a `pooled` model the mode may change at any time: a period that begins and ends in different
+modes has the density of the pooled model, one for all modes. It contains no unknown, so these
+periods locate the switches and do not affect the plant, as with logged modes. Without it the mode
+of a row holds for its period. A period with missing data has density 1, and the chain goes on.
 """
 
 from __future__ import annotations
@@ -66,19 +66,18 @@ class Jumps(Frozen):
 
     @classmethod
     def of(cls, P: Float[np.ndarray, "mode mode"], step: float, rates: bool) -> Jumps:
-        """Those of which a period makes about P."""
+        """The chain with probabilities P per period, for rates to first order."""
         return cls(_rates(P / step), step, rates) if rates else cls(P, step, rates)
 
     @classmethod
     def lasting(cls, modes: int, step: float, rates: bool) -> Jumps:
-        """A first guess, of modes that last."""
+        """A first guess: modes stay with probability 0.95 per period."""
         P = np.full((modes, modes), (1.0 - _STAY) / max(modes - 1, 1))
         np.fill_diagonal(P, _STAY if modes > 1 else 1.0)
         return cls.of(P, step, rates)
 
     @property
     def modes(self) -> int:
-        """How many there are."""
         return len(self.matrix)
 
     @property
@@ -121,7 +120,7 @@ class Jumps(Frozen):
         return Counts(self.matrix * total, np.diagonal(total).copy())
 
     def next(self, counts: Counts) -> Jumps:
-        """The likeliest ones of what is expected."""
+        """The chain that maximises the likelihood with expected counts."""
         spent = counts.spent[:, None]
         found = counts.jumps / np.where(spent > 0.0, spent, 1.0)
         if self.rates:
@@ -129,7 +128,7 @@ class Jumps(Frozen):
         return Jumps(np.where(spent > 0.0, found, np.eye(self.modes)), self.step, False)
 
     def scaled(self, factor: Float[np.ndarray, "mode mode"]) -> Jumps:
-        """With odds, or rates, times factors, those of stays 1."""
+        """The chain with odds of jumps, or rates, times factors; factors of stays are 1."""
         moved = self.matrix * factor
         if self.rates:
             return Jumps(_rates(moved), self.step, True)
@@ -140,7 +139,6 @@ class Jumps(Frozen):
         return counts.jumps - counts.spent[:, None] * self.matrix
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> Jumps:
-        """With modes in another order."""
         return Jumps(self.matrix[np.ix_(order, order)], self.step, self.rates)
 
 
@@ -153,8 +151,8 @@ def _rates(matrix: np.ndarray) -> np.ndarray:
 class Pooled(NamedTuple):
     """One regression for all modes.
 
-    reads : what tells which inputs act, (m,), see `Sampling.reads`
-    constant : whether its last column is a constant term's
+    reads : which inputs act, (m,), see `Sampling.reads`
+    constant : whether the last column of P is a constant term
     """
 
     P: Float[np.ndarray, "n r"]
@@ -170,12 +168,12 @@ class Pooled(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """The modes that a log tells under some unknowns.
+    """The posterior of modes given a log.
 
     value : log likelihood
-    weight : (periods, modes), how likely each usable period was in a mode from end to end
-    counts : the jumps that are expected
-    node : of every part (samples, modes), how likely each mode was
+    weight : (periods, modes), probability of each mode throughout each usable period
+    counts : the expected jumps
+    node : of every part (samples, modes), probability of each mode
     """
 
     value: float
@@ -186,9 +184,9 @@ class Posterior(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Periods(Frozen):
-    """The periods k of every part that are usable whatever the delays in a window are.
+    """The periods k of every part that are usable for all delays in a window.
 
-    pooled : of periods within which the mode changes; None if it does at samples only
+    pooled : model of periods within which the mode changes; None if it changes at samples only
     constant : whether dx/dt has a constant term in each mode
     """
 
@@ -208,7 +206,7 @@ class Periods(Frozen):
         pooled: Pooled | None,
         constant: bool,
     ) -> Periods:
-        """Those of parts, for delays in a window and those of the one regression."""
+        """The usable periods of parts, for delays in a window and those of the pooled model."""
         low, high = sampling.window(*window)
         least, most = (low, high) if pooled is None else sampling.span(pooled.reads)
         ends = min(low, least), max(high, most)
@@ -241,7 +239,6 @@ class Periods(Frozen):
 
     @property
     def count(self) -> int:
-        """How many there are."""
         return sum(k.size for k in self.usable)
 
     @property
@@ -258,9 +255,9 @@ class Periods(Frozen):
         return read_only(np.concatenate([self.pooled.density(part, k) for part, k in each]))
 
     def posterior(self, density: Float[np.ndarray, "period mode"], jumps: Jumps) -> Posterior:
-        """The modes that the log tells, given log densities of usable periods and the chain.
+        """The posterior of modes, given log densities of usable periods and the chain.
 
-        The first mode of a part may be any.
+        The first mode of a part is uniformly distributed.
         """
         return posterior_of(self.parts, self._by_part(density), jumps, self.usable, self.within)
 
@@ -271,9 +268,10 @@ class Periods(Frozen):
         return path_of(self.parts, self._by_part(density), jumps)
 
     def _by_part(self, density: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of every part the densities of all periods, if the mode stays and if it changes."""
+        """Log densities of all periods of every part, if the mode stays and if it changes."""
         modes, by_part, start = density.shape[1], [], 0
         for part, k in zip(self.parts, self.usable, strict=True):
+            # Density 1, logarithm 0, where a period is not usable.
             stay = np.zeros((part.time.size - 1, modes))
             stay[k] = density[start : start + k.size]
             move = stay[..., None]
@@ -292,7 +290,7 @@ def posterior_of(
     usable: Sequence[np.ndarray],
     within: bool,
 ) -> Posterior:
-    """The modes that densities of all periods tell, if they stay and if they change, by parts."""
+    """The posterior of modes from log densities of all periods, part by part."""
     modes = jumps.modes
     value, weight, nodes = 0.0, [], []
     counts = Counts(np.zeros((modes, modes)), np.zeros(modes))

@@ -63,7 +63,6 @@ class HiddenLog(PlantLikelihood):
     jumps: Jumps
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenLog:
-        """With modes in another order."""
         return replace(self, S=self.S[order], jumps=self.jumps.ordered(order))
 
     def over(self, low: float, high: float) -> HiddenLog:
@@ -167,7 +166,6 @@ class HiddenNoisyLog(SensorLikelihood):
         return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenNoisyLog:
-        """With modes in another order."""
         errors, jumps = self.layout.ordered(self.errors, order), self.jumps.ordered(order)
         return replace(self, errors=errors, jumps=jumps, _kept={})
 
@@ -242,7 +240,6 @@ class HiddenNoisyLog(SensorLikelihood):
         return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
 
     def value(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> float:
-        """The log likelihood."""
         return float(self.filtered(vector, starts, cells)[1].sum())
 
     def evaluate(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Evaluation:

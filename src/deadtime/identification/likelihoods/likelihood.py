@@ -8,8 +8,8 @@ The covariance that maximises that likelihood is that of the residuals, so
 
     log L(θ) = −½ Σ_i N_i (log det S_i(θ) + n (1 + log 2π)),    S_i = Σ e eᵀ / N_i.
 
-All that it asks of the log of mode i is Σ z zᵀ, z = (x_{k+1}, r_k), of which a square root is kept:
-the triangular factor of the stacked z, block by block, so that no digit is lost to squaring.
+It depends on the log of mode i through Σ z zᵀ alone, z = (x_{k+1}, r_k). Its square root is stored,
+the triangular factor of the stacked z, block by block, because squaring would lose half the digits.
 """
 
 from __future__ import annotations
@@ -47,10 +47,8 @@ from deadtime.identification.scoring import (
     climb,
 )
 
-_APART = 1e-8  # of variances: information to which double precision does not lose another one
-
-
-REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
+_APART = 1e-8  # ratio of variances at which double precision still resolves both informations
+REACH = 3.0  # periods on either side of the delays in a window
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +78,17 @@ class Likelihood(Frozen, ABC):
 
     @abstractmethod
     def stride(self, vector: Vector) -> Vector:
-        """How far each unknown may go at a time that does next to nothing where it is."""
+        """The largest step of each unknown whose information is nearly 0."""
 
     @abstractmethod
     def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
-        """The places of unknowns that an information is of."""
+        """The places of unknowns that an information identifies."""
 
     @abstractmethod
     def evaluate_in(self, low: float, high: float) -> EvaluateIn:
-        """The likelihood for delays between two, seconds; of even rows in cells of theirs.
+        """The likelihood for delays in a range, seconds; for even rows in cells of delays.
 
-        What is usable of a log depends on these, so likelihoods compare between the same ones only.
+        The usable periods depend on the range: likelihoods compare in the same range only.
         """
 
     @cached_property
@@ -99,13 +97,12 @@ class Likelihood(Frozen, ABC):
         return sampling_of(self.recording, self.nodes)
 
     def cells(self, theta: Vector) -> Cells:
-        """The cells that delays lie in."""
         return cells_of(theta[self.layout.at_delays], self.recording.step)
 
 
 @dataclass(frozen=True, eq=False)
 class PlantLikelihood(Likelihood):
-    """A likelihood whose unknowns are those of the plant alone: what noise adds is eliminated."""
+    """A likelihood of the plant's unknowns alone: the covariances of noise are eliminated."""
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
@@ -119,7 +116,7 @@ class PlantLikelihood(Likelihood):
 
 
 def window_of(log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = REACH) -> Window:
-    """Where delays are looked for next: some periods about where they are, within the bounds."""
+    """The range of delays to search next: some periods on either side, within the bounds."""
     h = log.recording.step
     low = max(log.bounds[0], float(delays.min()) - reach * h)
     return low, min(log.bounds[1], float(delays.max()) + reach * h)
@@ -128,7 +125,7 @@ def window_of(log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float
 def climb_within(
     log: Likelihood, evaluate: Evaluate, theta: Vector, cells: np.ndarray, gain: float
 ) -> Maximum:
-    """The maximum that a start leads to with delays in cells, of the likelihood there."""
+    """The maximum near a start with delays in given cells."""
     (low, high), place, h = log.limits, log.layout.at_delays, log.recording.step
     low[place] = np.maximum((cells - 1) * h, log.bounds[0])
     high[place] = np.minimum(cells * h, log.bounds[1])
@@ -143,10 +140,11 @@ def maximise(
     gain: float | None = None,
     steps: int = STEPS,
 ) -> tuple[Maximum, Window]:
-    """The maximum that a start leads to, and the window of delays that it was sought in.
+    """The maximum near a start, and the window of delays that was searched.
 
-    What is usable of a log depends on the window, so likelihoods compare in the same one only.
-    `gain` is the rise of log likelihood that is worth a step; by default the likelihood's own.
+    Without `window` the search moves its own until the maximum lies inside. The usable periods
+    depend on the window: likelihoods compare in the same one only. `gain` is the rise of log
+    likelihood that ends the climb; by default the likelihood's own.
     """
     place, still = log.layout.at_delays, np.zeros(theta.size, bool) if fixed is None else fixed
     gain = log.gain if gain is None else gain
@@ -162,7 +160,7 @@ def maximise(
 
 
 def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Squares]:
-    """The log likelihood of all modes, and the covariances S_i that it is largest with."""
+    """The log likelihood of all modes, and the covariances S_i that maximise it."""
     value, score, information, covariances = 0.0, np.zeros(size), np.zeros((size, size)), []
     for term in terms:
         count, P, n = term.periods, term.P, len(term.P)
@@ -192,12 +190,12 @@ def add_score(
 
 
 def floored(S: Square, Phi: Square, y: np.ndarray, total: float) -> Square:
-    """The covariance S of residuals of y, of weight `total`, never singular: of no noise, too.
+    """The covariance S of residuals of y, of weight `total`, made regular.
 
-    A state without noise beside noisy ones, or noises that are multiples of each other, would tell
-    some combinations of unknowns so well that beside them others are lost to round-off. So each
-    state has 1e-4 of the deviation of its noise by itself, and of what Φ − I makes of the others',
-    once and again, as noise that acts on dx/dt spreads from state to state.
+    A state without noise beside noisy ones, or noises that are multiples of each other, would
+    determine some combinations of unknowns so well that others are lost to round-off. So 1e-4 of
+    the deviation of each state's noise is added as independent noise, spread from state to state by
+    powers of Φ − I, as noise in dx/dt spreads.
     """
     M = Phi - np.eye(len(S))
     M /= max(1.0, float(np.abs(np.linalg.eigvals(M)).max()))
@@ -228,15 +226,15 @@ def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"
 class ExactLog(PlantLikelihood):
     """The likelihood of a recording whose states are measured without noise: regressions.
 
-    usable : the periods of every part; by default those that are usable in a window
-    weight : how likely each of them is in a mode; by default modes are those that were logged
+    usable : the periods of every part; by default those usable in a window
+    weight : the probability of each mode in them; by default modes are as logged
     """
 
     usable: tuple[Int[np.ndarray, " period"], ...] | None = field(default=None, repr=False)
     weight: Float[np.ndarray, "every mode"] | None = field(default=None, repr=False)
 
     def terms_in(self, low: float, high: float) -> TermsIn:
-        """The regressions for delays between two, seconds, in cells of theirs."""
+        """The regressions for delays in a range, seconds, in cells of delays."""
         parts, k = self.recording.parts, self.usable
         if k is None:
             k = [self.sampling.usable(part, self.within, low, high) for part in parts]

@@ -3,8 +3,7 @@
     dx = (A x + Σ b_j u_j(t − D_j)) dt + dβ,    E dβ dβᵀ = W dt,
     y_k = C x_k + v_k,    v ~ N(0, V)
 
-W is one for all modes, V diagonal. With the error e of every measurement about what those before it
-foretell, and the variance s of that,
+W is one for all modes, V diagonal. With the innovation e of every measurement and its variance s,
 
     log L = −½ Σ (log 2π s + e²/s),
     score = Σ (∂s (e²/s − 1)/2 − e ∂e)/s,    F = Σ (∂s²/2s² + ∂e²/s).
@@ -16,7 +15,7 @@ change of states. It is fixed by `order`, how many states n_j each output y_j ha
 
     x_j,1 = y_j,    dx_j,k/dt = x_j,k+1 + (b u)_j,k,    k < n_j,
 
-so that row k of a chain is known but for B, and its last row of A is free. Any plant has such
+so that row k of a chain is known except for B, and its last row of A is free. Any plant has such
 states in which the rows C_j A^k, k < n_j, are independent (overlapping observability indices:
 van Overbeek and Ljung, Automatica 18(5), 1982). Without `zeros` B acts on the last state of a chain
 alone: then the states are the outputs and their derivatives.
@@ -64,13 +63,13 @@ from deadtime.identification.scoring import Evaluate, Evaluation
 
 @dataclass(frozen=True, eq=False)
 class Embedding(Frozen):
-    """Which states outputs have.
+    """The states of outputs.
 
-    order : how many of each output; zeros : whether inputs act on all of them
-    size : (n,), how large each state is about, for a state of which nothing is known
-    lead : the order by which first measurements are left out, that likelihoods of several orders
-        are of the same ones; its own by default
-    jumps : whether chains are those of the first mode alone
+    order : their number for each output; zeros : whether inputs act on all of them
+    size : (n,), approximate size of each state, for the prior of an unknown state
+    lead : the order that determines how many first measurements are left out, so that likelihoods
+        of several orders use the same ones; by default `order`
+    jumps : whether the states are chains in the first mode alone
     """
 
     order: tuple[int, ...]
@@ -95,7 +94,7 @@ class Embedding(Frozen):
         return np.setdiff1d(np.arange(sum(self.order)), self.last)
 
     def shift(self) -> Square:
-        """A of chains of integrators: what is known of A, and 0 elsewhere."""
+        """A of chains of integrators: the known entries of A, and 0 elsewhere."""
         n = sum(self.order)
         A = np.zeros((n, n))
         A[self.upper, self.upper + 1] = 1.0
@@ -104,7 +103,7 @@ class Embedding(Frozen):
     def known(
         self, layout: Layout
     ) -> tuple[Int[np.ndarray, " known"], Float[np.ndarray, " known"]]:
-        """Which unknowns of a layout with W's triangle are none, and what they are."""
+        """The places and values of known entries, in a layout followed by W's triangle."""
         n, upper = layout.n, self.upper
         chained = 1 if self.jumps else layout.modes
         at_A = layout.of_A[:chained, upper].reshape(-1)
@@ -123,10 +122,10 @@ class Embedding(Frozen):
     def initial(
         self, output: Float[np.ndarray, "sample p"], start: Bool[np.ndarray, " sample"]
     ) -> Bool[np.ndarray, "sample p"]:
-        """The measurements that only tell where the state begins: until output j has n_j of them.
+        """The measurements that determine the first state: until output j has n_j of them.
 
-        They are left out of the likelihood, which is that of all others given these: how vague the
-        state is at a start then does not matter, nor does it depend on the states' coordinates.
+        They are left out of the likelihood, which is conditional on them: it then depends neither
+        on the prior of the first state nor on the coordinates of states.
         """
         measured = np.isfinite(output)
         before = np.cumsum(measured, axis=0) - measured
@@ -136,9 +135,9 @@ class Embedding(Frozen):
         return measured & few
 
 
-_VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
-_UNIDENTIFIED = 1e-4  # of information on the logarithm of a noise: there may be none at all
-_STRIDE = 1.5  # of a noise's logarithm
+_VAGUE = 1e4  # prior variance of an unknown state, in variances of the log
+_UNIDENTIFIED = 1e-4  # information on the logarithm of a noise below which the noise may be 0
+_STRIDE = 1.5  # largest step of the logarithm of a noise
 
 
 Starts = list[np.ndarray]  # of every part, which of its samples nothing leads to
@@ -192,7 +191,7 @@ class SensorLikelihood(Likelihood):
         return read_only(free)
 
     def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
-        # Noise that is next to nothing is not told.
+        # The information on the logarithm of a noise vanishes as the noise does.
         free, identified = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNIDENTIFIED
         return free[(free < self.layout.size) | identified[free]]
 
@@ -209,7 +208,7 @@ class SensorLikelihood(Likelihood):
 
     @cached_property
     def P0(self) -> Square:
-        """Of a state of which nothing is known."""
+        """The prior covariance of an unknown state."""
         if self.embedding is not None:
             return read_only(_VAGUE * np.diag(self.embedding.size**2))
         known = np.vstack([part.output for part in self.recording.parts])
@@ -229,7 +228,6 @@ class SensorLikelihood(Likelihood):
 
     @property
     def size(self) -> int:
-        """How many unknowns there are."""
         return self.layout.size + self.places[0].size + len(self.C)
 
     def join(self, theta: np.ndarray, noise: NoiseLevels) -> Vector:
@@ -273,11 +271,11 @@ class NoisyLog(SensorLikelihood):
     """The likelihood of a recording with measurement noise, its modes known."""
 
     def stride(self, vector: Vector) -> Vector:
-        """The longest steps: the information on noise of next to nothing is none.
+        """The largest steps, which limit noise near 0, whose information vanishes.
 
-        Where W of 0 is likeliest, log L falls as W = L Lᵀ grows: linearly in W, so by a square of
-        L's rows, of which the information, of second order in W, says nothing. A stride of a
-        row's own size is that curvature.
+        Where W = 0 is likeliest, log L falls linearly in W = L Lᵀ, hence with the squares of L's
+        rows. The information is of second order in W and misses this curvature. A stride of a row's
+        own size adds it.
         """
         stride = np.full(self.size, np.inf)
         of_L = slice(self.layout.size, self.size - len(self.C))
@@ -294,7 +292,7 @@ class NoisyLog(SensorLikelihood):
         return [self.embedding.initial(part.output, start) for part, start in given]
 
     def measured(self, starts: Starts) -> int:
-        """How many measurements the likelihood is of."""
+        """The number of measurements in the likelihood."""
         every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
         return every - sum(int(one.sum()) for one in self.initial(starts))
 
@@ -316,7 +314,6 @@ class NoisyLog(SensorLikelihood):
         return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
 
     def value(self, vector: Vector, starts: Starts) -> float:
-        """The log likelihood."""
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
 
     def evaluate(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Evaluation:
@@ -330,11 +327,11 @@ class NoisyLog(SensorLikelihood):
         return Evaluation(found.value if known else -np.inf, score, information)
 
 
-_MOST = 10_000  # samples of a long log whose states are looked at
+_MOST = 10_000  # samples of a long log whose states are computed
 
 
 class Following(NamedTuple):
-    """States of every sample of a part: given all of it, all before, and the first one alone.
+    """States of a part: smoothed, predicted one sample ahead, and simulated from the first one.
 
     NaN where they are not known yet.
     """
@@ -345,7 +342,6 @@ class Following(NamedTuple):
 
 
 def following(log: NoisyLog, vector: Vector, part: Part, window: Window) -> Following:
-    """States of a part by the likeliest plant."""
     own = replace(log, recording=log.recording._replace(parts=(part,)))
     (start,) = starts = own.starts(*window)
     one_ahead, states, periods = own.filter(vector, starts).states(0)

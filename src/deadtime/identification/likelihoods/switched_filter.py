@@ -149,7 +149,6 @@ class SwitchedKalmanFilter(NamedTuple):
         return Evaluation(value, score, F)
 
     def states(self, number: int) -> StatesOfPart:
-        """The states of a part."""
         part, start = self.parts[number], self.starts[number]
         periods = self.periods_of(part, np.arange(start.size), start)
         found = _predicted(part.output, start, periods, self.sensors)

@@ -1,9 +1,9 @@
 """States of a log, how its modes switch, and inputs before it where it begins at rest.
 
-A step test is often logged from a little before its step on, and the delays looked for may be
-longer than that. Where inputs keep their first value for a while, and states keep theirs, the plant
-was at rest, and inputs were what they are. What a log says against that is looked for in what is
-left of the rows that it is assumed of.
+The log of a step test often begins shortly before the step, and the delays searched may be longer
+than that. Where inputs and states keep their first values for a while, the plant was at rest, and
+earlier inputs are assumed equal to the first ones. The assumption is tested on the residuals of the
+rows that depend on it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from deadtime.identification.log.recording import Part, Recording
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.models.semi_markov import SemiMarkov
 
-_SAME = 1e-13  # of the least eigenvalue of the correlation of states
-_SIZES = 1e-70, 1e70  # of what is measured, and of inputs
+_SAME = 1e-13  # smallest eigenvalue of the correlation of states that are independent
+_SIZES = 1e-70, 1e70  # of measurements and inputs: squares of ratios stay within doubles
 
 
 def sensors_of(C: ArrayLike | None, recording: Recording) -> Float[np.ndarray, "p n"]:
-    """C, the identity where states are logged."""
+    """C, checked; the identity where the states themselves are logged."""
     count = len(recording.outputs)
     if C is None:
         return np.eye(count)
@@ -54,7 +54,7 @@ def as_states(recording: Recording, C: Float[np.ndarray, "p n"]) -> Recording:
 
 
 def require_sizes(recording: Recording) -> None:
-    """Refuse columns whose squares, and those of their ratios, leave the range of floats."""
+    """Refuse columns whose squares, or the squares of whose ratios, overflow."""
     least, most = _SIZES
     for at, names in ((1, recording.outputs), (2, recording.inputs)):
         every = np.abs(np.vstack([part[at] for part in recording.parts]))
@@ -67,7 +67,7 @@ def require_sizes(recording: Recording) -> None:
 
 
 def require_states(recording: Recording, names: Sequence[str]) -> None:
-    """Refuse states that never move, or that others say already."""
+    """Refuse states that never move or are linear combinations of others."""
     every = np.vstack([part.output for part in recording.parts])
     every = every[np.isfinite(every).all(axis=1)]
     spread = every.std(axis=0) if len(every) else np.zeros(len(names))
@@ -88,9 +88,9 @@ def require_states(recording: Recording, names: Sequence[str]) -> None:
 
 
 def signals_of(recording: Recording) -> list[SwitchingSignal]:
-    """The logged modes of every log as a signal from its first row on.
+    """The logged modes of every log as a signal that begins at its first row.
 
-    A mode that begins in the last row, before rows that were lost, lasts that row's period.
+    A mode that begins in the last row lasts one period.
     """
     signals = []
     for part in recording.parts:
@@ -102,7 +102,7 @@ def signals_of(recording: Recording) -> list[SwitchingSignal]:
 
 
 def fit_switching(recording: Recording) -> tuple[SemiMarkov | None, str]:
-    """The model of how the mode switches, and why there is none where there is none."""
+    """The switching model, or None and the reason."""
     if len(recording.modes) < 2:
         return None, ""
     try:
@@ -112,25 +112,28 @@ def fit_switching(recording: Recording) -> tuple[SemiMarkov | None, str]:
         return None, f"There is no switching model: {error}"
 
 
-CHANCE = 1e-3  # that the rows that answer to inputs before the log look otherwise by chance
-_STILL = 0.05  # of what a state moves by in all of a log
-_FEW = 10  # stays of inputs between changes: fewer are a test by steps, which may begin at once
-_LONGER = 3.0  # times what inputs stay otherwise: so long is a rest
-_NOISE = 3.0  # deviations of what hardly moves
-_AT_LEAST = 3  # rows that states are still in, where there are as many
+CHANCE = 1e-3  # significance level of the test of the rows that inputs before the log affect
+_STILL = 0.05  # of a state's range: a state that moves less is at rest
+_FEW = 10  # constant stretches of inputs: a step test has fewer, and may begin with a step
+_LONGER = 3.0  # times the median constant stretch: a rest is at least so long
+_NOISE = 3.0  # standard deviations by which the mean of a state at rest may move
+_AT_LEAST = 3  # rows in which states must be at rest
 
 
 def resting(recording: Recording, rest: bool | None) -> Recording:
-    """The recording, of which each part tells whether it rests before its first row."""
+    """The recording with `Part.rests` set: to `rest`, or found from the first rows if None.
+
+    After a gap a part never rests: the inputs of the lost rows are unknown.
+    """
     parts = tuple(
-        part._replace(rests=not part.torn and (_rests(part) if rest is None else rest))
+        part._replace(rests=not part.after_gap and (_rests(part) if rest is None else rest))
         for part in recording.parts
     )
     return recording._replace(parts=parts)
 
 
 def _rests(part: Part) -> bool:
-    """Whether inputs stay for a while at first, in which states are still."""
+    """Whether inputs are constant for a while at first, with states at rest."""
     if not np.isfinite(part.input[0]).all() or len(part.input) < _AT_LEAST:
         return False
     rows, known = rest_rows(part.input), part.input[np.isfinite(part.input).all(axis=1)]
@@ -143,10 +146,11 @@ def _rests(part: Part) -> bool:
 
 
 def _still(x: Float[np.ndarray, " row"], every: Float[np.ndarray, " sample"]) -> bool:
-    """Whether a state keeps its value in some rows but for noise: by its halves' medians."""
+    """Whether a state is constant in some rows up to noise: by the means of their two halves."""
     x, every = x[np.isfinite(x)], every[np.isfinite(every)]
     if x.size < 2:
         return False
+    # Second differences of white noise have 6 times its variance; 0.6745 deviations is the median.
     noise = np.median(np.abs(np.diff(every, 2))) / (0.6745 * np.sqrt(6.0))
     half = max(1, x.size // 2)
     moved = abs(float(np.mean(x[-half:]) - np.mean(x[:half])))
@@ -156,7 +160,7 @@ def _still(x: Float[np.ndarray, " row"], every: Float[np.ndarray, " sample"]) ->
 def disproved(
     recording: Recording, white: tuple[Float[np.ndarray, "sample p"], ...], longest: float
 ) -> bool:
-    """Whether rows that answer to inputs before the log are further off than noise makes them.
+    """Whether residuals of rows that inputs before the log affect are too large (F test).
 
     white : residuals over their deviations, NaN where there are none; longest : delay, seconds
     """
@@ -175,7 +179,7 @@ def disproved(
     return ratio > float(f.isf(CHANCE, own.size, others.size))
 
 
-def rest_rows(entered: Float[np.ndarray, "sample m"]) -> int:
-    """The first rows, in which no input has moved yet."""
-    moved = np.flatnonzero((entered != entered[0]).any(axis=1))
-    return int(moved[0]) if moved.size else len(entered)
+def rest_rows(u: Float[np.ndarray, "sample m"]) -> int:
+    """The number of first rows in which no input has moved yet."""
+    moved = np.flatnonzero((u != u[0]).any(axis=1))
+    return int(moved[0]) if moved.size else len(u)

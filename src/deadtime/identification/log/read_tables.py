@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class LogTable(NamedTuple):
-    """A table, what messages call it, and how they name its rows: the first one's number."""
+    """A table with its name in messages, the word for its rows, and the number of the first."""
 
     frame: pd.DataFrame
     name: str
@@ -32,7 +32,6 @@ class LogTable(NamedTuple):
 
 
 def table_of(log: Any, number: int) -> LogTable:
-    """A log as a pandas table."""
     import pandas as pd
 
     if isinstance(log, pd.DataFrame):
@@ -49,11 +48,21 @@ def table_of(log: Any, number: int) -> LogTable:
 
 
 def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
-    """A CSV file with one header line, or its first rows; no column is taken for an index."""
+    """A CSV file with one header line, or its first rows; no column is an index."""
     import pandas as pd
 
     try:
-        _require_commas(source)
+        with source.open(encoding="utf-8") as lines:
+            header = lines.readline(100_000)
+        # Countries with decimal commas separate columns by other characters.
+        for sign, name in ((";", "semicolons"), ("\t", "tabs")):
+            if sign in header and "," not in header:
+                raise ArgumentError(
+                    f"{source} has {name} between its columns: save it with commas there and "
+                    "points in numbers, or give the table that "
+                    f"pandas.read_csv(…, sep={sign!r}) makes of it, "
+                    'with decimal="," where its numbers have commas.'
+                )
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             return pd.read_csv(
@@ -75,26 +84,13 @@ def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
         raise ArgumentError(f"{source} is no CSV table with one header line: {text}.") from None
 
 
-def _require_commas(source: Path) -> None:
-    """Refuse a header that other signs than commas divide, as in countries of decimal commas."""
-    with source.open(encoding="utf-8") as lines:
-        header = lines.readline(100_000)
-    for sign, name in ((";", "semicolons"), ("\t", "tabs")):
-        if sign in header and "," not in header:
-            raise ArgumentError(
-                f"{source} has {name} between its columns: save it with commas there and points "
-                f"in numbers, or give the table that pandas.read_csv(…, sep={sign!r}) makes of it, "
-                'with decimal="," where its numbers have commas.'
-            )
-
-
 def chosen_columns(
     table: LogTable, letter: str, given: Sequence[str] | None, argument: str
 ) -> tuple[str, ...]:
-    """The columns of states or inputs."""
-    found = list(table.frame.columns)
+    """The columns of states or inputs, by default those named by a letter and a number."""
+    columns = list(table.frame.columns)
     if given is None:
-        chosen = columns_of(found, letter)
+        chosen = columns_of(columns, letter)
     elif isinstance(given, str):
         raise ArgumentError(
             f"{argument} must be a list of columns, such as {given.split(',')}, got the text "
@@ -104,14 +100,14 @@ def chosen_columns(
         chosen = [str(name) for name in given]
     if not chosen:
         raise ArgumentError(
-            f"{table.name} must have columns {letter}1, {letter}2, …, got {brief(found)}: name "
+            f"{table.name} must have columns {letter}1, {letter}2, …, got {brief(columns)}: name "
             f"them so, or say which they are by {argument}=[…], --{argument}."
         )
     return tuple(chosen)
 
 
 def columns_of(columns: Sequence[str], letter: str) -> list[str]:
-    """Those that a letter and a number name, by their numbers.
+    """The columns named by a letter and a number, sorted by number.
 
     Examples
     --------
@@ -124,7 +120,7 @@ def columns_of(columns: Sequence[str], letter: str) -> list[str]:
 
 
 def numeric_column(table: LogTable, column: str) -> Float[np.ndarray, " sample"]:
-    """A column as numbers, NaN where it has none."""
+    """A column as numbers, NaN for an empty cell."""
     import pandas as pd
 
     if column not in table.frame.columns:
@@ -133,7 +129,7 @@ def numeric_column(table: LogTable, column: str) -> Float[np.ndarray, " sample"]
             f"{brief(list(table.frame.columns))}: name columns as the log does."
         )
     raw = table.frame[column]
-    dates = raw.dtype.kind in "mM"  # which pandas would take for nanoseconds since 1970
+    dates = raw.dtype.kind in "mM"  # pandas would convert dates to nanoseconds since 1970
     values = raw.map(lambda _: None) if dates else pd.to_numeric(raw, errors="coerce")
     result = np.array(values, dtype=np.float64)
     bad = np.flatnonzero((np.isnan(result) & raw.notna().to_numpy()) | np.isinf(result))
@@ -152,7 +148,7 @@ def numeric_column(table: LogTable, column: str) -> Float[np.ndarray, " sample"]
 
 
 def mode_column(tables: list[LogTable], modes: str | None) -> str | None:
-    """The column of the mode, which all tables have."""
+    """The column of the mode, required in all tables."""
     if modes is None:
         return None
     for table in tables:
@@ -167,10 +163,10 @@ def mode_column(tables: list[LogTable], modes: str | None) -> str | None:
 
 
 def labels_of(tables: list[LogTable], column: str | None) -> dict[str, int]:
-    """The number of every mode, by what the logs call it."""
+    """The number of every mode by its label in the logs."""
     if column is None:
         return {"mode 0": 0}
-    seen: set[str] = set()
+    labels: set[str] = set()
     for table in tables:
         missing = np.flatnonzero(table.frame[column].isna())
         if missing.size:
@@ -178,10 +174,10 @@ def labels_of(tables: list[LogTable], column: str | None) -> dict[str, int]:
                 f"{table.place(int(missing[0]))}: {column} must be there in every row, got none: "
                 "fill it with the mode that was active."
             )
-        seen |= {label(value) for value in table.frame[column].unique()}
-    if not all(name.isdecimal() for name in seen):
-        return {name: i for i, name in enumerate(sorted(seen))}
-    numbers = sorted(map(int, seen))
+        labels |= {label(value) for value in table.frame[column].unique()}
+    if not all(name.isdecimal() for name in labels):
+        return {name: i for i, name in enumerate(sorted(labels))}
+    numbers = sorted(map(int, labels))
     if numbers[-1] - numbers[0] >= len(numbers):
         absent = next(i for i in range(numbers[0], numbers[-1]) if i not in numbers)
         raise ArgumentError(
@@ -194,7 +190,7 @@ def labels_of(tables: list[LogTable], column: str | None) -> dict[str, int]:
 def absent_modes(
     tables: list[LogTable], column: str | None, labels: dict[str, int]
 ) -> tuple[str, ...]:
-    """Modes that are categories of a column and not visited."""
+    """Modes that a categorical column declares and never visits."""
     import pandas as pd
 
     kinds = [table.frame[column].dtype for table in tables if column is not None]
@@ -204,9 +200,8 @@ def absent_modes(
 
 
 def label(value: Any) -> str:
-    """The name of a mode: whole numbers are the same however they are written."""
-    if isinstance(value, float | np.floating) and float(value).is_integer():
-        return str(int(value))
-    if isinstance(value, bool | np.bool_):
+    """The name of a mode; 1, 1.0 and True are the same mode."""
+    whole = isinstance(value, float | np.floating) and float(value).is_integer()
+    if whole or isinstance(value, bool | np.bool_):
         return str(int(value))
     return str(value).strip()

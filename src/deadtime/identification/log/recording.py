@@ -1,4 +1,4 @@
-"""Logs as they come, CSV files or tables, as arrays; what cannot be one is refused by its line."""
+"""Logs from CSV files or tables as arrays; errors name the line of the file."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ from deadtime.identification.log.read_tables import (
 )
 from deadtime.switching.log import TIMES
 
-_STRETCHES = 10  # of a long log, that stand for all of it
-ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
+# Stretches of a long log that represent all of it.
+_STRETCHES = 10
+# Of a period: times rounded by a clock to this accuracy are still on the grid.
+ROUNDED = 0.01
 _NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")
 
 
 class Part(NamedTuple):
-    """One log: samples at rising times; a measurement that is missing is NaN.
+    """One log: samples at rising times; a missing measurement is NaN.
 
-    rests : whether inputs before its first row were that row's
-    torn : whether it goes on after rows that were lost
+    rests : whether inputs before the first row equal those of the first row
+    after_gap : whether lost rows precede the first row
     """
 
     time: Float[np.ndarray, " sample"]
@@ -40,24 +42,25 @@ class Part(NamedTuple):
     input: Float[np.ndarray, "sample m"]
     mode: Int[np.ndarray, " sample"]
     rests: bool = False
-    torn: bool = False
+    after_gap: bool = False
 
     def rows(self, own: Int[np.ndarray, " row"] | slice) -> Part:
-        """Some of the rows, one after the other; what was before them is known no more."""
+        """Some consecutive rows; inputs before them are unknown unless the first row is kept."""
         first = self.time[own][:1] == self.time[:1]
         columns = (column[own] for column in self[:4])
         return Part(*columns, rests=self.rests and bool(first.all()))
 
     def on_a_grid(self, step: float) -> Part:
-        """The part as if it were sampled evenly: states between samples on lines."""
+        """The part resampled on an even grid, states by linear interpolation."""
         time = self.time[0] + step * np.arange(int((self.time[-1] - self.time[0]) / step) + 1)
+        # The factor keeps a grid time that round-off puts just below its sample at that sample.
         before = np.searchsorted(self.time, time * (1.0 + 1e-15), side="right") - 1
         output = np.column_stack([np.interp(time, self.time, one) for one in self.output.T])
         return Part(time, output, self.input[before], self.mode[before], self.rests)
 
 
 class Level(NamedTuple):
-    """Values that are subtracted from outputs (p,) and inputs (m,)."""
+    """Values subtracted from outputs (p,) and inputs (m,)."""
 
     output: Float[np.ndarray, " p"]
     input: Float[np.ndarray, " m"]
@@ -66,13 +69,13 @@ class Level(NamedTuple):
 class Recording(NamedTuple):
     """All logs of one plant.
 
-    step : the sampling period, the median of all, seconds
-    even : whether all samples lie on one grid, but for rounded times
-    outputs, inputs, modes : their names
-    logged : whether the mode was, or there is only one
-    absent : modes that a table declares, as categories, and never visits
-    level : what was subtracted from all columns; None: nothing, and plants rest at 0
-    constants : inputs that never move, which are left out, and their values
+    step : the median sampling period, seconds
+    even : whether all samples lie on one grid up to rounding of times
+    outputs, inputs, modes : names
+    logged : whether the mode was logged
+    absent : modes declared as categories of a table and never visited
+    level : the values subtracted from all columns; None: nothing, and plants rest at 0
+    constants : names and values of inputs that never move and are left out
     """
 
     parts: tuple[Part, ...]
@@ -95,7 +98,7 @@ class Recording(NamedTuple):
         return self._replace(parts=moved, level=level)
 
     def absolute(self) -> Recording:
-        """The recording as it was logged."""
+        """The recording without its level subtracted."""
         if self.level is None:
             return self
         back = self.about(Level(-self.level.output, -self.level.input))
@@ -103,13 +106,12 @@ class Recording(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """How many there are in all logs."""
         return sum(part.time.size for part in self.parts)
 
     def stretches(self, most: int, lag: int) -> Recording:
-        """The recording, or of a longer one stretches from all over it, of about `most` samples.
+        """The recording, or of a longer one evenly spread stretches with about `most` samples.
 
-        Each has `lag` samples more, in which not all that acts is known.
+        Each has `lag` samples more: the inputs that act in its first ones lie before the stretch.
         """
         if self.samples <= 2 * most:
             return self
@@ -121,14 +123,14 @@ class Recording(NamedTuple):
         return self._replace(parts=tuple(parts))
 
     def gridded(self) -> Recording:
-        """The recording as if it were sampled evenly, states between samples on lines."""
+        """The recording resampled on an even grid, states by linear interpolation."""
         if self.even:
             return self
         parts = tuple(part.on_a_grid(self.step) for part in self.parts)
         return self._replace(parts=parts, even=True)
 
     def lag(self, delay: float) -> int:
-        """How many samples ago an input was given, at most, that acts so many seconds late."""
+        """The age in samples of the oldest input that acts with a delay in seconds."""
         return int(np.ceil(delay / self.step)) + 1
 
 
@@ -155,19 +157,19 @@ def read_recording(
     modes : str or None
         The column of the mode; None: one mode.
     states, inputs : sequence of str, optional
-        Their columns; by default those that begin with `letter`, and with u, and go on with a
-        number or not at all. A name may follow a colon: "x1: position (m)" is so called.
+        Their columns; by default those that begin with `letter` or u, alone or with a number. A
+        name may follow a colon, as in "x1: position (m)".
     letter : str
         "x", or "y" for outputs.
     check : callable, optional
-        Called with the logs, the columns of outputs and of inputs, what logs are called, and what
-        names a row of one of them, before they are put together.
+        Called with the logs, the columns of outputs and of inputs, the names of logs, and a
+        function that names a row of a log.
 
     Raises
     ------
     ArgumentError
-        If a column is missing, an entry is no number, times do not rise, a mode is not visited or
-        an input never moves. The message names the line.
+        If a column is missing, an entry is not a number, times do not rise, a mode is not visited
+        or no input moves. The message names the line.
     """
     given = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not given:
@@ -190,17 +192,25 @@ def read_recording(
         called = [table.name for table in tables]
         check(parts, (names, acting), called, lambda i, k: tables[i].place(k))
     parts = _split_at_gaps(parts)
-    step, even = _period(parts)
-    called, moved = map(_names_of, (names, acting))
-    absent = absent_modes(tables, column, labels)
-    logged = column is not None
+    # The name of a column "x1: position (m)" is the text after the colon.
+    called, moved = (
+        tuple(match[2] if (match := _NAMED.fullmatch(one)) else one for one in columns)
+        for columns in (names, acting)
+    )
     return Recording(
-        parts, step, even, called, moved, tuple(labels), logged, absent, constants=constants
+        parts,
+        *_period(parts),
+        called,
+        moved,
+        tuple(labels),
+        logged=column is not None,
+        absent=absent_modes(tables, column, labels),
+        constants=constants,
     )
 
 
 def _require_one_role(roles: dict[str, tuple[str, ...]]) -> None:
-    """Refuse a column that is two things at once, such as a state and its own input."""
+    """Refuse a column with two roles, such as a state that is also an input."""
     taken: dict[str, str] = dict.fromkeys(TIMES, "time")
     for role, columns in roles.items():
         for column in columns:
@@ -214,11 +224,6 @@ def _require_one_role(roles: dict[str, tuple[str, ...]]) -> None:
                     f"{both} must be different columns, got {column!r} twice: say which are "
                     f"which by {options}."
                 )
-
-
-def _names_of(columns: Sequence[str]) -> tuple[str, ...]:
-    """Names of columns: what stands behind the colon, or all of it."""
-    return tuple(match[2] if (match := _NAMED.fullmatch(one)) else one for one in columns)
 
 
 def _part(
@@ -247,19 +252,19 @@ def _part(
             "instant."
         )
     output = np.column_stack([numeric_column(table, name) for name in names])
-    entered = np.column_stack([numeric_column(table, name) for name in inputs])
+    u = np.column_stack([numeric_column(table, name) for name in inputs])
     mode = np.zeros(time.size, np.int64)
     if column is not None:
         codes, values = table.frame[column].factorize()
         mode = np.array([labels[label(value)] for value in values])[codes]
-    time, output, entered, mode = map(read_only, (time, output, entered, mode))
-    return Part(time, output, entered, mode)
+    time, output, u, mode = map(read_only, (time, output, u, mode))
+    return Part(time, output, u, mode)
 
 
 def _moving(
     parts: tuple[Part, ...], inputs: tuple[str, ...]
 ) -> tuple[tuple[Part, ...], tuple[str, ...], tuple[tuple[str, float], ...]]:
-    """Logs with the inputs that change somewhere, their names, and the others with their values."""
+    """Logs with the inputs that change, their names, and the constant inputs with their values."""
     every = np.vstack([part.input for part in parts])
     known = [column[np.isfinite(column)] for column in every.T]
     moves = [values.size > 0 and np.ptp(values) > 0.0 for values in known]
@@ -289,7 +294,7 @@ def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:
     whole = sum(part.time.size - 1 for part in parts)
     mean = sum(float(part.time[-1] - part.time[0]) for part in parts) / whole
     if abs(mean - step) < ROUNDED * step:
-        step = float(f"{mean:.10g}")  # a clock that rounds is right on average
+        step = float(f"{mean:.10g}")  # a rounding clock is right on average
     grid = [part.time - part.time[0] - step * np.arange(part.time.size) for part in parts]
     off = max(float(np.abs(np.diff(part.time) - step).max()) for part in parts)
     drift = max(float(np.abs(one).max()) for one in grid)
@@ -297,13 +302,13 @@ def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:
 
 
 def _split_at_gaps(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """Logs divided where rows of an even one are lost: what inputs did there is not known."""
+    """Logs divided where rows of an even one are lost: inputs are not known there."""
     step = float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
     pieces = []
     for part in parts:
         ends = np.flatnonzero(np.diff(part.time) > 1.5 * step) + 1
         rows = np.split(np.arange(part.time.size), ends)
-        pieces += [part.rows(own)._replace(torn=bool(own[0])) for own in rows if own.size > 1]
+        pieces += [part.rows(own)._replace(after_gap=bool(own[0])) for own in rows if own.size > 1]
     if len(pieces) == len(parts) or not pieces or not _period(tuple(pieces))[1]:
         return parts
     return tuple(pieces)

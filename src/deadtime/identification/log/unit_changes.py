@@ -1,10 +1,10 @@
-"""Units that change from log to log, or within one: a column counted in thousandths.
+"""Units that change from log to log or within one, such as seconds and milliseconds.
 
-What a plant does in a period is linear in what acts, so that a regression of one stretch foretells
-another one if both count in the same units. A column whose size differs by a factor of about 1,000
-between stretches is looked at: if the one foretells the other only once the column is divided (or
-multiplied) by 1,000, it is refused by name. Stretches of different size in the same units foretell
-each other as they are; noise foretells nothing either way.
+A period of the plant is linear in its state and inputs, so a regression fitted to one stretch
+predicts another one if both have the same units. A column whose size differs by a factor of about
+1,000 between stretches is tested: if one stretch predicts the other only after the column is
+divided or multiplied by 1,000, the column is refused by name. Stretches of different size in the
+same units predict each other unconverted; noise predicts nothing either way.
 """
 
 from __future__ import annotations
@@ -19,22 +19,24 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.recording import Part, Recording
 
 _THOUSAND = 1000.0
-_LIKELY = 0.7  # of a thousand, in decades to either side: sizes of stretches differ, too
-_SAME = 0.01  # of a ratio of sampling periods, that clocks may be off by
-_CLOCKS = ((1e3, "milliseconds", "1,000"), (1e6, "microseconds", "1,000,000"))
-_CLOCKS = (*_CLOCKS, (1e9, "nanoseconds", "1,000,000,000"))
-_SLOW = 5.0  # longest delays that a period may last: a plant is often sampled so slowly
-_EXPLAINED = 0.5  # of what a stretch moves by, that a model of its units leaves at most
-_WORSE = 3.0  # times so much is left in the units as they are
+_LIKELY = 0.7  # decades by which a ratio may differ from 1,000: stretches differ in size, too
+_SAME = 0.01  # relative error of a ratio of sampling periods
+_CLOCKS = (
+    (1e3, "milliseconds", "1,000"),
+    (1e6, "microseconds", "1,000,000"),
+    (1e9, "nanoseconds", "1,000,000,000"),
+)
+_SLOW = 5.0  # a period may last so many of the longest delays: plants are often sampled so slowly
+_EXPLAINED = 0.5  # share of a stretch's variance that a model in the right units leaves at most
+_WORSE = 3.0  # times so much variance is left in wrong units
 _MOST_LAGS = 60  # of inputs, in a regression
-LEAST = 20  # rows of a stretch
+_LEAST = 20  # rows of a stretch
 
 
 def require_seconds(recording: Recording, longest: float) -> None:
-    """Refuse a clock that seems to count something else than seconds.
+    """Refuse times that seem to be in milliseconds or smaller units.
 
-    Rows that are a few times as far apart as the longest delay are in order: of milliseconds they
-    would be a thousandth of that.
+    A period of a few longest delays is accepted: in milliseconds it would be far longer.
     """
     step = recording.step
     if step <= _SLOW * longest:
@@ -55,10 +57,10 @@ def require_same_units(
     places: Sequence[str],
     row_of: Callable[[int, int], str],
 ) -> None:
-    """Refuse logs of which a column, or the clock, is counted in thousandths somewhere.
+    """Refuse logs in which the unit of a column or of time changes.
 
-    columns : names of outputs and inputs; longest : the longest delay, seconds; places : what logs
-    are called; row_of : what row k of log i is called
+    columns : names of outputs and inputs; longest : the longest delay, seconds; places : names of
+    logs; row_of : the name of row k of log i
     """
     best = max(range(len(parts)), key=lambda i: parts[i].time.size)
     steps = [float(np.median(np.diff(part.time))) for part in parts]
@@ -66,19 +68,19 @@ def require_same_units(
     for i, one in enumerate(whole):
         if i == best:
             continue
-        lags = lags_between(whole[best], one, longest / min(steps))
+        lags = _lags_between(whole[best], one, longest / min(steps))
         ratio = steps[i] / steps[best]
-        clock = _clock(max(ratio, 1.0 / ratio))
-        if clock is not None and foretells(whole[best], one, lags):
+        near = [c for c in _CLOCKS if abs(max(ratio, 1.0 / ratio) / c[0] - 1.0) < _SAME]
+        if near and _left(whole[best], one, lags).min() < _EXPLAINED:
             slow, fast = (i, best) if ratio > 1.0 else (best, i)
-            unit, text = clock
+            _, unit, text = near[0]
             raise ArgumentError(
                 f"{places[slow]} has a row every {steps[slow]:g} s, {places[fast]} one every "
                 f"{steps[fast]:g} s, and row by row the plant does the same in both: if t counts "
                 f"{unit} in {places[slow]}, divide it by {text}."
             )
         for name, scaled in _scaled(whole[best], one, columns):
-            if only_scaled(whole[best], one, scaled, lags):
+            if _only_scaled(whole[best], one, scaled, lags):
                 there, elsewhere = f"in {places[i]}", f"in {places[best]}"
                 raise ArgumentError(_message(name, there, elsewhere, scaled))
     for i, part in enumerate(parts):
@@ -86,7 +88,7 @@ def require_same_units(
             two = RowStretch(part, 0, at), RowStretch(part, at, part.time.size)
             known, other = two if at > part.time.size // 2 else two[::-1]
             own = scaled if other is two[1] else scaled._replace(factor=1.0 / scaled.factor)
-            if only_scaled(known, other, own, lags_between(*two, longest / steps[i])):
+            if _only_scaled(known, other, own, _lags_between(*two, longest / steps[i])):
                 there = f"from {row_of(i, at)}, on"
                 raise ArgumentError(_message(name, there, "before", scaled))
 
@@ -100,14 +102,8 @@ def _message(name: str, where: str, other: str, scaled: Scaled) -> str:
     )
 
 
-def _clock(ratio: float) -> tuple[str, str] | None:
-    """The unit of a clock that is so much faster than one of seconds, and what to divide it by."""
-    near = [(unit, text) for size, unit, text in _CLOCKS if abs(ratio / size - 1.0) < _SAME]
-    return near[0] if near else None
-
-
 def _sizes(part: Part, output: bool, place: int) -> Float[np.ndarray, " row"]:
-    """Logarithms of how far an output moves, row by row, or of how large an input is."""
+    """Logarithms of the changes of an output from row to row, or of the size of an input."""
     value = np.diff(part.output[:, place]) if output else part.input[:-1, place]
     size = np.abs(value)
     known = size[np.isfinite(size) & (size > 0.0)]
@@ -123,7 +119,7 @@ def _each(columns: tuple[Sequence[str], Sequence[str]]) -> list[tuple[str, bool,
 
 
 def _conversion(output: bool, place: int, difference: float) -> Scaled | None:
-    """A conversion that explains a difference of mean logarithms, if it is near enough to 1,000."""
+    """The conversion for a difference of mean logarithms, if it is near log 1,000."""
     if not abs(abs(difference) - np.log(_THOUSAND)) < _LIKELY * np.log(10.0):
         return None
     return Scaled(output, place, 1.0 / _THOUSAND if difference > 0.0 else _THOUSAND)
@@ -132,7 +128,7 @@ def _conversion(output: bool, place: int, difference: float) -> Scaled | None:
 def _scaled(
     known: RowStretch, other: RowStretch, columns: tuple[Sequence[str], Sequence[str]]
 ) -> list[tuple[str, Scaled]]:
-    """Columns of another log that are about 1,000 times as large or as small."""
+    """Columns that are about 1,000 times larger or smaller in another log."""
     found = []
     for name, output, place in _each(columns):
         sizes = [_sizes(one.part, output, place) for one in (other, known)]
@@ -146,17 +142,20 @@ def _scaled(
 def _changes(
     part: Part, columns: tuple[Sequence[str], Sequence[str]]
 ) -> list[tuple[str, int, Scaled]]:
-    """Columns that become about 1,000 times as large or as small, and the row where they do."""
+    """Columns that become about 1,000 times larger or smaller, and the row of the change.
+
+    The row maximises the variance between the rows before and after it.
+    """
     found = []
     for name, output, place in _each(columns):
         size = _sizes(part, output, place)
         known = np.isfinite(size)
-        if known.sum() < 2 * LEAST:
+        if known.sum() < 2 * _LEAST:
             continue
         total = np.cumsum(np.where(known, size, 0.0))[:-1]
         count = np.cumsum(known)[:-1].astype(float)
         rest, left = total[-1] + np.nan_to_num(size[-1]) - total, known.sum() - count
-        enough = (count >= LEAST) & (left >= LEAST)
+        enough = (count >= _LEAST) & (left >= _LEAST)
         if not enough.any():
             continue
         with np.errstate(all="ignore"):
@@ -165,14 +164,14 @@ def _changes(
         at = int(gain.argmax())
         scaled = _conversion(output, place, float(apart[at]))
         if scaled is not None:
-            # The leap into larger units is the first large move, but leads to the first row.
-            leap = output and scaled.factor < 1.0
-            found.append((name, at + 1 + leap, scaled))
+            # An output's jump into larger units is itself a large change, in the row before.
+            jump = output and scaled.factor < 1.0
+            found.append((name, at + 1 + jump, scaled))
     return found
 
 
 class RowStretch(NamedTuple):
-    """Rows of a log, from `first` to before `last`, of which columns have the same units."""
+    """Rows `first` to `last` − 1 of a log, in the same units."""
 
     part: Part
     first: int
@@ -180,38 +179,33 @@ class RowStretch(NamedTuple):
 
 
 class Scaled(NamedTuple):
-    """A column, an output's or an input's, and what converts it."""
+    """Column `place` of outputs or inputs with a conversion factor."""
 
     output: bool
     place: int
     factor: float
 
 
-def lags_between(known: RowStretch, other: RowStretch, most: float) -> int:
-    """How far back inputs are looked at, in samples, so that half of the rows have it."""
+def _lags_between(known: RowStretch, other: RowStretch, most: float) -> int:
+    """The lags of inputs in regressions, in samples: at least half of the rows have them all."""
     rows = min(one.last - one.first for one in (known, other))
     return int(max(0, min(np.ceil(most) + 1, rows // 2, _MOST_LAGS)))
 
 
-def foretells(known: RowStretch, other: RowStretch, lags: int) -> bool:
-    """Whether a stretch does what another one foretells, of one output at least."""
-    return bool(_left(known, other, lags).min() < _EXPLAINED)
+def _only_scaled(known: RowStretch, other: RowStretch, scaled: Scaled, lags: int) -> bool:
+    """Whether one stretch predicts another only after a column is converted.
 
-
-def only_scaled(known: RowStretch, other: RowStretch, scaled: Scaled, lags: int) -> bool:
-    """Whether a stretch does what another one foretells if a column is converted, and else not.
-
-    It must be clear of one output, and better on the whole. Without the column it must be worse,
-    too: what noise makes of a column that hardly moves is no foretelling.
+    The prediction must be clearly better for one output, and better on average. It must also be
+    worse without the column: a column of noise that hardly moves predicts nothing.
     """
-    left, as_it_is = _left(known, other, lags, scaled), _left(known, other, lags)
+    left, unconverted = _left(known, other, lags, scaled), _left(known, other, lags)
     without = _left(known, other, lags, scaled._replace(factor=0.0))
-    clear = (left < _EXPLAINED) & (np.minimum(as_it_is, without) > _WORSE * left)
-    return bool(clear.any()) and float(left.mean()) < float(as_it_is.mean())
+    clear = (left < _EXPLAINED) & (np.minimum(unconverted, without) > _WORSE * left)
+    return bool(clear.any()) and float(left.mean()) < float(unconverted.mean())
 
 
 class _Rows(NamedTuple):
-    """Periods: outputs at their beginning, inputs then and before, how far outputs move, modes."""
+    """Periods: outputs at their beginning, inputs then and before, changes of outputs, modes."""
 
     output: Float[np.ndarray, "row p"]
     past: Float[np.ndarray, "row lag m"]
@@ -219,12 +213,11 @@ class _Rows(NamedTuple):
     mode: Int[np.ndarray, " row"]
 
     def of(self, mode: int) -> _Rows:
-        """Those of one mode."""
         own = self.mode == mode
         return _Rows(*(column[own] for column in self))
 
     def acting(self, lags: Sequence[int]) -> Float[np.ndarray, "row z"]:
-        """Outputs, and of every input two samples, from a lag on."""
+        """Outputs, and two samples of every input from its lag."""
         columns = [self.past[:, lag : lag + 2, j] for j, lag in enumerate(lags)]
         return np.hstack((self.output, *columns))
 
@@ -232,22 +225,22 @@ class _Rows(NamedTuple):
 def _left(
     known: RowStretch, other: RowStretch, lags: int, scaled: Scaled | None = None
 ) -> Float[np.ndarray, " p"]:
-    """Shares of the squares by which a stretch moves that regressions of another one leave."""
-    explained, asked = _rows(known, lags, None), _rows(other, lags, scaled)
-    rest, total = np.zeros((2, asked.moved.shape[1]))
-    for i in np.unique(asked.mode).tolist():
-        own, his = explained.of(i), asked.of(i)
-        if len(own.moved) < LEAST + 2 * own.acting([0] * own.past.shape[2]).shape[1]:
+    """Shares of the variance of changes in one stretch not predicted by regressions of another."""
+    fitted, tested = _rows(known, lags, None), _rows(other, lags, scaled)
+    rest, total = np.zeros((2, tested.moved.shape[1]))
+    for i in np.unique(tested.mode).tolist():
+        own, predicted = fitted.of(i), tested.of(i)
+        if len(own.moved) < _LEAST + 2 * own.acting([0] * own.past.shape[2]).shape[1]:
             continue
         chosen = _delays(own)
         P = np.linalg.lstsq(own.acting(chosen), own.moved, rcond=None)[0]
-        rest += ((his.moved - his.acting(chosen) @ P) ** 2).sum(axis=0)
-        total += (his.moved**2).sum(axis=0)
+        rest += ((predicted.moved - predicted.acting(chosen) @ P) ** 2).sum(axis=0)
+        total += (predicted.moved**2).sum(axis=0)
     return np.divide(rest, total, out=np.full(total.size, np.inf), where=total > 0.0)
 
 
 def _delays(rows: _Rows) -> list[int]:
-    """The lags of all inputs, one after the other, from which on two samples explain most."""
+    """The lags of all inputs, chosen in turn, whose two samples leave the least residuals."""
     chosen: list[int] = []
     spread = np.maximum(rows.moved.std(axis=0), 1e-300)
     for _ in range(rows.past.shape[2]):
@@ -261,12 +254,12 @@ def _delays(rows: _Rows) -> list[int]:
 
 
 def _rows(one: RowStretch, lags: int, scaled: Scaled | None) -> _Rows:
-    output, entered = one.part.output.copy(), one.part.input.copy()
+    output, u = one.part.output.copy(), one.part.input.copy()
     if scaled is not None:
-        column = output if scaled.output else entered
+        column = output if scaled.output else u
         column[:, scaled.place] *= scaled.factor
     k = np.arange(one.first + lags, one.last - 1)
-    past = entered[k[:, None] - np.arange(lags + 1)]
+    past = u[k[:, None] - np.arange(lags + 1)]
     moved = output[k + 1] - output[k]
     good = np.isfinite(past).all(axis=(1, 2))
     good &= np.isfinite(output[k]).all(axis=1) & np.isfinite(moved).all(axis=1)
