@@ -35,8 +35,8 @@ LEGEND = (
     "Stable: for every such signal; no: one makes |x| grow; no answer: neither was found. Decay: "
     "the rate at which every run falls at least. Proved: verified in ball arithmetic, also where a "
     "witness refutes. Growth: of the worst signal found. "
-    "Delay margin: true delays, of several what all may be off by, between which the law as it is "
-    "keeps every constant mode stable."
+    "Delay margin: range of the true delay (for several, their common shift) that leaves every "
+    "constant mode stable."
 )
 
 
@@ -226,7 +226,7 @@ def left_out(problem: Problem) -> list[str]:
     >>> from dataclasses import replace
     >>> from deadtime.imperfections import Dropout
     >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
-    ['Not covered: Dropout(probability=0.1). Certificates are about the loop without it.']
+    ['Not covered: dropout (probability 0.1). Certificates are about the loop without it.']
     """
     named = ", ".join(problem.imperfections_in_words)
     them = "it" if len(problem.imperfections) == 1 else "them"

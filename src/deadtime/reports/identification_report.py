@@ -17,7 +17,7 @@ from deadtime.reports.report_folder import inlined, render
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HEADINGS = ("", "estimate", "from", "to")
+HEADINGS = ("parameter", "estimate", "lower 95 %", "upper 95 %")
 _NORMAL = 1.96  # deviations, on both sides of 95 %
 _NOTHING = 1e-3  # of what noise is less than: that it was taken to be so little says nothing
 

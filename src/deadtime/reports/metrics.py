@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from deadtime.scenarios.dataset import Comparison as ManyRuns
 
 
-HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
-NEVER, SETTLES = "–", "settles, s"
+HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "steady error")
+NEVER, SETTLES = "–", "settling, s"
 LEGEND = f"{NEVER}: not settled within the time shown"
 _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
 

@@ -125,7 +125,7 @@ class Summary:
     @property
     def headings(self) -> list[str]:
         """Of the columns of `rows`."""
-        return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "|x| grows"]
+        return ["law", "5 %", "median", "95 %", "wins", f"/ {self.reference}", "growing runs"]
 
     def rows(self) -> list[list[str]]:
         """A row for each law: the metric that ranks them, for a terminal."""
@@ -179,7 +179,7 @@ class Summary:
             for (row, more), one in zip(both, self.laws, strict=True)
         ]
         low, median, high = self.headings[1:4]
-        headings = ["law", low, median, _INTERVAL, high, "best on", _INTERVAL]
+        headings = ["law", low, median, _INTERVAL, high, "wins", _INTERVAL]
         measure = "∫|r - y|" if self.measure == "iae" else "the cost"
         said = [
             f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
