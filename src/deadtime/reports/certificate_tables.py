@@ -171,9 +171,7 @@ def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) ->
             f"Every plant of [uncertainty]: A and B {where}, delays in their "
             f"{ranges if delays is None else 'ranges of --delays'}."
         ]
-    return [
-        "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."
-    ]
+    return ["For the estimated plant alone; --uncertain covers every plant of [uncertainty]."]
 
 
 def _judge(
@@ -218,7 +216,7 @@ def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
 
 
 def left_out(problem: Problem) -> list[str]:
-    """That certificates know nothing of a problem's imperfections, if it has any.
+    """A sentence that certificates leave out the imperfections of a problem, if it has any.
 
     Examples
     --------
@@ -334,14 +332,11 @@ def _growth(worst: WorstCase | None) -> str:
     return "–" if rate is None or not math.isfinite(rate) else as_rate(rate)
 
 
-_FORMS = {"printed": "as printed", "corrected": "corrected", "sharp": "sharp"}
-
-
 def bound_headings(
     bounds: Mapping[str, TheoremBound], published: Mapping[str, float] | None = None
 ) -> tuple[str, ...]:
-    """Of the columns of `bound_rows`."""
-    headings = ("constant", *(_FORMS[form] for form in bounds))
+    """Headings of the columns of `bound_rows`."""
+    headings = ("constant", *("as printed" if form == "printed" else form for form in bounds))
     return (*headings, "figure in the text") if published else headings
 
 
@@ -434,8 +429,8 @@ def bounds_record(bounds: Mapping[str, TheoremBound]) -> dict[str, dict[str, Any
     """The constants for JSON, which knows no infinity: their logarithms are always there."""
     names = ("epsilon", "epsilon_star", "nu1", "nu2", "kappa", "b", "mu", "rho", "xi")
     logs = [f"log10_{name}" for name in ("epsilon_star", "nu1", "nu2", "kappa", "rho")]
-    told = (*names, *logs, "holds", "message")
-    return {form: record(bound, *told) for form, bound in bounds.items()}
+    fields = (*names, *logs, "holds", "message")
+    return {form: record(bound, *fields) for form, bound in bounds.items()}
 
 
 def _optional(value: float | None) -> str:

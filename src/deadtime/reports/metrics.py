@@ -123,7 +123,8 @@ def record_of_run(problem: Problem, run: Trajectory) -> dict[str, Any]:
 
 
 def _median(values: np.ndarray) -> float:
-    """NaN where no scenario has a figure; ∞ is one."""
+    """The lower median: ∞ counts as a value, NaN (no step in this scenario) does not."""
+    # No interpolation: between a time and ∞ (never settled) it would be ∞.
     some = values[~np.isnan(values)]
     return float(np.sort(some)[(some.size - 1) // 2]) if some.size else math.nan
 
