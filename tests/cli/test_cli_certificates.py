@@ -127,10 +127,10 @@ def test_certify_of_all_laws_saves_each_into_a_file_of_its_own(capsys, made_up, 
 def test_certify_says_that_it_leaves_imperfections_out(capsys, made_up, monkeypatch):
     imperfect = replace(dt.problems.paper(), imperfections=(Dropout(0.5),))
     monkeypatch.setattr(import_module("deadtime.cli.options"), "problem_of", lambda _: imperfect)
-    said = "Not covered: Dropout(probability=0.5). Certificates are about the loop without it."
+    said = "Not covered: dropout (probability 0.5). Certificates are about the loop without it."
     assert said in " ".join(run(capsys, "certify", "paper", "--law", "mean")[1].split())
     record = json.loads(run(capsys, "certify", "paper", "--json")[1])
-    assert record["imperfections_left_out"] == ["Dropout(probability=0.5)"]
+    assert record["imperfections_left_out"] == ["dropout (probability 0.5)"]
 
 
 def test_certify_does_not_list_as_left_out_what_it_covers(capsys, made_up, monkeypatch):

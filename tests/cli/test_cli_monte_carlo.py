@@ -82,7 +82,7 @@ def test_text_has_a_row_for_each_law_and_csv_a_row_for_each_run(data, folder, ca
     assert (code, err) == (0, "")
     text = " ".join(out.split())
     assert "21 random signals, sojourns of 0.2 s + Exp(0.2 s), 15 s each" in text
-    assert "law 5 % median 95 % best on / oracle |x| grows" in text
+    assert "law 5 % median 95 % wins / oracle growing runs" in text
     assert "law median 95 % interval / oracle 95 % interval" in text
     assert all(out.count(f"\n{law} ") == 3 for law in data.law.values)
     assert out.rstrip().endswith("Figure: run.png\nData: all.csv")

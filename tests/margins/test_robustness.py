@@ -147,7 +147,8 @@ def test_a_law_without_a_table_has_tolerances_and_no_margins():
 def test_the_picture_has_a_panel_for_each(result):
     figure = plot_robustness(result, "a title", ["slow", "fast", "odd"])
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
-        "wrong delay", "wrong gain", "noise", "lost samples", "late samples", "late modes",
+        "delay error", "gain error", "noise", "lost samples", "late samples",
+        "mode detection delay",
     ]  # fmt: skip
     assert [text.get_text() for text in figure.legends[0].get_texts()][:3] == [
         "slow",

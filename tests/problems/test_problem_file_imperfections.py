@@ -110,7 +110,7 @@ def test_every_imperfection_can_stand_in_a_file(tmp_path):
     assert (run.states == same.states).all()
     assert not compare(problem).runs["oracle"].diverged
     sentences = verdict(compare(problem))
-    assert sentences[1].startswith("The runs are imperfect: WhiteDisturbance(intensity=")
+    assert sentences[1].startswith("The runs are imperfect: white disturbance (intensity ")
 
 
 def test_the_truth_of_a_file_is_what_runs_and_the_plant_what_laws_believe(tmp_path):

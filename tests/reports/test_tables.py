@@ -64,7 +64,7 @@ def test_the_latex_table_says_what_the_printed_ones_say():
     latex = found.to_latex()
     heading, *rows = cells(latex)
     assert heading == [
-        *("law", r"5 \%", "median", r"95 \% interval", r"95 \%", "best on", r"95 \% interval"),
+        *("law", r"5 \%", "median", r"95 \% interval", r"95 \%", "wins", r"95 \% interval"),
         *("/ oracle", r"95 \% interval", "diverged"),
     ]
     assert r"\usepackage{booktabs}" in latex

@@ -49,9 +49,9 @@ def test_inputs_stay_below_the_limit_from_every_corner_of_the_box(limited):
 
 def test_rows_and_marks_say_who_exceeds_the_limit(limited):
     rows = [dict(zip(HEADINGS, row, strict=True)) for row in design_rows(limited)]
-    assert rows[0]["misses"] == "|u|"
+    assert rows[0]["unmet"] == "|u|"
     assert rows[0]["peak |u|"] == f"{limited.plain.input_peak[0]:.3g}"
-    assert {row["misses"] for row in rows[1:]} == {"–"}
+    assert {row["unmet"] for row in rows[1:]} == {"–"}
     labels = {text.get_text() for text in plot_designs({"": limited}).legends[0].get_texts()}
     assert "hollow: slow, or |u| too large" in labels
     assert "margin asked for" not in labels

@@ -103,8 +103,8 @@ def test_what_is_missed_is_the_margin():
 def test_the_chosen_design_is_a_row_and_a_mark_and_rows_say_what_they_miss(short):
     rows = [dict(zip(HEADINGS, row, strict=True)) for row in design_rows(short)]
     (chosen,) = [row for row in rows if "chosen" in row["design"]]
-    assert chosen["misses"] == "decay rate"
-    assert rows[0]["misses"] == "decay rate"
+    assert chosen["unmet"] == "decay rate"
+    assert rows[0]["unmet"] == "decay rate"
     (point,) = [point for point in design_record(short)["points"] if point["chosen"]]
     assert point["missed"] == ["decay rate"]
     assert ringed(short) == pytest.approx([100.0 * short.margin.relative])

@@ -62,7 +62,7 @@ class BackgroundJobs:
             if on_progress is not None:
                 here(partial(on_progress, said))
 
-        self._out[ticket] = None  # it may be heard of before it is known by its future
+        self._out[ticket] = None  # progress may arrive before `submit` returns the future
         more = {"on_progress": pass_on} if on_progress else {}
         future = self._workers.submit(limit, job, *given, **more)
         if ticket in self._out:

@@ -65,7 +65,7 @@ def moved_delays(draft: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
 
 
 def delay_error(draft: Mapping[str, Any]) -> float:
-    """By which part the true delays are longer than those that laws believe; their mean.
+    """Mean relative error of the delays: true over model, less 1.
 
     Examples
     --------

@@ -55,7 +55,7 @@ def _standard(modes: int, dwell_time: float, rule: bool) -> list[Section]:
 
 
 def _sections_by_name(document: Document, draft: Mapping[str, Any]) -> list[tuple[str, Section]]:
-    """Every section with the name that its law goes by; sections that name no law are left out."""
+    """Every section with the name of its law; sections that name no law are left out."""
     found = []
     for i, section in enumerate(draft["law"]):
         try:

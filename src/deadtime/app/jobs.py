@@ -66,8 +66,8 @@ def try_log(
 ) -> tuple[Picture, bytes]:
     """The plant of a log that came through a browser.
 
-    It is told, with seconds of a run of its problem, before what may take long: the likelihood
-    over the delays, which is returned with the report.
+    The plant, with the seconds of a run of its problem, is reported through `tell` before the slow
+    part: the likelihood over the delays, which is returned with the report.
     """
     with tempfile.TemporaryDirectory() as folder:
         found, fit = open_log(name, content, Path(folder), asked, tell)
@@ -122,7 +122,7 @@ def margin(
     """Mode distances up to which a law is certified, and from which on it is refuted, or NaN.
 
     And why there is no answer at this dwell time, or an empty text. `draft` is that of the
-    distance 1; the law is told the dwell time where it uses one.
+    distance 1; a law that uses a dwell time gets this one.
     """
 
     def problem_at(distance: float) -> tuple[SwitchedSystem, Law]:

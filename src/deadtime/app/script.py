@@ -97,7 +97,7 @@ def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
 
 
 def _definitions(problem: Problem, writer: _Writer) -> Iterator[str]:
-    """The plant, what laws believe, the gains, the signal and the laws."""
+    """The plant, the model of the laws, the gains, the signal and the laws."""
     laws = problem.laws.values()
     yield writer.define("plant", problem.plant)
     if problem.model is not None:
@@ -114,7 +114,7 @@ def _definitions(problem: Problem, writer: _Writer) -> Iterator[str]:
 
 
 class _Writer:
-    """Values as the code that makes them; what has been given a name goes by it."""
+    """Writes values as the code that makes them, by their names where they have one."""
 
     def __init__(self) -> None:
         self.imports: set[str] = set()

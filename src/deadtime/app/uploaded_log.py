@@ -102,7 +102,7 @@ class IdentifiedPlant(NamedTuple):
     """A problem made of a log, and what was found.
 
     delays : name, estimate and the ends of the interval of each, seconds
-    verdicts : what laws of the problem bear, beside what the log leaves open
+    verdicts : delay errors that the laws tolerate, beside the uncertainty of the log
     rows : every unknown, its estimate and the ends of its interval
     pictures : predictions, modes and what is left
     """
@@ -193,8 +193,8 @@ def open_log(
 ) -> tuple[IdentifiedPlant, Identification]:
     """Identify the plant of a log, CSV with a column t: nothing that it says is trusted.
 
-    `name` is that on the machine of the person, `folder` an empty one to work in; `tell` is told
-    what is being done.
+    `name` is that on the machine of the person, `folder` an empty one to work in; `tell` is called
+    with the stage of the work.
 
     Raises
     ------
@@ -282,7 +282,7 @@ _OF_DELAY = re.compile(r" is \S+ s, at 95 % within ")  # the headings say so
 
 
 def identified_html(found: IdentifiedPlant) -> str:
-    """The delays, what there is to say, what the laws bear."""
+    """The delays, the sentences, and the delay errors that the laws tolerate."""
     said = [one for one in found.sentences if not _OF_DELAY.search(one)]
     delays = [(*one, _off(*one[1:])) for one in found.delays]
     return render("found.html.j2", delays=delays, lists=[said, found.verdicts])

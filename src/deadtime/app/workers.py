@@ -78,9 +78,9 @@ class Workers:
             Seconds that the job may take once it has begun.
         job : callable
             A function of a module, its arguments and its result plain data.
-        told : callable, optional
-            Called, in a thread, with all that the job tells before its end: the job is then given
-            ``tell=``, to be called with plain data.
+        on_progress : callable, optional
+            Called, in a thread, with what the job reports before its end: the job then gets a
+            keyword ``tell=``, to be called with plain data.
 
         Returns
         -------

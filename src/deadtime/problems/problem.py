@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -161,7 +162,7 @@ class Problem(Frozen):
 
     @property
     def imperfections_in_words(self) -> list[str]:
-        """The imperfections, as headings and sentences name them, with the names of modes.
+        """Each imperfection in words, with the names of modes, for headings and sentences.
 
         Examples
         --------
@@ -169,9 +170,11 @@ class Problem(Frozen):
         >>> noise = dt.imperfections.Noise(0.1)
         >>> problem = dataclasses.replace(dt.problems.paper(), imperfections=(noise,))
         >>> problem.imperfections_in_words
-        ['Noise(std=0.1)']
+        ['noise (std 0.1)']
         """
-        return [with_names(in_words(each), self.modes) for each in self.imperfections]
+        return [
+            with_names(_repr_in_words(in_words(each)), self.modes) for each in self.imperfections
+        ]
 
     @property
     def observer_alone_reads_mode(self) -> tuple[str, ...]:
@@ -227,3 +230,13 @@ class Problem(Frozen):
     def _history(self) -> np.ndarray:
         """u0 as (m,)."""
         return np.broadcast_to(np.asarray(self.u0, dtype=np.float64), (self.plant.inputs,))
+
+
+def _repr_in_words(text: str) -> str:
+    """`LateSamples(periods=2)` as "late samples (periods 2)"; any other text as it is."""
+    match = re.fullmatch(r"([A-Z]\w*)\((.*)\)", text, re.DOTALL)
+    if match is None:
+        return text
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", match[1]).lower()
+    numbers = re.sub(r"array\((\[.*?\])\)", r"\1", match[2], flags=re.DOTALL)
+    return f"{name} ({' '.join(numbers.replace('=', ' ').replace('_', ' ').split())})"

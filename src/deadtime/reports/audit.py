@@ -90,7 +90,7 @@ def stabilises(evidence: AuditEvidence, name: str, where: str) -> Claim:
 
 
 def single_is_worse(evidence: AuditEvidence, mode: int, name: str) -> Claim:
-    """A law that believes in one mode performs worse than law (2)."""
+    """A law of one mode performs worse than law (2)."""
     one, many = evidence.one, evidence.many
     worse = many[name]["ise"] > many[LEAD]["ise"]
     calm = Proportion.of(is_stabilised(evidence.problem, many[name]))
@@ -355,11 +355,11 @@ def claim_about_distance(
             continue
         progress(f"audit: laws (2) and (80), distance of the modes × {alpha:g}")
         runs.append(pairs(apart, problem.given_signal, signals))
-    return _bears_more(runs, epsilons)
+    return _tolerates_more(runs, epsilons)
 
 
-def _bears_more(runs: list[Pairs], epsilons: list[float]) -> Claim:
-    # How many of the distances, from the smallest on, a law bears: (law, signal).
+def _tolerates_more(runs: list[Pairs], epsilons: list[float]) -> Claim:
+    # (law, signal): number of distances, from the smallest on, without a failure in between.
     reach = np.cumprod([run.stabilised for run in runs], axis=0).sum(axis=0)
     decided = reach[0, 1:] != reach[1, 1:]
     further = Proportion.of((reach[1, 1:] > reach[0, 1:])[decided])

@@ -120,7 +120,7 @@ class AuditEvidence:
 
     @property
     def singles(self) -> list[str]:
-        """Names of the laws that believe in one mode, in the order of the modes."""
+        """Names of the laws that predict with one mode held, in the order of the modes."""
         return [name for name in self.one if name not in (LEAD, MEAN)]
 
 

@@ -35,11 +35,10 @@ if TYPE_CHECKING:
 
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
 LEGEND = (
-    "Stable: for every such signal; no: one makes |x| grow; no answer: neither was found. Decay: "
-    "the rate at which every run falls at least. Proved: verified in ball arithmetic, also where a "
-    "witness refutes. Growth: of the worst signal found. "
-    "Delay margin: range of the true delay (for several delays, of their common error) within "
-    "which the same law keeps every constant mode stable."
+    "Stable: yes, for every such signal; no, |x| grows along one of them; no answer, neither was "
+    "found. Decay: every run falls at least at this rate. Proved: verified in ball arithmetic, also "
+    "where a signal refutes. Growth: along the worst signal found. Delay margin: the true delays "
+    "for which the law keeps every constant mode stable; of several delays, their common change."
 )
 
 
@@ -174,9 +173,7 @@ def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) ->
             f"Every plant of [uncertainty]: A and B {where}, delays in their "
             f"{ranges if delays is None else 'ranges of --delays'}."
         ]
-    return [
-        "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."
-    ]
+    return ["For the estimated plant alone; --uncertain covers every plant of [uncertainty]."]
 
 
 def _judge(
@@ -242,7 +239,7 @@ def left_out(problem: Problem, signals: SignalClass | None = None) -> list[str]:
     >>> from dataclasses import replace
     >>> from deadtime.imperfections import Dropout
     >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
-    ['Not covered: Dropout(probability=0.1). Certificates are about the loop without it.']
+    ['Not covered: dropout (probability 0.1). Certificates are about the loop without it.']
     """
     said, missing = [], without_imperfections(problem, signals)
     if missing:
@@ -362,14 +359,11 @@ def _growth(worst: WorstCase | None) -> str:
     return "–" if rate is None or not math.isfinite(rate) else as_rate(rate)
 
 
-_FORMS = {"printed": "as printed", "corrected": "corrected", "sharp": "sharp"}
-
-
 def bound_headings(
     bounds: Mapping[str, TheoremBound], published: Mapping[str, float] | None = None
 ) -> tuple[str, ...]:
-    """Of the columns of `bound_rows`."""
-    headings = ("constant", *(_FORMS[form] for form in bounds))
+    """Headings of the columns of `bound_rows`."""
+    headings = ("constant", *("as printed" if form == "printed" else form for form in bounds))
     return (*headings, "figure in the text") if published else headings
 
 
@@ -462,8 +456,8 @@ def bounds_record(bounds: Mapping[str, TheoremBound]) -> dict[str, dict[str, Any
     """The constants for JSON, which knows no infinity: their logarithms are always there."""
     names = ("epsilon", "epsilon_star", "nu1", "nu2", "kappa", "b", "mu", "rho", "xi")
     logs = [f"log10_{name}" for name in ("epsilon_star", "nu1", "nu2", "kappa", "rho")]
-    told = (*names, *logs, "holds", "message")
-    return {form: record(bound, *told) for form, bound in bounds.items()}
+    fields = (*names, *logs, "holds", "message")
+    return {form: record(bound, *fields) for form, bound in bounds.items()}
 
 
 def _optional(value: float | None) -> str:

@@ -24,9 +24,9 @@ from deadtime.synthesis.design_result import DECAY, LIMIT, percent
 
 STEP = "step, s"
 HEADINGS = (
-    "design", "delay margin", "cost", "decay, 1/s", "peak |u|", "filter, s", STEP, "misses"
+    "design", "delay margin", "cost", "decay, 1/s", "peak |u|", "filter, s", STEP, "unmet"
 )  # fmt: skip
-LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
+LIMIT_HEADINGS = ("mode", "attainable margin", "upper bound", "unstable poles, 1/s")
 _OF_SOURCE = ("size", "probability"), ("process", "measurement", "probability")
 _FIGURES = ("margin", "cost", "decay_rate", "input_peak")
 

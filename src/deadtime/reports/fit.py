@@ -20,7 +20,7 @@ from deadtime.switching.models.semi_markov import SemiMarkov
 from deadtime.switching.models.sojourn_families import Goodness, Observed
 from deadtime.switching.models.sojourns import Distribution, describe, log_survival
 
-HEADINGS = ("mode", "sojourns", "cut off", "mean (s)", "family", "KS distance", "p")
+HEADINGS = ("mode", "sojourns", "censored", "mean, s", "family", "KS distance", "p-value")
 DOUBTFUL = 0.05
 
 

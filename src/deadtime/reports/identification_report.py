@@ -17,9 +17,9 @@ from deadtime.reports.report_folder import inlined, render
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HEADINGS = ("", "estimate", "from", "to")
+HEADINGS = ("parameter", "estimate", "lower 95 %", "upper 95 %")
 _NORMAL = 1.96  # deviations, on both sides of 95 %
-_NOTHING = 1e-3  # of what noise is less than: that it was taken to be so little says nothing
+_NOTHING = 1e-3  # an estimate of noise below this share of its upper bound is undetermined
 
 
 class Picture(NamedTuple):
@@ -43,8 +43,8 @@ def listed_names(fit: Identification) -> list[str]:
 def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
     """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0.
 
-    In place of constant terms stands the operating point, inputs
-    as chosen, and the states at which the plant rests under these.
+    The operating point replaces the constant terms: the inputs as chosen, and the states at which
+    the plant is at rest under them.
     """
     rows = []
     if (point := fit.operating_point) is not None:
@@ -60,14 +60,14 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
     for name in listed_names(fit):
         value, (low, high) = fit.estimate(name), fit.interval(name)
         if low == 0.0 and value < _NOTHING * high:
-            rows.append((name, "not told", "0", f"{high:.2g}"))
+            rows.append((name, "undetermined", "0", f"{high:.2g}"))
         else:
             rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))
     return rows
 
 
 def sampling_of(fit: Identification) -> str:
-    """How much log there was."""
+    """Number of samples of the log and its period."""
     return f"{fit.samples:,} samples, every {fit.step:.4g} s"
 
 

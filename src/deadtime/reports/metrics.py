@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from deadtime.scenarios.dataset import Comparison as ManyRuns
 
 
-HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
-NEVER, SETTLES = "–", "settles, s"
+HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "steady error")
+NEVER, SETTLES = "–", "settling, s"
 LEGEND = f"{NEVER}: not settled within the time shown"
 _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
 
@@ -123,7 +123,8 @@ def record_of_run(problem: Problem, run: Trajectory) -> dict[str, Any]:
 
 
 def _median(values: np.ndarray) -> float:
-    """NaN where no scenario has a figure; ∞ is one."""
+    """The lower median: ∞ counts as a value, NaN (no step in this scenario) does not."""
+    # No interpolation: between a time and ∞ (never settled) it would be ∞.
     some = values[~np.isnan(values)]
     return float(np.sort(some)[(some.size - 1) // 2]) if some.size else math.nan
 

@@ -84,7 +84,7 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
 
 
 def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:
-    """A run of the worst signal of each law that is refuted, but of a baseline."""
+    # Not of a baseline, which nobody expects to be stable.
     from deadtime.reports.figures.certificates import plot_witness
 
     figures, names = [], file_names(problem.laws)

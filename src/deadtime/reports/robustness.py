@@ -24,7 +24,7 @@ from deadtime.problems import Problem
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.held_mode_checks import MOST, seconds_of
 
-DRAWN_HEADINGS = ("law, each mode held", "stable on", "slowest, 1/s")
+DRAWN_HEADINGS = ("law, each mode held", "stable plants", "largest growth, 1/s")
 
 
 def drawn_of(problem: Problem, step: float, seed: int = 0) -> dict[str, DrawnStability]:
@@ -57,7 +57,9 @@ def drawn_record(drawn: dict[str, DrawnStability]) -> dict[str, Any]:
 
 
 GOOD, BAD = "#e3f0f8", COLOURS[1]
-HEADINGS = ("wrong delay", "wrong gain", "noise", "lost samples", "late samples", "late modes")
+HEADINGS = (
+    "delay error", "gain error", "noise", "lost samples", "late samples", "mode detection delay"
+)  # fmt: skip
 _RATE = "growth rate (1/s)"
 _POINTS, _FEWEST = 41, 5
 _LARGEST = 1e4  # cost, relative: beyond a run is drawn as lost

@@ -1,7 +1,7 @@
 """Many scenarios in numbers: quantiles, wins and ratios of the laws, of one problem or of a sweep.
 
-A scenario on which a law diverges counts as infinitely dear for it: the figures of such a run
-are only those up to its end, and would flatter the law.
+A scenario on which a law diverges has infinite cost for that law: the metrics of such a run stop
+at its end, and would make the law look better than it is.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ class Summary:
 
     @property
     def headings(self) -> list[str]:
-        """Of the columns of `rows`."""
-        return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "|x| grows"]
+        """Headings of the columns of `rows`."""
+        return ["law", "5 %", "median", "95 %", "wins", f"/ {self.reference}", "growing runs"]
 
     def rows(self) -> list[list[str]]:
         """A row for each law: the metric that ranks them, for a terminal."""
@@ -146,7 +146,7 @@ class Summary:
 
     @property
     def interval_headings(self) -> list[str]:
-        """Of the columns of `interval_rows`."""
+        """Headings of the columns of `interval_rows`."""
         return ["law", "median", _INTERVAL, f"/ {self.reference}", _INTERVAL]
 
     def interval_rows(self) -> list[list[str]]:
@@ -174,12 +174,13 @@ class Summary:
     def to_latex(self) -> str:
         """The laws as a LaTeX table of the package booktabs: what ranks them, with intervals."""
         both = zip(self.rows(), self.interval_rows(), strict=True)
-        rows = [
-            [*row[:3], more[2], *row[3:5], _shares(*one.best_interval), row[5], more[4], row[6]]
-            for (row, more), one in zip(both, self.laws, strict=True)
-        ]
+        rows = []
+        for (row, more), one in zip(both, self.laws, strict=True):
+            low, high = (100.0 * end for end in one.best_interval)
+            shares = f"{low:.1f} to {high:.1f} %"
+            rows.append([*row[:3], more[2], *row[3:5], shares, row[5], more[4], row[6]])
         low, median, high = self.headings[1:4]
-        headings = ["law", low, median, _INTERVAL, high, "best on", _INTERVAL]
+        headings = ["law", low, median, _INTERVAL, high, "wins", _INTERVAL]
         measure = "∫|r - y|" if self.measure == "iae" else "the cost"
         said = [
             f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
@@ -224,12 +225,12 @@ class LawRuns:
 
     @property
     def count(self) -> int:
-        """How many scenarios there are."""
+        """Number of scenarios."""
         return self.lost.shape[1]
 
     @property
     def reference(self) -> str:
-        """The law that others are held against: the oracle, or the first where there is none."""
+        """The law that others are compared with: the oracle, or the first where there is none."""
         return ORACLE if ORACLE in self.names else self.names[0]
 
     @property
@@ -314,8 +315,8 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
             _quantiles(ratios[i]).median,
             int(diverged[i]),
             int(grew[i]),
-            _interval(ranked[i]),
-            _interval(ratios[i]),
+            Interval(*map(float, median_interval(ranked[i])[1:])),
+            Interval(*map(float, median_interval(ratios[i])[1:])),
             Interval(*best[i].interval),
             _quantiles(ranked[i]) if measure == "iae" else None,
         )
@@ -337,15 +338,6 @@ def interval_text(low: float, high: float) -> str:
     ('1.50 to 98,765', '–', '2.00 to ∞')
     """
     return "–" if low == -math.inf else f"{compact(low)} to {compact(high)}"
-
-
-def _interval(values: np.ndarray) -> Interval:
-    _, low, high = median_interval(values)
-    return Interval(float(low), float(high))
-
-
-def _shares(low: float, high: float) -> str:
-    return f"{100.0 * low:.1f} to {100.0 * high:.1f} %"
 
 
 Runs = Float[np.ndarray, "*cell law scenario"]

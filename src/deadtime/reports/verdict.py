@@ -47,7 +47,10 @@ def verdict(result: Comparison) -> list[str]:
     sentences += [_headline(result), *([lead] if lead else [])]
     sentences += [f"{name} was left out: {why}" for name, why in result.reasons.items()]
     sentences += _imperfections(result) + observer_reads_mode(result.problem, result.runs)
-    sentences += _slow_observer(result) + _cost(result) + _best_follower(result)
+    sentences += _slow_observer(result)
+    if result.problem.weight is not None:
+        sentences.append(f"The cost is {result.problem.weight.text}.")
+    sentences += _best_follower(result)
     early = [name for name, run in result.runs.items() if _ends_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
@@ -65,7 +68,6 @@ def verdict(result: Comparison) -> list[str]:
 
 
 def _ends_early(result: Comparison, run: Trajectory) -> bool:
-    """Whether a run could not go on, though it did not diverge."""
     return not run.diverged and run.end < result.problem.horizon
 
 
@@ -120,7 +122,7 @@ def _imperfections(result: Comparison) -> list[str]:
 
 
 def observer_reads_mode(problem: Problem, laws: Iterable[str]) -> list[str]:
-    """That some of the laws need the mode for their observer alone, if there are such."""
+    """A sentence on the laws that need the mode for their observer alone, if there are any."""
     names = [the_problem_law(name) for name in laws if name in problem.observer_alone_reads_mode]
     if not names:
         return []
@@ -133,7 +135,7 @@ def observer_reads_mode(problem: Problem, laws: Iterable[str]) -> list[str]:
 
 
 def _slow_observer(result: Comparison) -> list[str]:
-    """That the first law waits for its observer, whose error lasts twice as long as the loop."""
+    """A sentence where the observer error of the first law lasts twice as long as its loop."""
     law, step = result.problem.laws[result.lead], result.problem.step
     if law.observer is None:
         return []
@@ -153,11 +155,6 @@ def _slow_observer(result: Comparison) -> list[str]:
         f"its error decays at {as_rate(law.observer.rates[i])} /s, the loop on the true state at "
         f"{as_rate(loop[i])} /s. A larger process noise or faster poles speed it up."
     ]
-
-
-def _cost(result: Comparison) -> list[str]:
-    weight = result.problem.weight
-    return [] if weight is None else [f"The cost is {weight.text}."]
 
 
 def _best_follower(result: Comparison) -> list[str]:
@@ -212,15 +209,14 @@ def held_in_words(problem: Problem, growth: Sequence[float]) -> tuple[str, str]:
         slowest = int(np.argmax(growth))
         rate = f" at {as_rate(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
         return "stable", f"held in any one mode it decays, slowest in {names[slowest]}{rate}"
-    rates = [f"held in {names[i]} it grows at {_rate(growth[i])}" for i in unstable]
-    rates[1:] = [text.replace("it grows ", "") for text in rates[1:]]
+    rates = []
+    for i in unstable:
+        finite = math.isfinite(growth[i])
+        rate = f"{as_rate(growth[i])} /s" if finite else "a rate too large to compute"
+        rates.append(f"held in {names[i]} {'' if rates else 'it grows '}at {rate}")
     calm = "does not grow" if still else "decays"
     others = "" if len(unstable) == len(growth) else f" (in the other modes it {calm})"
     return "unstable", ", ".join(rates) + others
-
-
-def _rate(growth: float) -> str:
-    return f"{as_rate(growth)} /s" if math.isfinite(growth) else "more than can be told"
 
 
 def _baseline(result: Comparison, name: str) -> str:
@@ -309,7 +305,7 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
 
 
 def headings_of(result: Comparison) -> tuple[str, ...]:
-    """Of the columns of `table`."""
+    """Headings of the columns of `table`."""
     if result.measure == "cost":
         return HEADINGS
     law, *others = (heading for heading in HEADINGS if heading != DECAY)
