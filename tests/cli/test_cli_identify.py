@@ -140,7 +140,7 @@ def test_which_mode_is_which_is_said(names, end, tmp_path, capsys):
     named = two_modes(120).assign(mode=np.take(names, np.repeat(np.arange(6) % 2, 20)))
     named.to_csv(tmp_path / "log.csv", index=False)
     asked = [tmp_path / "log.csv", "--delay", 0, 1, "--no-noise"]
-    assert said(asked, capsys)[1].splitlines()[0] == f"A plant from 120 samples, every 0.1 s{end}"
+    assert said(asked, capsys)[1].splitlines()[1] == f"A plant from 120 samples, every 0.1 s{end}"
     assert len(json.loads(said([*asked, "--json"], capsys)[1])["modes"]) == 2
 
 

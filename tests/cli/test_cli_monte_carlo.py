@@ -84,7 +84,9 @@ def test_text_has_a_row_for_each_law_and_csv_a_row_for_each_run(data, folder, ca
     assert "21 random signals, sojourns of 0.2 s + Exp(0.2 s), 15 s each" in text
     assert "law 5 % median 95 % wins / oracle growing runs" in text
     assert "law median 95 % interval / oracle 95 % interval" in text
-    assert all(out.count(f"\n{law} ") == 3 for law in data.law.values)
+    assert text.startswith("Least median cost: ")
+    tables = out.partition("\nCost")[2].partition("\n•")[0]
+    assert all(tables.count(f"\n{law} ") == 3 for law in data.law.values)
     assert out.rstrip().endswith("Figure: run.png\nData: all.csv")
     assert (folder / "run.png").read_bytes().startswith(b"\x89PNG")
     with open("all.csv", newline="", encoding="utf-8") as file:
@@ -362,3 +364,11 @@ def test_curves_are_distribution_functions_and_axes_leave_out_what_is_far(data):
 def test_odd_costs_have_a_picture_too(folder, cost, lost):
     plot_monte_carlo(made_up(cost, lost)).savefig("odd.png")
     assert (folder / "odd.png").stat().st_size > 1000
+
+
+def test_a_law_alone_is_compared_with_nothing(folder, capsys):
+    code, out, err = run(capsys, "paper", *COARSE, "--law", "mean", "--scenarios", "21")
+    assert (code, err) == (0, "")
+    assert "/ mean" not in out
+    assert "best on" not in out
+    assert "law median 95 % interval" in " ".join(out.split())

@@ -115,7 +115,7 @@ def test_what_json_does_not_know_is_null(capsys):
 # A help page, and the three ways in which all commands print results.
 KINDS = """
 from deadtime.cli import main
-from deadtime.cli.printing import print_heading, print_table
+from deadtime.cli.printing import print_answer, print_table
 
 def page():
     try:
@@ -126,7 +126,7 @@ def page():
 for kind in (
     page,
     lambda: print_table(["law", "cost"], [["mean", "1.5"]]),
-    lambda: print_heading("A title", ["A sentence."]),
+    lambda: print_answer("An answer.", "A title"),
     lambda: print("A line"),
 ):
     print("MARK", flush=True)
@@ -208,8 +208,8 @@ def test_an_encoding_without_infinity_is_no_reason_to_fail(monkeypatch):
                 main(["bound", "paper", *options])
             assert stopped.value.code == 0
             printed[encoding, *options] = stream.buffer.getvalue().decode(encoding)
-    assert "its modes and gains differ by ? = 0.79" in printed["ascii",]
-    assert "its modes and gains differ by ε = 0.79" in printed["utf-8",]
+    assert "its modes and gains differ by ? = \n0.79" in printed["ascii",]
+    assert "its modes and gains differ by ε = \n0.79" in printed["utf-8",]
     assert "ε" in printed["utf-8", "--json"]
     assert json.loads(printed["ascii", "--json"]) == json.loads(printed["utf-8", "--json"])
 

@@ -159,7 +159,7 @@ def test_quick_start_of_the_readme_runs_line_by_line_in_an_empty_folder(tmp_path
     )
     assert (result.returncode, result.stderr) == (0, "")
     assert "Next: deadtime simulate problem.toml" in result.stdout
-    assert "\n(proven in " in result.stdout
+    assert "\nValid: " in result.stdout
     names = {path.name for path in tmp_path.iterdir()}
     assert names >= {"problem.png", "problem-all-laws.png", "cert.json", "out"}
 

@@ -203,13 +203,13 @@ BAD = [
     ("horizon = 4.0", "horizon = inf", r"line 16, \[run\]: horizon must be finite"),
     ("step = 0.1", "step = 0.1\nu0 = [0.0, 0.0]", r"line 18, \[run\]: u0 must have shape"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "averaged"\nwieghts = [1.0]',
-     r"line 20: law\.0\.wieghts is not known: did you mean weights\?"),
+     r"line 20: \[\[law\]\] 1, wieghts is not known: did you mean weights\?"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "averaged"\nweights = [0.5, 0.6]',
-     r"line 20, \[law\.0\]: weights must be probabilities"),
+     r"line 20, \[\[law\]\] 1: weights must be probabilities"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "exact"\n[[law]]\nkind = "exact"',
-     r"line 20, \[law\.1\]: name 'oracle' is used twice"),
+     r"line 20, \[\[law\]\] 2: name 'oracle' is used twice"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "single"\nmode = 2',
-     r"line 20, \[law\.0\]: mode must be in 0\.\.1, got 2"),
+     r"line 20, \[\[law\]\] 1: mode must be in 0\.\.1, got 2"),
 ]  # fmt: skip
 
 

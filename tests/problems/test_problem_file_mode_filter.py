@@ -135,7 +135,7 @@ def test_it_has_no_certificate_and_is_told_what_could_be_proved(tmp_path):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ((MARKOV, BELIEF, RUN), r"\[law\.0\]: kind = .belief. needs a \[mode_filter\] section"),
+        ((MARKOV, BELIEF, RUN), r"\[\[law\]\] 1: kind = .belief. needs a \[mode_filter\] section"),
         ((FILTER, RUN), r"\[mode_filter\]: a mode filter needs a \[switching\] section"),
         ((MARKOV, FILTER, OBSERVER, RUN), r"\[mode_filter\]: covariance must be given beside an"),
         (
@@ -182,7 +182,7 @@ def test_it_has_no_certificate_and_is_told_what_could_be_proved(tmp_path):
         ),
         (
             (MARKOV, FILTER, BELIEF, 'of = "mean"\n', RUN),
-            r"law.0.of: input should be 'expected' or 'optimal'",
+            r"\[\[law\]\] 1, of: input should be 'expected' or 'optimal'",
         ),
     ],
 )

@@ -20,6 +20,7 @@ from deadtime.certificates.proof import Check, Evidence, StretchEvidence, save_e
 from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import decay_rate
+from deadtime.switching import SignalClass
 
 
 def require_json(name: str, path: str | Path) -> Path:
@@ -168,6 +169,36 @@ def delays_in_words(setting: Setting) -> str:
     return f" {low!r} s" if low == high else f" any constant value in [{low!r}, {high!r}] s"
 
 
+def pace_of(evidence: Evidence | StretchEvidence) -> str:
+    """How a loop is proved to decay, as the end of a sentence."""
+    rate = decay_rate(evidence)
+    return f" decays at least like exp(−{round_down(rate, 6)} t)" if rate else " decays to zero"
+
+
+def not_covered(signals: SignalClass) -> str:
+    """A sentence on what no certificate for these signals includes."""
+    return (
+        "Not covered: limits of the inputs (saturation, rates), constant forces (offsets)"
+        f"{' and noise' if signals.lost_samples else ', noise and lost samples'}."
+    )
+
+
+def plain_statement(evidence: Evidence | StretchEvidence) -> tuple[str, ...]:
+    """A line each on what is proved, of which loop, and what is left out."""
+    setting = evidence.setting
+    modes, n, m = setting.plants.sizes
+    words = setting.signals.sentence(setting.modes)
+    anywhere = ", switching at any instant" * (setting.signals.at == "anywhere")
+    which, _ = setting.plants.in_words
+    sizes = ", ".join((number_of(modes, "mode"), number_of(n, "state"), number_of(m, "input")))
+    return (
+        f"Valid: the loop{pace_of(evidence)}, {words}{anywhere}.",
+        f"Loop: {which} of {sizes}, input delay{delays_in_words(setting)}, with a law of "
+        f"{number_of(len(setting.G), 'row')}; period {setting.step!r} s.",
+        not_covered(setting.signals),
+    )
+
+
 def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
     """Sentences: the theorem, the numbers it is about, and the kind of proof."""
     setting, rho = evidence.setting, evidence.rho
@@ -195,7 +226,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         ages = ", ".join(map(str, evidence.knots))
         when = f"from one node (a mode at one of the ages {ages}) to the next"
         falls = f"per period {falls}" if rate else falls
-    pace = f" decays at least like exp(−{round_down(rate, 6)} t)" if rate else " decays to zero"
+    pace = pace_of(evidence)
     rows = {
         "none": "one row, independent of the mode",
         "mode": "a row for each sampled mode",
@@ -224,8 +255,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     return (
         f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
         f"initial state{memory} and past input, the digital loop of {which} with this "
-        f"table{pace}. Not covered: limits of the inputs (saturation, rates), constant forces "
-        f"(offsets){' and noise' if signals.lost_samples else ', noise and lost samples'}.",
+        f"table{pace}. {not_covered(signals)}",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A delay within 1e-9 "
         f"periods of a whole number of periods is taken as that number{alike}. The running loop "
         "does the same.",

@@ -16,7 +16,7 @@ import numpy as np
 from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.wording import number_of
-from deadtime.certificates.certificate import statement
+from deadtime.certificates.certificate import plain_statement, statement
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
@@ -53,6 +53,8 @@ class Verification:
         How long it took.
     about : tuple of str
         The plant, the table and the signals of the file: first numbers, and digests to compare.
+    summary : tuple of str
+        A line each on what is proved, of which loop, and what is left out; or the rejection alone.
     """
 
     proven: bool
@@ -61,6 +63,7 @@ class Verification:
     decay_rate: float | None
     seconds: float
     about: tuple[str, ...] = ()
+    summary: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -241,7 +244,8 @@ def verify(
 
     def rejection(why: str, about: tuple[str, ...] = ()) -> Verification:
         seconds = time.perf_counter() - began
-        return Verification(False, f"Rejected: {why}", (), None, seconds, about)
+        message = f"Rejected: {why}"
+        return Verification(False, message, (), None, seconds, about, (message,))
 
     reason = why_malformed(evidence)
     if reason:
@@ -258,7 +262,8 @@ def verify(
         return rejection(f"{outcome.reason}.", about)
     sentences, seconds = statement(evidence, outcome.cells), time.perf_counter() - began
     message = f"Proved: {sentences[0]}"
-    return Verification(True, message, sentences, decay_rate(evidence), seconds, about)
+    plainly = plain_statement(evidence)
+    return Verification(True, message, sentences, decay_rate(evidence), seconds, about, plainly)
 
 
 def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:

@@ -11,10 +11,16 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import file_names, with_names
 from deadtime.cli import options
 from deadtime.cli.application import JUDGE, app, lines
-from deadtime.cli.printing import output_file, print_json, print_table, progress_bar
+from deadtime.cli.printing import (
+    output_file,
+    print_answer,
+    print_details,
+    print_json,
+    print_table,
+    progress_bar,
+)
 
 if TYPE_CHECKING:
-    from deadtime.certificates import Verification
     from deadtime.feedback import Law
     from deadtime.problems import Problem
     from deadtime.problems.switching_assumptions import AssumedSignals
@@ -56,6 +62,7 @@ def certify(
     least_dwell_time: bool = False,
     mode: int | None = None,
     longest_mode_lag: bool = False,
+    explain: options.Flag = False,
     out: options.File = None,
     json_output: options.AsJson = False,
 ) -> int:
@@ -102,6 +109,8 @@ def certify(
     longest_mode_lag
         Look for the longest lag instead with which the mode may be told: the longest proved, and
         the shortest refuted.
+    explain
+        Print the formal statement of every proof, too: its assumptions, and how it was shown.
     out
         Save the certificates that are proofs, for `deadtime verify`, as JSON: a name that ends in
         .json or in nothing; of several laws, each into a file named after the law.
@@ -162,7 +171,7 @@ def certify(
         record |= {"uncertain": uncertain} if chosen.uncertain is not None else {}
         print_json(record | {"laws": certificate_record(judged)}, [*saved])
     else:
-        _print_judged(chosen, judged, asked, period, law is not None, (uncertain, ranges))
+        _print_judged(chosen, judged, asked, period, explain, (uncertain, ranges))
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
             for path, limit in saved.items():
@@ -193,6 +202,7 @@ def verify(
     lost_samples: int | None = None,
     uncertain: bool = False,
     limit: float = 1.0,
+    explain: options.Flag = False,
     json_output: options.AsJson = False,
 ) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
@@ -227,6 +237,8 @@ def verify(
         It must be about all plants that the problem's [uncertainty] leaves open.
     limit
         How many times as much work as is usual may be done for a file of its size.
+    explain
+        Print the formal statement, first numbers and digests, too.
     """
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
@@ -266,25 +278,23 @@ def verify(
             matches |= {"chatter": chatter} if chatter > 1 else {}
         elif result.proven:
             why = "Rejected: the certificate is about a table of none of the problem's laws."
-            result = replace(result, proven=False, message=why)
+            result = replace(result, proven=False, message=why, summary=(why,))
     if json_output:
         from deadtime.base.json_records import plain
 
-        print_json(plain(result) | {"matches": matches})
-    else:
-        _print_verification(result)
-        if matches is not None:
-            its = f"its plant and its law {' = '.join(matches['laws'])}"
-            print(f"Matches {matches['problem']}: {its}. {about}")
-    return 0 if result.proven else 1
-
-
-def _print_verification(result: Verification) -> None:
-    print(result.message)
-    for sentence in (*result.statement, *result.about):
-        if sentence not in result.message:
+        facts = plain(result)
+        del facts["summary"]  # `statement` says it in full
+        print_json(facts | {"matches": matches})
+        return 0 if result.proven else 1
+    print("\n".join(result.summary))
+    if matches is not None:
+        its = f"its plant and its law {' = '.join(matches['laws'])}"
+        print(f"Matches {matches['problem']}: {its}. {about}")
+    if explain:
+        for sentence in (*result.statement, *result.about):
             print(f"• {sentence}")
-    print(f"({'proven' if result.proven else 'not proven'} in {result.seconds:.2g} s)")
+        print(f"({'proven' if result.proven else 'not proven'} in {result.seconds:.2g} s)")
+    return 0 if result.proven else 1
 
 
 def _save(judged: list[Judged], out: Path) -> dict[Path, int]:
@@ -303,9 +313,11 @@ def _print_judged(
     judged: list[Judged],
     asked: AssumedSignals,
     step: float,
-    in_full: bool,
+    explain: bool,
     left_open: tuple[bool, object],
 ) -> None:
+    """The verdict, its signals, the table, then details; formal statements where asked for."""
+    from deadtime.certificates.certificate import not_covered
     from deadtime.cli.console import Terminal
     from deadtime.reports.certificate_tables import (
         HEADINGS,
@@ -314,29 +326,33 @@ def _print_judged(
         certificate_sentences,
         left_out,
         plants_in_words,
+        summary_of,
     )
 
-    console, about = Terminal(), asked.in_words(problem.modes, step)
-    console.print(problem.title, style="bold", markup=False)
-    for sentence in (
-        about,
+    sentences = certificate_sentences(judged, problem)
+    alone = len(judged) == 1
+    print_answer(
+        sentences[0] if alone else summary_of(judged),
+        problem.title,
+        asked.in_words(problem.modes, step),
         *plants_in_words(problem, *left_open),
-        *left_out(problem, asked.signals),
-    ):
-        console.print(sentence, markup=False)
-    console.print()
+        "",
+    )
     print_table(HEADINGS, certificate_rows(judged))
-    console.print(f"{LEGEND}\n", style="dim", markup=False)
-    for sentence in certificate_sentences(judged, problem):
-        console.print(f"• {sentence}", markup=False)
-    if not in_full:
-        return
-    for one in judged:
-        for sentence in one.certificate.statement if one.certificate is not None else ():
-            console.print(f"  – {sentence}", markup=False)
-        if one.margin is not None:
-            text = with_names(one.margin.message, problem.modes)
-            console.print(f"• Delay: {text}.", markup=False)
+    print()
+    if alone and judged[0].margin is not None:
+        sentences = [f"Delay: {with_names(judged[0].margin.message, problem.modes)}."]
+    elif alone:
+        sentences = []
+    print_details([*sentences, *left_out(problem, asked.signals)])
+    if any(one.stable for one in judged):
+        print_details([not_covered(asked.signals)])
+    Terminal().print(f"\n{LEGEND}", style="dim", markup=False)
+    if explain:
+        for one in judged:
+            if one.certificate is not None and one.certificate.statement:
+                print_answer("", f"{one.law}, formally:")
+                print_details(one.certificate.statement)
 
 
 @app.command(
@@ -371,8 +387,8 @@ def bound(
     if json_output:
         print_json(bounds_record(bounds))
         return
+    print_answer(bound_sentence(bounds), f"Dwell time {dwell:.4g} s ({source}).", "")
     print_table(bound_headings(bounds, chosen.constants), bound_rows(bounds, chosen.constants))
-    print(f"\nDwell time {dwell:.4g} s ({source}). {bound_sentence(bounds)}")
 
 
 class ProvedBracket(NamedTuple):
@@ -475,11 +491,14 @@ def _answer(
         key, about_them = record
         print_json(about_them | {key: {name: one.record() for name, one in found.items()}})
     else:
-        print("\n".join((problem.title, *said, *left_out(problem), "")))
         headings, cells = table
+        sentences = [f"{name}: {with_names(x.message, problem.modes)}" for name, x in found.items()]
+        proved = [name for name, one in found.items() if one.certified is not None]
+        answer = f"Proved for {', '.join(proved) or 'no law'}: {headings[1]} the figures below."
+        alone = len(sentences) == 1
+        print_answer(sentences[0] if alone else answer, problem.title, *said, "")
         print_table(headings, [(name, *cells(one)) for name, one in found.items()])
-        for name, one in found.items():
-            print(f"• {name}: {with_names(one.message, problem.modes)}")
+        print_details([*([] if alone else sentences), *left_out(problem)])
     return 0 if law is None or found[law].certified is not None else 1
 
 

@@ -13,7 +13,7 @@ from deadtime.cli.application import BUILD, app, lines
 from deadtime.cli.printing import (
     PICTURES,
     output_file,
-    print_heading,
+    print_answer,
     print_json,
     print_table,
     progress_bar,
@@ -190,7 +190,7 @@ def _print(problem: Problem, found: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
     from deadtime.reports.design import HEADINGS, LIMIT_HEADINGS, STEP, design_rows, limit_rows
 
-    print_heading(problem.title, [f"{found.message}\n"])
+    print_answer(found.message, problem.title, "")
     rows, at = design_rows(found), HEADINGS.index(STEP)
     if len({row[at] for row in rows}) > 1:
         print_table(HEADINGS, rows)

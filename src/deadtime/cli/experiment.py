@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from deadtime.base.errors import ArgumentError
 from deadtime.cli import options
 from deadtime.cli.application import BUILD, app, lines
-from deadtime.cli.printing import output_file, print_heading, print_json, print_table
+from deadtime.cli.printing import output_file, print_answer, print_details, print_json, print_table
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -108,10 +108,12 @@ def experiment(
         print_json(_record(found, chosen.operating_point), [out])
         return
     rows = f"{found.time.size:,} rows, every {period:.4g} s"
-    print_heading(f"An experiment of {rows}", [*_absolute(chosen, found), *found.sentences])
-    print()
+    answer, *details = found.sentences
+    print_answer(answer, f"An experiment of {rows}", "")
     errors = zip(found.names, found.errors, strict=True)
     print_table(("", "standard error"), [(name, f"{error:.3g}") for name, error in errors])
+    print()
+    print_details([*_absolute(chosen, found), *details])
     print(f"\nWritten: {out}")
 
 

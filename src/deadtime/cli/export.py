@@ -162,4 +162,5 @@ def _limits_in_words(controller: Controller) -> str:
     low, high = controller.limits
     if np.isinf(low).all() and np.isinf(high).all():
         return "no limits of the inputs"
-    return f"inputs within {low.tolist()} and {high.tolist()}"
+    pairs = (f"{a:g} to {b:g}" for a, b in zip(low.tolist(), high.tolist(), strict=True))
+    return f"inputs limited to {' and '.join(pairs)}"

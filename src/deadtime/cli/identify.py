@@ -14,7 +14,8 @@ from deadtime.cli import options
 from deadtime.cli.application import BUILD, app, command_line, lines
 from deadtime.cli.printing import (
     output_file,
-    print_heading,
+    print_answer,
+    print_details,
     print_json,
     print_table,
     require_writable,
@@ -148,9 +149,11 @@ def identify(
     if json_output:
         print_json(_record(fit, said), written)
     else:
-        print_heading(f"A plant from {sampling_of(fit)}{_numbered(fit)}", said)
-        print()
+        answer, *details = said
+        print_answer(answer, f"A plant from {sampling_of(fit)}{_numbered(fit)}", "")
         print_table(HEADINGS, interval_rows(fit))
+        print()
+        print_details(details)
         for path in written:
             print(f"\nWritten: {path}")
     if failed is not None:
@@ -354,8 +357,9 @@ def fit(
     if json_output:
         print_json(fit_record(model, names), [picture])
         return
+    print_answer(fit_sentence(model, names), "")
     print_table(HEADINGS, fit_rows(model, names))
-    print(f"\n{fit_sentence(model, names)}\n\n{model.section()}")
+    print(f"\n{model.section()}")
     print(f"\nFigure: {picture}")
 
 

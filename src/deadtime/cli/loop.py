@@ -8,7 +8,8 @@ from deadtime.cli import options
 from deadtime.cli.application import JUDGE, app, lines
 from deadtime.cli.printing import (
     output_file,
-    print_heading,
+    print_answer,
+    print_details,
     print_json,
     print_table,
     progress_bar,
@@ -64,6 +65,7 @@ def loop(
     from deadtime.margins.loop_view import loop_view
     from deadtime.margins.step_response import step_response
     from deadtime.reports.figures.loop import plot_loop
+    from deadtime.reports.verdict import held_in_words
 
     chosen = options.problem_with(problem, step, None, None)
     path = output_file("out", out, f"{chosen.name}-loop")
@@ -89,14 +91,15 @@ def loop(
         print_json(setting | _record(view, steps), [path])
         return 0 if stable else 1
     said = (sentence_of(margin.message) for margin in (view.gain, view.delay))
-    print_heading(chosen.title, [with_names(text, chosen.modes) for text in said])
-    print()
-    growth = view.gain.growth.tolist()
-    names = chosen.modes or [f"{each.mode}" for each in view.modes]
+    growth, names = view.gain.growth.tolist(), chosen.modes
+    judged, why = held_in_words(chosen, growth)
+    print_answer(f"Under the law “{name}” the loop is {judged}: {why}.", chosen.title, "")
     print_table(_HEADINGS, [_row(*each) for each in zip(names, growth, view.modes, strict=True)])
     if any(each.growth < 0.0 for each in steps):
         print(f"\n{shown} after a constant 1 at {pushed}:")
         print_table(_STEP_HEADINGS, [_step_row(*each) for each in zip(names, steps, strict=True)])
+    print()
+    print_details(with_names(text, chosen.modes) for text in said)
     print(f"\nFigure: {path}")
     return 0 if stable else 1
 
@@ -209,10 +212,9 @@ def robustness(
         setting = {"problem": chosen.name, "law": name, "step": period}
         print_json(setting | _robustness_record(result, checks, drawn), [path])
         return
-    print_heading(chosen.title)
-    print(f"Law “{name}”, sampled every {period:g} s:")
-    for sentence in (*result.sentences, *checks):
-        print(f"• {with_names(sentence, chosen.modes)}")
+    answer, *details = (with_names(one, chosen.modes) for one in (*result.sentences, *checks))
+    print_answer(answer, f"{chosen.title}: law “{name}”, sampled every {period:g} s")
+    print_details(details)
     if drawn:
         print("\nPlants drawn from [uncertainty]:")
         print_table(DRAWN_HEADINGS, drawn_rows(drawn))

@@ -13,7 +13,8 @@ from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import (
     TABLES,
     output_file,
-    print_heading,
+    print_answer,
+    print_details,
     print_json,
     print_never,
     print_table,
@@ -294,7 +295,7 @@ def _print(
     from deadtime.problems.unit_checks import unit_checks_of
     from deadtime.reports import metrics
 
-    print_heading(problem.title)
+    print_answer(outcome.answer, problem.title)
     limited, about = _is_limited(problem), []
     if sojourn is None:
         what = f"of the file's [switching], {problem.switching!r}"
@@ -314,22 +315,17 @@ def _print(
         f"{problem.horizon:g} s each, sampled every {data.attributes['step']:g} s, seed "
         f"{data.attributes['seed']}."
     )
-    checks = unit_checks_of(problem, data.attributes["step"])
-    for sentence in (*about, *nominal_plant_sentence(problem), *checks):
-        print(f"• {sentence}")
-    if problem.imperfections:
-        print(f"• Imperfect: {', '.join(problem.imperfections_in_words)}.")
-    reasons = dict.fromkeys(data.one_by_one.values())
-    for reason in reasons:
-        laws = ", ".join(name for name, why in data.one_by_one.items() if why == reason)
-        print(f"• Run one by one, which takes longer: {laws}, because {reason}.")
-    if data.attributes["message"]:
-        print(f"• {data.attributes['message']}")
     print(f"\n{metrics.measure_title(outcome.measure, problem.weight)}")
-    print_table(outcome.headings, outcome.rows())
     ratio, intervals = outcome.notes
-    print(f"{ratio}\n")
-    print_table(outcome.interval_headings, outcome.interval_rows())
+    if len(outcome.laws) > 1:
+        print_table(outcome.headings, outcome.rows())
+        print(f"{ratio}\n")
+        print_table(outcome.interval_headings, outcome.interval_rows())
+    else:  # nothing to compare the law with: quantiles, |x| grows, and the median's interval
+        rows = [[*row[:4], row[6]] for row in outcome.rows()]
+        print_table([*outcome.headings[:4], outcome.headings[6]], rows)
+        print()
+        print_table(outcome.interval_headings[:3], [row[:3] for row in outcome.interval_rows()])
     print(intervals)
     other = "ise" if outcome.measure == "cost" else "cost"
     print(f"\n{metrics.measure_title(other, problem.weight)}")
@@ -339,6 +335,15 @@ def _print(
         print(f"\n{metrics.heading_of(problem, i)}, to the end of the run, medians")
         print_table(metrics.HEADINGS, rows)
     print_never(shown)
+    checks = unit_checks_of(problem, data.attributes["step"])
+    details = [*about, *nominal_plant_sentence(problem), *checks]
+    if problem.imperfections:
+        details.append(f"Imperfect: {', '.join(problem.imperfections_in_words)}.")
+    for reason in dict.fromkeys(data.one_by_one.values()):
+        slow = ", ".join(name for name, why in data.one_by_one.items() if why == reason)
+        details.append(f"Run one by one, which takes longer: {slow}, because {reason}.")
+    print()
+    print_details([*details, *filter(None, [data.attributes["message"]])])
 
 
 def _record(

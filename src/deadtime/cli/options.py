@@ -193,10 +193,14 @@ def signals_and_step(
 
     promised = problem.signals.dwell_time is not None
     if dwell_time is None and not promised and problem.switching is not None:
+        sojourns = getattr(problem.switching, "sojourn", ())
+        least = min((float(x.support()[0]) for x in sojourns if hasattr(x, "support")), default=0.0)
+        # A distribution that begins above 0, as expon with loc = 60, is what the file means.
+        known = f" = {least:g}" if least > 0.0 else ""
         raise ArgumentError(
-            f"the problem {problem.name!r} has a model of its switching, which promises no dwell "
-            "time, and no [signal] that does: the shortest sojourn of one drawn signal says "
-            "nothing of others. Give --dwell-time."
+            f"neither [switching] nor [signal] of the problem {problem.name!r} states a dwell "
+            "time, and the shortest sojourn of one drawn signal says nothing of others: give "
+            f"--dwell-time, or write dwell_time{known} in [switching]."
         )
     times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
     return signals_of(problem, problem.signal, *times, chatter, **others), step_of(problem)

@@ -40,23 +40,31 @@ def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None)
     print(json_text(whole, ascii_only=not wide))
 
 
-def print_heading(title: str, sentences: Iterable[str] = ()) -> None:
-    """A title, in bold on terminals, and sentences below it."""
+def print_answer(answer: str, *about: str) -> None:
+    """The answer of a command, in bold on terminals, and lines on its subject."""
     from deadtime.cli.console import Terminal
 
     console = Terminal()
-    console.print(title, style="bold", markup=False)
+    console.print(answer, style="bold", markup=False)
+    for line in about:
+        console.print(line, markup=False)
+
+
+def print_details(sentences: Iterable[str]) -> None:
+    """A bullet for each sentence."""
+    from deadtime.cli.console import Terminal
+
     for sentence in sentences:
-        console.print(f"• {sentence}", markup=False)
+        Terminal().print(f"• {sentence}", markup=False)
 
 
 def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
     from deadtime.reports import metrics
     from deadtime.reports.verdict import headings_of, table
 
-    print_heading(problem.title, sentences)
+    answer, *details = sentences
+    print_answer(answer, problem.title, "")
     rows = table(result)
-    print()
     print_table(headings_of(result), rows)
     shown: list[Sequence[Sequence[str]]] = [rows]
     for heading, found in metrics.tracking_of_runs(result):
@@ -64,6 +72,8 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
         shown.append(found)
         print_table(metrics.HEADINGS, found)
     print_never(shown)
+    print()
+    print_details(details)
 
 
 def print_never(tables: Iterable[Sequence[Sequence[str]]]) -> None:
@@ -75,15 +85,11 @@ def print_never(tables: Iterable[Sequence[Sequence[str]]]) -> None:
 
 
 def print_answers(title: str, answers: Sequence[Answer]) -> None:
-    from deadtime.cli.console import Terminal
-
-    console = Terminal()
-    console.print(title, style="bold", markup=False)
+    print_answer(title)
     for answer in answers:
-        console.print(f"\n{answer.question}", markup=False)
-        for sentence in answer.sentences:
-            console.print(f"• {sentence}", markup=False)
-    console.print()
+        print_answer("", answer.question)
+        print_details(answer.sentences)
+    print()
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

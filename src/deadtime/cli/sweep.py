@@ -16,8 +16,9 @@ from deadtime.cli.printing import (
     TABLES,
     on_terminal,
     output_folder,
+    print_answer,
     print_answers,
-    print_heading,
+    print_details,
     print_json,
     print_table,
     require_writable,
@@ -126,10 +127,12 @@ def sweep(
         print_json(state, None if table is None else [table])
         return 0
     sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
-    print_heading(chosen.title)
-    print(f"{plan.cells:,} cells: {sizes}")
-    for law, (cells, example) in reasons.items():
-        print(f"• {law}: in {cells:,} of {plan.cells:,} cells, such as: {example}")
+    wrong = f", failures under {', '.join(reasons)}" if reasons else ""
+    print_answer(f"All {plan.cells:,} cells are computed{wrong}: {sizes}", chosen.title)
+    print_details(
+        f"{law}: in {cells:,} of {plan.cells:,} cells, such as: {example}"
+        for law, (cells, example) in reasons.items()
+    )
     _print_medians(data)
     if table is not None:
         print(f"\nTable: {table}")
@@ -185,14 +188,14 @@ def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
 
         print_json(plain(plan))
         return
-    print_heading(study.title)
     axes = " × ".join(f"{len(values)} {name}" for name, values in study.grid.items())
-    print(
-        f"{plan.cells:,} cells ({axes or 'no axes'}), {study.scenarios:,} signals in each, "
-        f"{len(study.laws)} laws"
-    )
     state = f"{plan.done:,} cells are whole, {plan.cells - plan.done:,} to do"
-    print(f"Store {plan.store}: {state if plan.exists else 'not there yet'}")
+    print_answer(
+        f"Store {plan.store}: {state if plan.exists else 'not there yet'}",
+        study.title,
+        f"{plan.cells:,} cells ({axes or 'no axes'}), {study.scenarios:,} signals in each, "
+        f"{len(study.laws)} laws",
+    )
     if dry_run:
         timed = "1 cell" if plan.timed == 1 else f"{plan.timed} cells"
         blocks = "1 block" if plan.missing == 1 else f"{plan.missing:,} blocks"

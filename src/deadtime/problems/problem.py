@@ -199,8 +199,18 @@ class Problem(Frozen):
     def law(self, name: str) -> Law:
         """One of the problem's laws, by its name."""
         if name not in self.laws:
-            raise ArgumentError(f"law must be one of {', '.join(self.laws)}, got {name!r}.")
+            raise ArgumentError(
+                f"law must be one of {', '.join(self.laws)}, got {name!r}.{self._of_kind(name)}"
+            )
         return self.laws[name]
+
+    def _of_kind(self, kind: str) -> str:
+        """A hint if somebody names a law by its kind in problem files, as exact for the oracle."""
+        from deadtime.problems.law_registry import LAWS, name_of
+
+        usual = {name for name, known in LAWS.items() if known.kind == kind}
+        called = [name for name, law in self.laws.items() if name_of(law) in usual]
+        return f" The law of kind {kind!r} has the name {called[0]!r}." if called else ""
 
     def run(self, law: Law, signal: SwitchingSignal | None = None) -> Trajectory:
         """Run any law in the problem's setting."""

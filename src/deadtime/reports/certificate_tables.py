@@ -268,6 +268,22 @@ def certificate_sentences(judged: Sequence[Judged], problem: Problem) -> list[st
     return texts
 
 
+def summary_of(judged: Sequence[Judged]) -> str:
+    """One sentence: which laws are stable for every signal, and which are not.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> summary_of([SimpleNamespace(law="mean", stable=True)])
+    'Stable for every such signal: mean.'
+    """
+    kinds = {True: "Stable for every such signal", False: "Not stable", None: "No answer"}
+    found = (
+        (text, [one.law for one in judged if one.stable is kind]) for kind, text in kinds.items()
+    )
+    return " ".join(f"{text}: {', '.join(laws)}." for text, laws in found if laws)
+
+
 def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
     """Certificates, worst signals and delay margins for JSON."""
     from deadtime.certificates import Certificate

@@ -163,6 +163,18 @@ class Summary:
         ]
 
     @property
+    def answer(self) -> str:
+        """One sentence: the law with the least median, the reference aside, and laws that fail."""
+        rivals = [one for one in self.laws if one.law != self.reference] or list(self.laws)
+        best = min(rivals, key=lambda one: getattr(one, self.measure).median)
+        what = "∫|r − y|" if self.measure == "iae" else "cost"
+        text = f"Least median {what}: {best.law}, {compact(getattr(best, self.measure).median)}"
+        if best.law != self.reference:
+            text += f", {compact(best.relative)} times that of {self.reference}"
+        grew = [f"{x.law} ({x.grew:,} of {self.scenarios:,})" for x in self.laws if x.grew]
+        return f"{text}; |x| grows under {', '.join(grew) or 'no law'}."
+
+    @property
     def notes(self) -> tuple[str, str]:
         """Sentences on the ratio and on the intervals."""
         return (

@@ -43,8 +43,8 @@ def verdict(result: Comparison) -> list[str]:
     Ignoring the delay fails: |x| reaches 1.5 × 10¹³ by the end.
     """
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
-    sentences = [*result.problem.operating_sentences, *unit_checks_of(result.problem)]
-    sentences += [_headline(result), *([lead] if lead else [])]
+    sentences = [*unit_checks_of(result.problem), _headline(result), *([lead] if lead else [])]
+    sentences += result.problem.operating_sentences
     sentences += [f"{name} was left out: {why}" for name, why in result.reasons.items()]
     sentences += _imperfections(result) + observer_reads_mode(result.problem, result.runs)
     sentences += _slow_observer(result)
@@ -200,6 +200,8 @@ def held_in_words(problem: Problem, growth: Sequence[float]) -> tuple[str, str]:
     ('unstable', 'held in brake it grows at +0.250 /s (in the other modes it decays)')
     """
     names, least = problem.modes, least_growth(problem.plant)
+    if not growth:
+        return "not judged", "it has no growth rates with a mode held"
     unstable = [i for i, rate in enumerate(growth) if rate > least]
     still = [i for i, rate in enumerate(growth) if abs(rate) <= least]
     if still and not unstable:

@@ -235,7 +235,7 @@ RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the sta
 class OffsetSection(Section):
     """A constant force in one mode: dx/dt = A_σ x + B_σ u(t − D) + force, as of a load."""
 
-    mode: int
+    mode: int | str = Field(description="Its number, or its name in [plant].")
     force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
         description="Units of x per second."
     )

@@ -257,24 +257,42 @@ def faults(
     return [Fault(path, _sentence(groups[path], data)) for path in paths[:MOST]], more
 
 
+def key_in_words(path: Keys) -> str:
+    """A key as its reader finds it: the tables of a list are counted from 1.
+
+    Examples
+    --------
+    >>> key_in_words(("law", 0, "kind")), key_in_words(("plant", "A"))
+    ('[[law]] 1, kind', 'plant.A')
+    """
+    if len(path) < 2 or not isinstance(path[1], int):
+        return ".".join(map(str, path))
+    table, key = f"[[{path[0]}]] {path[1] + 1}", ".".join(map(str, path[2:]))
+    return f"{table}, {key}" if key else table
+
+
+def _kind_of(name: str) -> str:
+    """The `kind` that a table lacks, or has wrong."""
+    return f"{name}, kind" if name.startswith("[[") else f"{name}.kind"
+
+
 def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
     """The fault of a key, and what to do about it."""
     (item, place), kind = group[0], group[0][0]["type"]
-    name = ".".join(map(str, place.path)) or "file"
+    name = key_in_words(place.path) or "file"
     if kind == "missing":
         return f"{name} is missing: add it."
     if kind == "extra_forbidden":
         if place.elsewhere:
             kinds = " or ".join(f'"{kind}"' for kind in place.elsewhere[:3])
-            return f"{name} is not of this kind, but of kind = {kinds}: remove it, or change kind."
+            return f"{name} belongs to kind = {kinds} only: remove it, or change kind."
         return f"{name} is not known: {_advice(str(place.path[-1]), place.siblings)}"
     if kind == "union_tag_not_found":
-        return f"{name}.kind is missing: add it."
+        return f"{_kind_of(name)} is missing: add it."
     if kind == "union_tag_invalid":
         context = item["ctx"]
-        return (
-            f"{name}.kind must be one of {context['expected_tags']}, got {_short(context['tag'])}."
-        )
+        expected, tag = context["expected_tags"], _short(context["tag"])
+        return f"{_kind_of(name)} must be one of {expected}, got {tag}."
     given = _at(data, place.path)
     shape = _shape(place.field)
     if shape is not None and (found := _misshapen(name, str(place.path[-1]), given, shape)):

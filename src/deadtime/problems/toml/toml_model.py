@@ -18,7 +18,15 @@ from pydantic import BaseModel, ValidationError
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.files import read_text
-from deadtime.problems.toml.complaints import at_line, complaint, excess, faults, key_lines, line_of
+from deadtime.problems.toml.complaints import (
+    at_line,
+    complaint,
+    excess,
+    faults,
+    key_in_words,
+    key_lines,
+    line_of,
+)
 
 
 class SectionError(ArgumentError):
@@ -72,7 +80,8 @@ class TomlText:
         lines = key_lines(self.text)
         key = re.split(r"[ \[:]", str(error), maxsplit=1)[0]
         path = (*error.path, key) if (*error.path, key) in lines else error.path
-        where = f", [{'.'.join(map(str, error.path))}]" if error.path else ""
+        table = key_in_words(error.path)
+        where = f", {table if table.startswith('[[') else f'[{table}]'}" if table else ""
         return self.kind(f"{at_line(self.source, line_of(lines, path))}{where}: {error}")
 
 

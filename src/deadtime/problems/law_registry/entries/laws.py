@@ -43,6 +43,7 @@ from deadtime.problems.law_registry.entry import (
     LawSetting,
     Named,
     Square,
+    mode_number,
 )
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import Matrix, Vector
@@ -150,11 +151,12 @@ class SingleLaw(LawSection):
     )
 
     kind: Literal["single"]
-    mode: int
+    mode: int | str = Field(description="Its number, or its name in [plant].")
 
     def law(self, setting: LawSetting) -> Law:
+        mode = mode_number(self.mode, setting.modes)
         return SingleModePredictor(
-            setting.plant, setting.gains, self.mode, allow_unstable=setting.allow_unstable
+            setting.plant, setting.gains, mode, allow_unstable=setting.allow_unstable
         )
 
 

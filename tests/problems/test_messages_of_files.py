@@ -1,0 +1,86 @@
+"""Messages name tables, modes and laws as the file's writer knows them."""
+
+import dataclasses
+
+import pytest
+
+import deadtime as dt
+from deadtime.cli import options
+from deadtime.problems.file import load_problem
+from deadtime.reports.verdict import held_in_words
+
+FILE = """
+[plant]
+A = [[[-0.5, 1.0], [0.0, -1.0]], [[-0.4, 1.0], [0.0, -1.0]]]
+B = [[[0.0], [1.0]], [[0.0], [1.0]]]
+delay = 0.2
+modes = ["throttle", "brake"]
+[gains]
+poles = [-1.0, -2.0]
+[switching]
+kind = "semi-markov"
+sojourn = { distribution = "expon", loc = 60.0, scale = 10.0 }
+[signal]
+kind = "model"
+[[law]]
+kind = "single"
+mode = "brake"
+[[law]]
+kind = "exact"
+[[offset]]
+mode = "brake"
+force = [0.0, 2.0]
+[run]
+x0 = [1.0, 0.0]
+horizon = 4.0
+step = 0.1
+"""
+
+
+@pytest.fixture
+def loaded(tmp_path):
+    def load(old="", new=""):
+        path = tmp_path / "p.toml"
+        path.write_text(FILE.replace(old, new) if old else FILE, encoding="utf-8")
+        return load_problem(path)
+
+    return load
+
+
+def test_mode_names_stand_for_mode_numbers(loaded):
+    by_name, by_number = loaded(), loaded('mode = "brake"', "mode = 1")
+    assert list(by_name.laws) == list(by_number.laws) == ["brake only", "oracle"]
+    assert by_name.imperfections == by_number.imperfections
+    with pytest.raises(dt.ArgumentError, match=r"mode must be .* 'throttle', 'brake', got 'break'"):
+        loaded('mode = "brake"', 'mode = "break"')
+
+
+def test_the_kind_of_a_law_is_answered_with_its_name(loaded):
+    with pytest.raises(dt.ArgumentError, match=r"The law of kind 'exact' has the name 'oracle'\."):
+        loaded().law("exact")
+    with pytest.raises(dt.ArgumentError, match=r"got 'nothing'\.$"):
+        loaded().law("nothing")
+
+
+def test_sojourns_that_begin_above_zero_suggest_their_dwell_time(loaded):
+    with pytest.raises(dt.ArgumentError, match=r"write dwell_time = 60 in \[switching\]"):
+        options.signals_and_step(loaded(), None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('kind = "exact"', 'kind = "exat"', r"\[\[law\]\] 2, kind must be one of"),
+        ('kind = "exact"', "", r"\[\[law\]\] 2, kind is missing: add it"),
+        ("force = [0.0, 2.0]", "", r"\[\[offset\]\] 1, force is missing"),
+        ('kind = "model"', 'kind = "model"\nsojourns = [1.0]', "belongs to kind = .periodic. only"),
+    ],
+)
+def test_tables_of_a_list_are_counted_from_one(loaded, old, new, message):
+    with pytest.raises(dt.ArgumentError, match=message):
+        loaded(old, new)
+
+
+def test_a_loop_without_growth_rates_is_not_judged():
+    judged, why = held_in_words(dataclasses.replace(dt.problems.paper()), ())
+    assert (judged, "no growth rates" in why) == ("not judged", True)
