@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
 LEGEND = (
     "Stable: yes, for every such signal; no, |x| grows along one of them; no answer, neither was "
-    "found. Decay: every run falls at least at this rate. Proved: verified in ball arithmetic, also "
+    "found. Decay: every run falls at least this fast. Proved: verified in ball arithmetic, also "
     "where a signal refutes. Growth: along the worst signal found. Delay margin: the true delays "
     "for which the law keeps every constant mode stable; of several delays, their common change."
 )
