@@ -56,7 +56,7 @@ log.to_csv("heater.csv", index=False)
 #
 # .. code-block:: console
 #
-#    $ deadtime identify heater.csv --modes flow --per-mode --delay 0 200 --switches samples
+#    $ deadtime identify heater.csv --modes flow --per-mode --delay 0 200 --switches samples \\
 #        --states temperature --inputs valve
 
 fit = dt.identify(

@@ -33,7 +33,7 @@ law = dt.AveragedPredictor(plant, dt.place(plant, [-4.0, -5.0]))
 #
 # A shorter period decays faster and costs memory: the controller keeps the inputs of one delay.
 # The proof holds for the loop as it will run, at that period, for every change of the load that
-# keeps it for 0.5 s or more; the delay margin is how much later the camera may be.
+# keeps it for 0.5 s or more; the margin is the longest delay of the camera in either mode held.
 
 for step in (0.005, 0.01, 0.02, 0.05):
     proof = dt.certify(plant, law, 0.5, step)
@@ -49,8 +49,8 @@ for step in (0.005, 0.01, 0.02, 0.05):
 # The C against the simulation
 # ----------------------------
 #
-# `export_c` checks the C by itself, and the folder has that check for the target. Here a `main` of
-# ten lines calls it as the interrupt will, with the samples of a simulated run.
+# `export_c` checks the C by itself, and the folder has that check for the target. Here a short
+# `main` calls it as the interrupt will, with the samples of a simulated run.
 
 step, folder = 0.01, Path("c_10")
 MAIN = r"""
@@ -99,4 +99,4 @@ figure.savefig("embedded.png", dpi=120)
 # -------------
 #
 # Copy `turntable.h`, `turntable.c` and `turntable_tables.h` into the firmware, call
-# `turntable_update` in the interrupt of a timer, and run `controller_check.c` there once.
+# `turntable_update` in the interrupt of a timer, and run `turntable_check.c` there once.

@@ -67,7 +67,7 @@ def test_a_parameter_moved_back_leaves_no_trace(own):
         (b"x = " + b"[" * 5000, "nested too deeply"),
         (b"a" + b".a" * 50_000 + b" = 1", "nested too deeply"),
         (OWN.replace('kind = "switches"', 'kind = "log"\nfile = "/etc/passwd"\n#').encode(),
-         "missing|reads other files|not known|not of this kind"),
+         "missing|reads other files|not known|belongs to kind"),
     ],
 )  # fmt: skip
 def test_hostile_uploads_are_refused_by_name(content, message, tmp_path):

@@ -125,7 +125,7 @@ def test_the_compressed_loop_ranks_cycles_as_the_loop_does_whatever_is_late():
         ({"clock_tolerance": -1e-9}, "clock_tolerance must be a part from 0 to 0.1, got -1e-09"),
         (
             {"clock_tolerance": 0.2},
-            "clock_tolerance must be a part from 0 to 0.1, .* how much the clock",
+            "clock_tolerance must be a part from 0 to 0.1, .* relative difference of the clock",
         ),
         ({"clock_tolerance": "much"}, "clock_tolerance must be a"),
         ({"budget": 0}, "budget must be an integer of at least 1"),

@@ -234,7 +234,7 @@ def test_a_file_says_how_late_and_is_about_that_loop_alone(reported_late, tmp_pa
     assert json.loads(path.read_text())["law"]["mode_lag"] == 2
     told = dt.verify(path, plant, law, mode_lag=2)
     assert told.proven
-    assert "the sampled mode, which is reported 2 periods late" in told.statement[2]
+    assert "the mode is reported 2 periods late" in told.statement[2]
     assert dt.verify(path).proven
     for asked in ({"law": law}, {"mode_lag": 3}, {"mode_lag": 0}):
         other = dt.verify(path, **asked)

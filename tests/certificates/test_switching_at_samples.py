@@ -266,7 +266,7 @@ def test_counts_of_numpy_are_counts():
     assert all(type(getattr(dt.SignalClass(0.2, **given), name)) is int for name in given)
     assert type(dt.SignalClass(0.2, lost_samples=np.int64(1)).lost_samples) is int
     found = dt.certify(*fed(by_mode), dt.SignalClass(3.0, mode_lag=np.int64(1), **SAMPLES), H)
-    assert "which is reported 1 period late" in " ".join(found.statement)
+    assert "the mode is reported 1 period late" in " ".join(found.statement)
 
 
 @pytest.mark.parametrize("message", WRONG)

@@ -148,17 +148,17 @@ def test_certify_does_not_list_as_left_out_what_it_covers(capsys, made_up, monke
         return text, record["imperfections_left_out"]
 
     text, names = left_out("--mode-lag", "2")
-    assert "Not covered: Dropout(probability=0.5), Noise(std=0.1)." in text
-    assert names == ["Dropout(probability=0.5)", "Noise(std=0.1)"]
+    assert "Not covered: dropout (probability 0.5), noise (std 0.1)." in text
+    assert names == ["dropout (probability 0.5)", "noise (std 0.1)"]
     assert left_out("--mode-lag", "1")[1] == [
-        "ModeDelay(periods=2)",
-        "Dropout(probability=0.5)",
-        "Noise(std=0.1)",
+        "mode delay (periods 2)",
+        "dropout (probability 0.5)",
+        "noise (std 0.1)",
     ]
     text, names = left_out("--lost-samples", "3")
-    assert "Not covered: ModeDelay(periods=2), Noise(std=0.1)." in text
-    assert "Covered while at most 3 samples in a row are lost: Dropout(probability=0.5)." in text
-    assert names == ["ModeDelay(periods=2)", "Noise(std=0.1)"]
+    assert "Not covered: mode delay (periods 2), noise (std 0.1)." in text
+    assert "Covered while at most 3 samples in a row are lost: dropout (probability 0.5)." in text
+    assert names == ["mode delay (periods 2)", "noise (std 0.1)"]
 
 
 def test_a_refusal_calls_an_input_by_its_name():

@@ -30,7 +30,7 @@ def test_export_of_a_problem_file_writes_c_and_fmus_and_checks_itself(
     names = ("--fmu", "law.fmu", "--plant-fmu", "plant.fmu")
     code, out, err = run(capsys, "export", "problem.toml", "--c", "out/", *names)
     assert (code, err) == (0, "")
-    assert "inputs within [-20.0] and [20.0]" in out
+    assert "inputs limited to -20 to 20" in out
     assert "0 differ" in out
     assert "FMU of the plant: plant.fmu: FMI 3.0; sources and binaries/" in out
     assert "LOW[1] =\n{-20.0}" in (tmp_path / "out" / "controller_tables.h").read_text()

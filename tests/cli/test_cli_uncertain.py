@@ -24,7 +24,7 @@ def test_certify_proves_all_that_a_file_leaves_open_or_says_that_it_does_not(tmp
     asked = str(file), "--law", "averaged"
     code, out, _ = run(capsys, "certify", *asked)
     assert code == 0
-    assert "Of the likeliest plant alone" in out
+    assert "For the estimated plant alone" in out
     code, out, _ = run(capsys, "certify", *asked, "--uncertain", "--explain", "--out", str(saved))
     assert code == 0
     assert "Every plant of [uncertainty]" in out

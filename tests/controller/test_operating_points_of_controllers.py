@@ -99,7 +99,7 @@ def test_what_is_exported_says_what_its_numbers_are(heater, monkeypatch, capsys)
         capsys, "export", "heater.toml", "--c", "out", "--fmu", "a.fmu", "--plant-fmu", "b.fmu"
     )
     assert "the operating point, T (°C) = 21 with valve (%) = 40, is built in" in out
-    assert "inputs within [0.0] and [100.0]" in out.splitlines()[0]
+    assert "inputs limited to 0 to 100" in out.splitlines()[0]
     header = (heater / "out" / "controller.h").read_text()
     assert "x, applied and u are absolute" in header
     assert "T (°C) = 21 with valve (%) = 40." in header

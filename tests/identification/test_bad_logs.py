@@ -65,7 +65,9 @@ def test_a_law_alone_tells_a_sum_and_that_is_said_in_words():
     assert words in said(table(ONE, np.zeros((T, 1)), feedback=law))
     assert words not in said(table(ONE, 0.3 * BINARY, feedback=law))
     at_once = table(Plant(TWO.A[:1], TWO.B[:1], 1e-6, TWO.W), np.zeros((T, 1)), feedback=law)
-    with pytest.raises(dt.ArgumentError, match=r"apart: .* the log tells A \+ B K rather than A"):
+    with pytest.raises(
+        dt.ArgumentError, match=r"apart: .* the log determines A \+ B K rather than A"
+    ):
         dt.identify(at_once, delay=(0.0, 0.05))
 
 

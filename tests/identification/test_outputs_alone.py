@@ -181,7 +181,7 @@ def test_noise_that_is_not_told_is_less_than_where_the_likelihood_has_fallen():
     fall = best.found.value - maximise(log, theta, fixed, window)[0].found.value
     assert 1.3 < fall < 3.0
     rows = {row[0]: row[1:] for row in interval_rows(fit)}
-    assert rows["disturbance[0][0,0]"] == ("not told", "0", f"{high:.2g}")
+    assert rows["disturbance[0][0,0]"] == ("undetermined", "0", f"{high:.2g}")
     assert float(rows["noise[0]"][1]) > 0.0
 
 

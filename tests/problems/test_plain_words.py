@@ -60,7 +60,7 @@ def write(tmp_path, old="", new=""):
     ("old", "new", "message"),
     [
         ("poles = [-3.0, -4.0]", "poles = [-3.0, -4.0]\nprocess = [[1.0]]",
-         'line 16: observer.process is not of this kind, but of kind = "kalman": remove it, or'),
+         'line 16: observer.process belongs to kind = "kalman" only: remove it, or'),
         ("covariance = 1.0", "covariance = -1.0", "covariance must be ≥ 0, a variance or an"),
         ("[[0.0, 1.1], [0.0, 0.3]]", "[[0.0, 1.1], [0.0]]", "give every row, and every matrix, as"),
     ],
@@ -116,4 +116,4 @@ def test_certify_asks_for_a_dwell_time_where_a_model_promises_none(tmp_path, cap
     with pytest.raises(SystemExit) as stopped:
         main(["certify", str(write(tmp_path))])
     assert stopped.value.code == 2
-    assert "Give --dwell-time" in capsys.readouterr().err
+    assert "give --dwell-time" in capsys.readouterr().err

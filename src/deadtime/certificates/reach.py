@@ -23,6 +23,7 @@ from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import same_outputs
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.discretisation import snap
 from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
 from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
@@ -95,7 +96,7 @@ def _require_one_period(low: float, high: float, step: float, name: str) -> None
     try:
         DelayInterval.of(low, high, step)
     except ValueError:
-        cut = (math.floor(low / step) + 1) * step
+        cut = (math.floor(snap(low / step)) + 1) * step
         raise ArgumentError(
             f"{name} must lie within one period, between two multiples of step = {step:g} s, got "
             f"({low:g}, {high:g}): certify the parts below and above {cut:g} s one after the other "

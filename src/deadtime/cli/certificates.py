@@ -107,7 +107,7 @@ def certify(
     mode
         With --least-dwell-time: the dwell time of this mode moves alone, and the others stay.
     longest_mode_lag
-        Look for the longest lag instead with which the mode may be told: the longest proved, and
+        Look for the longest lag instead with which the mode is reported: the longest proved, and
         the shortest refuted.
     explain
         Print the formal statement of every proof, too: its assumptions, and how it was shown.
@@ -340,9 +340,11 @@ def _print_judged(
     )
     print_table(HEADINGS, certificate_rows(judged))
     print()
-    if alone and judged[0].margin is not None:
+    if not alone:  # the table has all there is to say of a law that is proved stable
+        sentences = [text for one, text in zip(judged, sentences, strict=True) if not one.stable]
+    elif judged[0].margin is not None:
         sentences = [f"Delay: {with_names(judged[0].margin.message, problem.modes)}."]
-    elif alone:
+    else:
         sentences = []
     print_details([*sentences, *left_out(problem, asked.signals)])
     if any(one.stable for one in judged):
@@ -494,10 +496,11 @@ def _answer(
         headings, cells = table
         sentences = [f"{name}: {with_names(x.message, problem.modes)}" for name, x in found.items()]
         proved = [name for name, one in found.items() if one.certified is not None]
-        answer = f"Proved for {', '.join(proved) or 'no law'}: {headings[1]} the figures below."
+        answer = f"Proved for {', '.join(proved)}." if proved else "Nothing is proved for any law."
         alone = len(sentences) == 1
         print_answer(sentences[0] if alone else answer, problem.title, *said, "")
         print_table(headings, [(name, *cells(one)) for name, one in found.items()])
+        print()
         print_details([*([] if alone else sentences), *left_out(problem)])
     return 0 if law is None or found[law].certified is not None else 1
 

@@ -93,7 +93,11 @@ def loop(
     said = (sentence_of(margin.message) for margin in (view.gain, view.delay))
     growth, names = view.gain.growth.tolist(), chosen.modes
     judged, why = held_in_words(chosen, growth)
-    print_answer(f"Under the law “{name}” the loop is {judged}: {why}.", chosen.title, "")
+    print_answer(
+        f"With each mode held, the loop under the law “{name}” is {judged}: {why}.",
+        chosen.title,
+        "",
+    )
     print_table(_HEADINGS, [_row(*each) for each in zip(names, growth, view.modes, strict=True)])
     if any(each.growth < 0.0 for each in steps):
         print(f"\n{shown} after a constant 1 at {pushed}:")

@@ -193,14 +193,15 @@ def signals_and_step(
 
     promised = problem.signals.dwell_time is not None
     if dwell_time is None and not promised and problem.switching is not None:
-        sojourns = getattr(problem.switching, "sojourn", ())
-        least = min((float(x.support()[0]) for x in sojourns if hasattr(x, "support")), default=0.0)
         # A distribution that begins above 0, as expon with loc = 60, is what the file means.
-        known = f" = {least:g}" if least > 0.0 else ""
+        sojourns = getattr(problem.switching, "sojourn", ())
+        least = [float(x.support()[0]) if hasattr(x, "support") else 0.0 for x in sojourns]
+        known = f" = {min(least):g}" if least and min(least) > 0.0 else ""
+        instead = f", or write dwell_time{known} in [switching]" if sojourns else ""
         raise ArgumentError(
             f"neither [switching] nor [signal] of the problem {problem.name!r} states a dwell "
             "time, and the shortest sojourn of one drawn signal says nothing of others: give "
-            f"--dwell-time, or write dwell_time{known} in [switching]."
+            f"--dwell-time{instead}."
         )
     times = times_from("dwell-time", dwell_time), times_from("maximum-dwell", maximum_dwell)
     return signals_of(problem, problem.signal, *times, chatter, **others), step_of(problem)

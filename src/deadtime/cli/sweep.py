@@ -128,7 +128,7 @@ def sweep(
         return 0
     sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
     wrong = f", failures under {', '.join(reasons)}" if reasons else ""
-    print_answer(f"All {plan.cells:,} cells are computed{wrong}: {sizes}", chosen.title)
+    print_answer(f"All {plan.cells:,} cells are computed ({sizes}){wrong}", chosen.title)
     print_details(
         f"{law}: in {cells:,} of {plan.cells:,} cells, such as: {example}"
         for law, (cells, example) in reasons.items()

@@ -155,7 +155,7 @@ def decaying_lyapunov(
     for h in H:
         flow = (h.T @ E + E @ h + rate * E) / scale
         limits.append(Limit(np.concatenate((-flow, none)), np.zeros((n, n))))
-    # One solver only: callers have other candidates for P.
+    # One tolerance only: callers have other candidates for P.
     verdict = next(attempts(_least(limits)))
     return put_back(plant, gains, symmetric_value(verdict.x, n))
 

@@ -138,7 +138,7 @@ def _interval(
     grown = _ROUND_OFF * least_growth(plant)
 
     def limit(outwards: list[float]) -> float | None:
-        """The first of the factors beyond which the mode is lost; None if it is not at the last."""
+        """The factor beyond which the mode is lost first; None if it is stable up to the last."""
 
         def is_lost(factor: float) -> bool:
             return growth_rate(_acting(factor, plant), law, mode, step) >= grown

@@ -22,7 +22,6 @@ from deadtime.base.wording import as_rate, compact, number_of, sentence_of, with
 from deadtime.certificates import TheoremBound, theorem_bound
 from deadtime.certificates.theorem.bound import stated_forms
 from deadtime.imperfections import Dropout, ModeDelay
-from deadtime.imperfections.disturbances import in_words
 from deadtime.plant.switched_system import check_delays
 from deadtime.problems import Problem
 from deadtime.switching import SignalClass
@@ -247,7 +246,11 @@ def left_out(problem: Problem, signals: SignalClass | None = None) -> list[str]:
         named = ", ".join(missing)
         said.append(f"Not covered: {named}. Certificates are about the loop without {them}.")
     # A drawn loss may be longer than any number of samples, so it is covered under this condition.
-    drawn = [in_words(one) for one in problem.imperfections if isinstance(one, Dropout)]
+    drawn = [
+        words
+        for one, words in zip(problem.imperfections, problem.imperfections_in_words, strict=True)
+        if isinstance(one, Dropout)
+    ]
     if drawn and signals is not None and signals.lost_samples:
         row = number_of(signals.lost_samples, "sample")
         are = "is" if signals.lost_samples == 1 else "are"
@@ -263,7 +266,7 @@ def certificate_sentences(judged: Sequence[Judged], problem: Problem) -> list[st
         # A refusal names a delay by the numbers of its input and mode, as `certify` knows them.
         answer += one.reason
         for j, name in enumerate(problem.inputs):
-            answer = re.sub(rf"\binput {j}\b", lambda _, name=name: name, answer)
+            answer = re.sub(rf"\binput {j}\b(?!\.\d)", lambda _, name=name: name, answer)
         texts.append(f"{one.law}: {with_names(answer.rstrip(), problem.modes)}")
     return texts
 

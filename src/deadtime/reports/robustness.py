@@ -198,11 +198,10 @@ def _noise_panel(panel: Axes, result: Robustness) -> None:
     if not math.isfinite(noise.doubling):
         _nothing(panel, "could not be\ncomputed")
         return
-    std, cost = noise.std[1:], noise.cost[1:] / noise.base
+    kept = np.isfinite(noise.cost).all(axis=1)  # runs may diverge at twice the noise
+    std, cost = noise.std[kept], noise.cost[kept] / noise.base
     panel.fill_between(std, cost.min(axis=1), cost.max(axis=1), color=COLOURS[0], alpha=0.25)
-    panel.plot(std, cost.mean(axis=1), ".", color=COLOURS[0])
-    fine = np.linspace(0.0, std[-1], 100)
-    panel.plot(fine, 1.0 + noise.slope / noise.base * fine**2, color=COLOURS[0], linewidth=1.0)
+    panel.plot(std, cost.mean(axis=1), ".-", color=COLOURS[0], linewidth=1.0)
     panel.axvline(noise.doubling, color=COLOURS[6], linewidth=0.8, linestyle=":")
     panel.text(noise.doubling, 0.97, " doubled", transform=panel.get_xaxis_transform(), va="top",
                ha="right", rotation=90, fontsize=7.5)  # fmt: skip

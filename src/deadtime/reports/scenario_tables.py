@@ -164,13 +164,16 @@ class Summary:
 
     @property
     def answer(self) -> str:
-        """One sentence: the law with the least median, the reference aside, and laws that fail."""
-        rivals = [one for one in self.laws if one.law != self.reference] or list(self.laws)
+        """One sentence: the law with the least median, an oracle aside, and laws that fail."""
+        rivals = [one for one in self.laws if one.law != ORACLE] or list(self.laws)
         best = min(rivals, key=lambda one: getattr(one, self.measure).median)
         what = "∫|r − y|" if self.measure == "iae" else "cost"
-        text = f"Least median {what}: {best.law}, {compact(getattr(best, self.measure).median)}"
-        if best.law != self.reference:
-            text += f", {compact(best.relative)} times that of {self.reference}"
+        median = compact(getattr(best, self.measure).median)
+        if len(self.laws) == 1:
+            text = f"Median {what} of {best.law}: {median}"
+        else:
+            aside = ", the oracle aside" if len(rivals) < len(self.laws) else ""
+            text = f"Least median {what}{aside}: {best.law}, {median}"
         grew = [f"{x.law} ({x.grew:,} of {self.scenarios:,})" for x in self.laws if x.grew]
         return f"{text}; |x| grows under {', '.join(grew) or 'no law'}."
 
@@ -223,10 +226,10 @@ class LawRuns:
     def __init__(self, data: xr.Dataset | Comparison) -> None:
         diverged: Any
         if isinstance(data, Comparison):
-            self.names, self._text_of, self._keep = list(data.names), data.attributes, data.keep
+            self.names, self._attributes, self._keep = list(data.names), data.attributes, data.keep
             self._metrics, diverged = data.results.metrics, data.results.diverged
         else:
-            self.names, self._text_of = [str(name) for name in data["law"].values], data.attrs
+            self.names, self._attributes = [str(name) for name in data["law"].values], data.attrs
             self._keep = lambda one: one.transpose("law", "scenario").values
             self._metrics, diverged = data, data["diverged"]
         self.lost: Bool[np.ndarray, "law scenario"] = self._keep(diverged).astype(bool)
@@ -268,9 +271,9 @@ class LawRuns:
 
     def grown(self) -> Bool[np.ndarray, "law scenario"]:
         """Where a law diverged, or |x| grew."""
-        if "grows_above" not in self._text_of:
+        if "grows_above" not in self._attributes:
             return self.lost
-        start = float(self._text_of["grows_above"])
+        start = float(self._attributes["grows_above"])
         above = start if math.isfinite(start) else GROWN * self.losses("peak").min(axis=0)
         rises = (self._values("decay_rate") < 0.0) & (self._values("final_norm") > above)
         return self.lost | rises

@@ -60,7 +60,7 @@ def verdict(result: Comparison) -> list[str]:
     sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
     sentences += [_baseline(result, name) for name in _names_of(result, DelayedStateFeedback)[:1]]
     singles = _names_of(result, SingleModePredictor)
-    sentences += [_belief_and_one_mode(result, singles)] if singles else []
+    sentences += [_single_modes(result, singles)] if singles else []
     sentences += [
         _against_the_oracle(result, name) for name in _names_of(result, ExactPredictor)[:1]
     ]
@@ -244,7 +244,7 @@ def _times(result: Comparison, name: str, other: str) -> str:
     return f"{amount(cost / base)} times" if base > 0.0 else "many times"
 
 
-def _belief_and_one_mode(result: Comparison, singles: list[str]) -> str:
+def _single_modes(result: Comparison, singles: list[str]) -> str:
     modes = result.problem.modes
     ratios = []
     for name in singles:
@@ -315,4 +315,4 @@ def headings_of(result: Comparison) -> tuple[str, ...]:
 
 
 DECAY = "decay, 1/s"  # of |x|, which a law with a reference does not bring to 0
-HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "peak |x|", SETTLES, DECAY, "|x(T)|")
+HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "max |x|", SETTLES, DECAY, "|x(T)|")

@@ -66,7 +66,7 @@ def _why_no_batch(loop: Loop, imperfections: Sequence[Imperfection]) -> str:
     if loop.tables is None:
         return "the plant is a thousand times faster than the period"
     if not all(map(is_batched, imperfections)):
-        return "an imperfection is a function of its own"
+        return "an imperfection is written in Python by the user"
     if loop.forced and not loop.plant.modes_share_delays:
         return "the plant is disturbed and its delays differ between modes"
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS:

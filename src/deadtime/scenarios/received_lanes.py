@@ -92,7 +92,7 @@ class BlockInstants:
             loop, kinds, rooms.of("row", size, np.int32), rooms.of("place", size), news, rooms
         )
 
-    def sample_signals(
+    def fill(
         self,
         signals: SignalBatch,
         records: Records,
@@ -273,7 +273,7 @@ class BlockMeasurements:
                 lag = lag if lag.size else self._room("lag", size, np.int32)
             if block_instants is not None:
                 given = self.signals, self.by_period.records, begin, few, sample
-                reach = block_instants.sample_signals(*given, lag, reach)
+                reach = block_instants.fill(*given, lag, reach)
             elif sample is not nothing.sample:
                 own = lag[begin * samples :]
                 reach = fill_lags(own, reach, sample, AT_SAMPLES, few, _LANES)

@@ -81,7 +81,7 @@ class Likelihood(Frozen, ABC):
         """The largest step of each unknown whose information is nearly 0."""
 
     @abstractmethod
-    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
+    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " identified"]:
         """The places of unknowns that an information identifies."""
 
     @abstractmethod
@@ -111,7 +111,7 @@ class PlantLikelihood(Likelihood):
     def stride(self, vector: Vector) -> Vector:
         return np.full(vector.size, np.inf)
 
-    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
+    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " identified"]:
         return np.arange(self.layout.size)
 
 

@@ -190,7 +190,7 @@ class SensorLikelihood(Likelihood):
             free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
         return read_only(free)
 
-    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " told"]:
+    def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " identified"]:
         # The information on the logarithm of a noise vanishes as the noise does.
         free, identified = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNIDENTIFIED
         return free[(free < self.layout.size) | identified[free]]

@@ -27,7 +27,7 @@ _CLOCKS = (
     (1e9, "nanoseconds", "1,000,000,000"),
 )
 _SLOW = 5.0  # a period may last so many of the longest delays: plants are often sampled so slowly
-_EXPLAINED = 0.5  # share of a stretch's variance that a model in the right units leaves at most
+_MOST_LEFT = 0.5  # share of a stretch's variance that a model in the right units leaves at most
 _WORSE = 3.0  # times so much variance is left in wrong units
 _MOST_LAGS = 60  # of inputs, in a regression
 _LEAST = 20  # rows of a stretch
@@ -71,7 +71,7 @@ def require_same_units(
         lags = _lags_between(whole[best], one, longest / min(steps))
         ratio = steps[i] / steps[best]
         near = [c for c in _CLOCKS if abs(max(ratio, 1.0 / ratio) / c[0] - 1.0) < _SAME]
-        if near and _left(whole[best], one, lags).min() < _EXPLAINED:
+        if near and _left(whole[best], one, lags).min() < _MOST_LEFT:
             slow, fast = (i, best) if ratio > 1.0 else (best, i)
             _, unit, text = near[0]
             raise ArgumentError(
@@ -200,7 +200,7 @@ def _only_scaled(known: RowStretch, other: RowStretch, scaled: Scaled, lags: int
     """
     left, unconverted = _left(known, other, lags, scaled), _left(known, other, lags)
     without = _left(known, other, lags, scaled._replace(factor=0.0))
-    clear = (left < _EXPLAINED) & (np.minimum(unconverted, without) > _WORSE * left)
+    clear = (left < _MOST_LEFT) & (np.minimum(unconverted, without) > _WORSE * left)
     return bool(clear.any()) and float(left.mean()) < float(unconverted.mean())
 
 

@@ -253,13 +253,13 @@ def _filter_of(
             "covariance must be given beside an [observer]: how well its estimate of the first "
             "state is known, x²."
         )
-    observer, measured = observed
-    if isinstance(measured, KalmanObserver):
-        options.setdefault("disturbance", measured.process)
+    observer, own_section = observed
+    if isinstance(own_section, KalmanObserver):
+        options.setdefault("disturbance", own_section.process)
         if section.noise is None:
-            options["noise"] = _deviations(np.array(measured.measurement))
-    C = observer(plant) if section.gains == "observer" else measured.C
-    first = {"covariance": section.covariance, "estimate": measured.estimate}
+            options["noise"] = _deviations(np.array(own_section.measurement))
+    C = observer(plant) if section.gains == "observer" else own_section.C
+    first = {"covariance": section.covariance, "estimate": own_section.estimate}
     return OutputModeFilter(plant, model, step, C, **first, **options)
 
 

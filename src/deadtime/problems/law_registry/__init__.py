@@ -131,8 +131,8 @@ def name_of(law: Law, modes: Sequence[str] = ()) -> str:
     >>> name_of(dt.SingleModePredictor(problem.plant, problem.gains, 1), problem.modes)
     'brake only'
     """
-    beside = modes if len(set(modes)) == len(modes) else ()
-    return with_names(law.label.removesuffix(", observed"), beside)
+    names = modes if len(set(modes)) == len(modes) else ()
+    return with_names(law.label.removesuffix(", observed"), names)
 
 
 def the_law(name: str) -> str:

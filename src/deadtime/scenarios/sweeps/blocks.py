@@ -141,21 +141,21 @@ def _of_law(loop: Loop, law: Law) -> float:
         return _CALLED
     if not all(map(is_batched, loop.imperfections)):
         return _ALONE
-    beside = _FELT * sum(isinstance(one, Disturbance) for one in loop.imperfections)
+    extra = _FELT * sum(isinstance(one, Disturbance) for one in loop.imperfections)
     for kind, cost in ((Relaying, _RECEIVED), (TimingImperfection, _SEEN)):
         if any(isinstance(one, kind) for one in loop.imperfections):
-            beside += cost
+            extra += cost
     if law.filter is not None or law.observer is not None:
-        return _ALONE if law.needs_preview else beside + _KEPT
+        return _ALONE if law.needs_preview else extra + _KEPT
     taps = Window.of(law.plant.longest_delay, loop.step).count
     size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
     if law.needs_preview:
-        return beside + size * _PREVIEWED
+        return extra + size * _PREVIEWED
     try:
         table = law.digital(loop.step, SwitchingSignal.constant(0), 1)
     except DeadtimeError:
         return 0.0
-    return beside + size * (_FACTORED if table.factor is not None else _FACTORED + _TAP * taps)
+    return extra + size * (_FACTORED if table.factor is not None else _FACTORED + _TAP * taps)
 
 
 def example_loop(study: Study, tries: int = 20) -> Loop | None:

@@ -210,7 +210,7 @@ class Kept(NamedTuple):
 
 
 class Use(NamedTuple):
-    """Scratch of `_receive`, and 1/∏(c_z − c_y) of the Gauss nodes, (p,)."""
+    """Scratch of `_add_sent`, and 1/∏(c_z − c_y) of the Gauss nodes, (p,)."""
 
     scale: np.ndarray
     share: np.ndarray
@@ -290,7 +290,7 @@ def _share(c, points, scale, share):
 
 
 @kernel(eager=True)
-def _receive(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, matrix, right):
+def _add_sent(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, matrix, right):
     """Add ∫ R e^{S (end − s)} b u_j ds over a part of segment q, for each row of R."""
     edges, p, count, (m, n) = line.edges, nodes.points.size, panel.points.size, R.shape
     for k in range(count):
@@ -414,7 +414,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                         if abs(length - known) > 1e-15:
                             flows(S, length, panel.points, flow, none)
                             known = length
-                        _receive(
+                        _add_sent(
                             line, g, q, begin, length, j, carried, flow, row, nodes, panel, B, u,
                             use, matrix, right,
                         )  # fmt: skip

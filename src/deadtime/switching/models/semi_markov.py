@@ -82,7 +82,10 @@ def count_ages(name: str, dist: Distribution, step: float, most: int | None = No
     def rare(n: int) -> bool:
         return survival(dist, (n + TOLERANCE) * step) < SURVIVAL
 
-    last = 1 + bisect_left(range(1, 2**40), True, key=rare)  # 2⁴⁰ if no age below is rare
+    bound = 1
+    while bound < 2**40 and not rare(bound):  # no distribution is asked far beyond its tail
+        bound *= 2
+    last = 1 + bisect_left(range(1, bound), True, key=rare)
     final = hazards(dist, step, np.array([last - 1]))
 
     def latest(ages: Int[np.ndarray, " age"]) -> int:

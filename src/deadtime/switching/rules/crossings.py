@@ -5,8 +5,8 @@ positive. For |A|τ ≤ 1/2 the state equals its Taylor polynomial to round-off,
 
     x(s) = x + v s + A v s²/2! + A² v s³/3! + …,    v = A x + B u,
 
-so that g(x(s)) is a polynomial, and `first_positive` of its Bernstein coefficients proves where it
-is first positive: a stay in a region between two samples is found, however short. For quadratic g
+so that g(x(s)) is a polynomial, and `first_positive` proves by Bernstein coefficients where it is
+first positive: a stay in a region between two samples is found, however short. For quadratic g
 the parts are half as long, because products of two series need as many terms.
 
 A trajectory along a boundary would cross it at random, because g has the round-off β. So the first
