@@ -12,6 +12,7 @@ from deadtime.cli import options
 from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import (
     TABLES,
+    nominal_plant_sentence,
     output_file,
     print_answer,
     print_details,
@@ -266,16 +267,6 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Sw
         return random_model(allowed, None if short and mean_sojourn is None else mean)
     dwell, mean = sojourn.dwell.value, sojourn.mean.value
     return SemiMarkov(ShiftedExponential(dwell, mean - dwell), modes=problem.plant.modes)
-
-
-def nominal_plant_sentence(problem: Problem) -> list[str]:
-    """That the file's [uncertainty] is not part of a run; nothing for a file without one."""
-    if problem.uncertain is None:
-        return []
-    return [
-        "The nominal plant was run, not those of [uncertainty]: `deadtime robustness` takes plants "
-        "drawn from it, and `deadtime certify --uncertain` all of them."
-    ]
 
 
 def _is_limited(problem: Problem) -> bool:

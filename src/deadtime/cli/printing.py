@@ -58,6 +58,16 @@ def print_details(sentences: Iterable[str]) -> None:
         Terminal().print(f"• {sentence}", markup=False)
 
 
+def nominal_plant_sentence(problem: Problem) -> list[str]:
+    """That the file's [uncertainty] is not part of a run; nothing for a file without one."""
+    if problem.uncertain is None:
+        return []
+    return [
+        "The nominal plant was run, not those of [uncertainty]: `deadtime robustness` takes plants "
+        "drawn from it, and `deadtime certify --uncertain` all of them."
+    ]
+
+
 def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
     from deadtime.reports import metrics
     from deadtime.reports.verdict import headings_of, table

@@ -13,6 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.cli import options
 from deadtime.cli.application import START, app as commands, lines
 from deadtime.cli.printing import (
+    nominal_plant_sentence,
     output_file,
     output_folder,
     print_json,
@@ -101,7 +102,6 @@ def simulate(
         The run as a log, which deadtime identify reads: time, states, inputs, the mode and, with a
         reference, outputs; of several laws, each into a file named after the law.
     """
-    from deadtime.cli.monte_carlo import nominal_plant_sentence
     from deadtime.problems.comparison import compare
     from deadtime.reports.certificate_tables import delay_sentence
     from deadtime.reports.metrics import metrics_of

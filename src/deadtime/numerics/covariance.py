@@ -99,7 +99,7 @@ def _follow_by_numpy(
         (on,) = np.nonzero(tau[:, p] > 0.0)
         a, s = mode[on, p], size[mode[on, p]] * tau[on, p]
         doublings = np.zeros(on.size, np.int64)
-        # An infinite s would be halved for ever without the limit.
+        # An infinite s would be halved without end but for the limit.
         while (long := (s > 0.5) & (doublings < _LONGEST)).any():
             s[long] *= 0.5
             doublings[long] += 1

@@ -120,7 +120,7 @@ class SwitchingConstraint:
 
     @property
     def lasting(self) -> tuple[int, ...]:
-        """The modes that may last for ever, which a single mode always does."""
+        """The modes with no longest dwell time; a single mode has none."""
         if self.modes == 1:
             return (0,)
         return tuple(i for i, most in enumerate(self.maximum_dwell) if math.isinf(most))

@@ -107,7 +107,7 @@ class Covering:
                 direction = self._direction(form, lower, cell)
                 if direction is None:
                     continue
-                # Evidence that fails by a hair would be bisected for ever without these limits.
+                # Evidence that fails by a hair would be bisected without end but for these limits.
                 if direction < 0 or depth == DEEPEST or count == MOST_CELLS:
                     return count, self.family.instant(cell.order, 0.5 * sum(cell.u))
                 pending += [(half, depth + 1) for half in cell.halves(direction)]

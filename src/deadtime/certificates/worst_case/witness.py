@@ -57,7 +57,7 @@ class WorstCase(Frozen):
     signal : SwitchingSignal
         From time 0, several cycles long; constant, without end, where a constant mode is worst.
     growth_rate : float
-        1/s, of the loop along the signal repeated for ever, computed in floating point.
+        1/s, of the loop along the signal repeated periodically, computed in floating point.
     proven : bool
         Whether growth, and so instability, is proved in ball arithmetic.
     proof : GrowthProof
