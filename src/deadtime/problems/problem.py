@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -15,7 +14,6 @@ from deadtime.base.frozen import Frozen
 from deadtime.base.wording import input_names, numbered, with_names
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
-from deadtime.imperfections.disturbances import in_words
 from deadtime.laws import ExactPredictor
 from deadtime.plant import OperatingPoint, SwitchedSystem, Weight
 from deadtime.plant.plant_set import PlantUncertainty
@@ -172,9 +170,7 @@ class Problem(Frozen):
         >>> problem.imperfections_in_words
         ['noise (std 0.1)']
         """
-        return [
-            with_names(_repr_in_words(in_words(each)), self.modes) for each in self.imperfections
-        ]
+        return [with_names(each.in_words, self.modes) for each in self.imperfections]
 
     @property
     def observer_alone_reads_mode(self) -> tuple[str, ...]:
@@ -240,13 +236,3 @@ class Problem(Frozen):
     def _history(self) -> np.ndarray:
         """u0 as (m,)."""
         return np.broadcast_to(np.asarray(self.u0, dtype=np.float64), (self.plant.inputs,))
-
-
-def _repr_in_words(text: str) -> str:
-    """`LateSamples(periods=2)` as "late samples (periods 2)"; any other text as it is."""
-    match = re.fullmatch(r"([A-Z]\w*)\((.*)\)", text, re.DOTALL)
-    if match is None:
-        return text
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", match[1]).lower()
-    numbers = re.sub(r"array\((\[.*?\])\)", r"\1", match[2], flags=re.DOTALL)
-    return f"{name} ({' '.join(numbers.replace('=', ' ').replace('_', ' ').split())})"
