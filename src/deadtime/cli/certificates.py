@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from deadtime.reports.certificate_tables import Judged
     from deadtime.switching import SignalClass
 
+_OF_VERIFICATION = ("proven", "message", "statement", "decay_rate", "seconds", "about")
+
 
 @app.command(
     group=JUDGE,
@@ -280,11 +282,9 @@ def verify(
             why = "Rejected: the certificate is about a table of none of the problem's laws."
             result = replace(result, proven=False, message=why, summary=(why,))
     if json_output:
-        from deadtime.base.json_records import plain
+        from deadtime.base.json_records import record
 
-        facts = plain(result)
-        del facts["summary"]  # `statement` says it in full
-        print_json(facts | {"matches": matches})
+        print_json(record(result, *_OF_VERIFICATION) | {"matches": matches})
         return 0 if result.proven else 1
     print("\n".join(result.summary))
     if matches is not None:

@@ -308,15 +308,9 @@ def _print(
     )
     print(f"\n{metrics.measure_title(outcome.measure, problem.weight)}")
     ratio, intervals = outcome.notes
-    if len(outcome.laws) > 1:
-        print_table(outcome.headings, outcome.rows())
-        print(f"{ratio}\n")
-        print_table(outcome.interval_headings, outcome.interval_rows())
-    else:  # nothing to compare the law with: quantiles, |x| grows, and the median's interval
-        rows = [[*row[:4], row[6]] for row in outcome.rows()]
-        print_table([*outcome.headings[:4], outcome.headings[6]], rows)
-        print()
-        print_table(outcome.interval_headings[:3], [row[:3] for row in outcome.interval_rows()])
+    print_table(outcome.headings, outcome.rows())
+    print(f"{ratio}\n" if outcome.compares else "")
+    print_table(outcome.interval_headings, outcome.interval_rows())
     print(intervals)
     other = "ise" if outcome.measure == "cost" else "cost"
     print(f"\n{metrics.measure_title(other, problem.weight)}")
