@@ -26,10 +26,10 @@ from deadtime.problems.file.gains_and_laws import (
     change_plant,
     servo_gains,
 )
+from deadtime.problems.file.mode_names import with_mode_numbers
 from deadtime.problems.file.servo import FileServo
 from deadtime.problems.file.switching import build_rule, build_signal, promise_of
 from deadtime.problems.imperfection_registry import ImperfectionSection, build_imperfection
-from deadtime.problems.law_registry.entry import mode_number
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
 from deadtime.switching import SignalClass
@@ -91,13 +91,13 @@ def build_imperfections(
 
 
 def offsets_of(
-    sections: Sequence[schema.OffsetSection], plant: SwitchedSystem, modes: Sequence[str] = ()
+    sections: Sequence[schema.OffsetSection], plant: SwitchedSystem
 ) -> Float[np.ndarray, "mode n"]:
     """The constant force of every mode, 0 where there is no section."""
     force, named = np.zeros((plant.modes, plant.states)), set()
     for i, one in enumerate(sections):
         with _section("offset", i):
-            mode = index("mode", mode_number(one.mode, modes), plant.modes)
+            mode = index("mode", one.mode, plant.modes)
             if mode in named:
                 raise ArgumentError(f"mode {mode} has an offset already: give one for each mode.")
             named.add(mode)
@@ -108,6 +108,7 @@ def offsets_of(
 
 def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     """The problem that a checked file describes; relative paths start at the file's folder."""
+    file = with_mode_numbers(file)
     with _section("plant"):
         plant = SwitchedSystem(file.plant.A, file.plant.B, file.plant.delay)
         states = _names("states", file.plant.states, plant.states)
@@ -213,7 +214,7 @@ def _imperfections(
     outputs = next(iter(laws.values())).outputs
     measured = None if outputs is None else outputs.shape[1]
     sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
-    force = offsets_of(file.offset, plant, file.plant.modes)
+    force = offsets_of(file.offset, plant)
     imperfections = build_imperfections(file.imperfection, sizes, measured)
     if following is not None:
         with _section("servo"):

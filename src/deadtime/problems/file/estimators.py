@@ -30,6 +30,8 @@ from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import (
     Matrices,
     Matrix,
+    Mode,
+    ModeKey,
     Poles,
     PolesPerMode,
     Section,
@@ -54,11 +56,11 @@ class _Measured(Section):
     covariance: Annotated[Matrix | None, Shape("(n, n)", [[0.1, 0.0], [0.0, 0.1]])] = Field(
         None, description="Covariance of the first estimate: every run draws its own."
     )
-    model: Literal["modes", "mean"] | int = Field(
+    model: Annotated[Literal["modes", "mean"] | Mode, ModeKey(("modes", "mean"))] = Field(
         "modes",
         description='The plant that it predicts with: "modes" the mode that is measured at each '
-        'sample; "mean" the mean of all modes, or the number of one of them, and then it reads no '
-        "mode.",
+        'sample; "mean" the mean of all modes; or one mode, by its number or its name. The last '
+        "two need no measured mode.",
     )
 
 

@@ -153,7 +153,6 @@ class Laws:
             weight=weight,
             mode_filter=self._mode_filter(),
             allow_unstable=file.gains.allow_unstable,
-            modes=file.plant.modes,
         )
 
     def _mode_filter(self) -> Callable[[SwitchedSystem], BeliefFilter] | None:

@@ -14,6 +14,7 @@ from typing import Any
 from deadtime.base.errors import ArgumentError, ProblemFileError
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import build_problem
+from deadtime.problems.file.mode_names import with_mode_numbers
 from deadtime.problems.file.schema import ProblemFile
 from deadtime.problems.literature import is_named, template
 from deadtime.problems.problem import Problem
@@ -44,6 +45,7 @@ def build_what_can(
             schema.ProblemFile, {**draft, "law": laws} if "law" in draft else dict(draft)
         )
         try:
+            file = with_mode_numbers(file)
             return file, build_problem(prepare(file), source), reasons
         except SectionError as error:
             if error.path[:1] != ("law",) or len(left) == 1:

@@ -30,9 +30,10 @@ from deadtime.problems.switching_registry import ENTRIES as MODELS, SwitchingSec
 from deadtime.problems.switching_registry.entry import Times
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import (
-    Integers,
+    First,
     Matrices,
     Matrix,
+    Mode,
     Poles,
     PolesPerMode,
     Section,
@@ -49,7 +50,8 @@ Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
 NESTED: Any = float, Vector, Matrix, Matrices
 Instants = Literal["anywhere", "samples"]
 AT = "When modes may change: anywhere, or at the samples of the run."
-Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
+Modes = Annotated[list[Mode], First(), Shape("a list of modes, by number or by name", [0, 1])]
+MODE = "Its number, or its name in [plant]."
 
 
 class PlantSection(Section):
@@ -132,7 +134,7 @@ class ConstantSignal(Section):
     """A constant switching signal."""
 
     kind: Literal["constant"]
-    mode: int
+    mode: Mode = Field(description=MODE)
 
 
 class PeriodicSignal(Section):
@@ -140,7 +142,7 @@ class PeriodicSignal(Section):
 
     kind: Literal["periodic"]
     sojourns: Seconds = Field(description="Seconds in each mode.")
-    modes: Modes
+    modes: Modes = Field(description="Numbers, or names in [plant].")
     at: Instants = Field("anywhere", description=AT)
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 
@@ -170,7 +172,7 @@ class SwitchesSignal(Section):
 
     kind: Literal["switches"]
     times: Seconds = Field(description="Starts of the sojourns, the first 0, seconds.")
-    modes: Modes
+    modes: Modes = Field(description="Numbers, or names in [plant].")
     at: Instants = Field("anywhere", description=AT)
     end: float | None = Field(None, description="Up to when the signal is known, seconds.")
     dwell_time: float | None = Field(None, description="Checked, seconds.")
@@ -181,7 +183,7 @@ class LogSignal(Section):
 
     kind: Literal["log"]
     file: str = Field(description="Path, relative to the problem file.")
-    labels: dict[str, int] | None = Field(None, description="Mode of each text in the log.")
+    labels: dict[str, Mode] | None = Field(None, description="Mode of each text in the log.")
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
         None, description="Of the log's times; seconds by default."
     )
@@ -210,7 +212,7 @@ class Region(Section):
 
     H: Annotated[Matrix, Shape("(rows, n)", [[1.0, 0.0]])]
     h: Annotated[Vector, Shape("(rows,)", [0.0])]
-    mode: int
+    mode: Mode = Field(description=MODE)
 
 
 class PolyhedraSignal(Section):
@@ -235,7 +237,7 @@ RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the sta
 class OffsetSection(Section):
     """A constant force in one mode: dx/dt = A_σ x + B_σ u(t − D) + force, as of a load."""
 
-    mode: int | str = Field(description="Its number, or its name in [plant].")
+    mode: Mode = Field(description=MODE)
     force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
         description="Units of x per second."
     )

@@ -13,7 +13,7 @@ class CurrentModeLaw(LawSection):
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -55,8 +55,6 @@ class LawSetting:
         mode.
     allow_unstable : bool
         Whether gains may leave a mode unstable.
-    modes : sequence of str
-        Names of the modes, where they have some.
     """
 
     plant: SwitchedSystem
@@ -68,7 +66,6 @@ class LawSetting:
     weight: Weight | None = None
     mode_filter: Callable[[SwitchedSystem], BeliefFilter] | None = None
     allow_unstable: bool = False
-    modes: Sequence[str] = ()
 
     def has(self, need: Need) -> bool:
         """Whether something that a law may need is there."""
@@ -80,22 +77,6 @@ class LawSetting:
         """Refuse a law of some kind that needs what is not there."""
         if not self.has(need):
             raise ArgumentError(NEEDS[need].format(kind=kind))
-
-
-def mode_number(mode: int | str, names: Sequence[str]) -> int:
-    """The number of a mode that a file gives by its number or by its name.
-
-    Examples
-    --------
-    >>> mode_number("brake", ["throttle", "brake"]), mode_number(0, [])
-    (1, 0)
-    """
-    if isinstance(mode, int):
-        return mode
-    if mode not in names:
-        known = f" or one of {', '.join(map(repr, names))}" if names else ""
-        raise ArgumentError(f"mode must be the number of a mode{known}, got {mode!r}.")
-    return list(names).index(mode)
 
 
 # What a law may need, and what a file is told that lacks it.

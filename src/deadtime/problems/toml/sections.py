@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from types import ModuleType
-from typing import Annotated, Any, NoReturn, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, FailFast, Field
@@ -27,11 +27,23 @@ Matrix = Annotated[list[Vector], First()]
 Matrices = Annotated[list[Matrix], First()]
 Poles = Annotated[list[float | str], First()]
 PolesPerMode = Annotated[list[Poles], First()]
-Integers = Annotated[list[int], First()]
 Texts = Annotated[list[str], First()]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
 Count = Annotated[int, Field(strict=True, ge=0)]
+
+
+@dataclass(frozen=True)
+class ModeKey:
+    """A note on a key that takes modes by number or by name; `words` are names of no mode."""
+
+    words: tuple[str, ...] = ()
+
+
+if TYPE_CHECKING:
+    Mode = int  # a number once `with_mode_numbers` has been applied
+else:
+    Mode = Annotated[int | str, ModeKey()]
 
 
 class Section(BaseModel):

@@ -43,10 +43,9 @@ from deadtime.problems.law_registry.entry import (
     LawSetting,
     Named,
     Square,
-    mode_number,
 )
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.sections import Matrix, Vector
+from deadtime.problems.toml.sections import Matrix, Mode, Vector
 
 _DWELL_TIME = "Trust the current mode for the rest of this dwell time, seconds."
 
@@ -151,12 +150,11 @@ class SingleLaw(LawSection):
     )
 
     kind: Literal["single"]
-    mode: int | str = Field(description="Its number, or its name in [plant].")
+    mode: Mode = Field(description="Its number, or its name in [plant].")
 
     def law(self, setting: LawSetting) -> Law:
-        mode = mode_number(self.mode, setting.modes)
         return SingleModePredictor(
-            setting.plant, setting.gains, mode, allow_unstable=setting.allow_unstable
+            setting.plant, setting.gains, self.mode, allow_unstable=setting.allow_unstable
         )
 
 

@@ -15,7 +15,7 @@ from deadtime.problems.switching_registry.entry import (
     Times,
 )
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.sections import DistributionSection, Matrix, Texts, frozen
+from deadtime.problems.toml.sections import DistributionSection, Matrix, Mode, Texts, frozen
 from deadtime.switching import SwitchingModel, SwitchingSignal
 from deadtime.switching.models.markov import Markov
 from deadtime.switching.models.markov_chain import MarkovChain
@@ -100,7 +100,7 @@ class FittedSwitching(SwitchingSection):
     first: Literal["whole", "drop"] = Field(
         "whole", description='"drop" if the logs begin in mid-sojourn.'
     )
-    labels: dict[str, int] | None = Field(None, description="Mode of each text in the logs.")
+    labels: dict[str, Mode] | None = Field(None, description="Mode of each text in the logs.")
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
         None, description="Of the logs' times; seconds by default."
     )

@@ -1,0 +1,84 @@
+"""Names of modes in a problem file, replaced by their numbers before anything is built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, get_args
+
+from pydantic.fields import FieldInfo
+
+from deadtime.base.errors import ArgumentError
+from deadtime.problems.file.schema import ProblemFile
+from deadtime.problems.toml import section as _section
+from deadtime.problems.toml.sections import ModeKey, Section
+
+
+def with_mode_numbers(file: ProblemFile) -> ProblemFile:
+    """The file with the number of a mode wherever a section gives its name in [plant].
+
+    Raises
+    ------
+    SectionError
+        If no mode has such a name.
+    """
+    changes: dict[str, Any] = {}
+    for key in ProblemFile.model_fields:
+        value = getattr(file, key)
+        if isinstance(value, Section):
+            with _section(key):
+                changes[key] = _numbered(value, file.plant.modes)
+        elif isinstance(value, list):
+            changes[key] = []
+            for i, one in enumerate(value):
+                with _section(key, i):
+                    changes[key].append(_numbered(one, file.plant.modes))
+    return file.model_copy(update=changes)
+
+
+def _numbered(section: Section, names: Sequence[str], where: str = "") -> Section:
+    """A section with numbers of modes; `where` is its place in the section around it."""
+    changes: dict[str, Any] = {}
+    for key, field in type(section).model_fields.items():
+        value, mark = getattr(section, key), _mark(field)
+        if mark is not None:
+            changes[key] = _numbers(where + key, value, names, mark)
+        elif isinstance(value, list) and isinstance(next(iter(value), None), Section):
+            changes[key] = [
+                _numbered(one, names, f"{where}{key}[{i}].") for i, one in enumerate(value)
+            ]
+    return section.model_copy(update=changes) if changes else section
+
+
+def _mark(field: FieldInfo) -> ModeKey | None:
+    """The mark of a key that takes modes, alone or in a list or a table."""
+    inner: list[Any] = [field.annotation, *field.metadata]  # the field's own mark first
+    while inner:
+        one = inner.pop()
+        if isinstance(one, ModeKey):
+            return one
+        inner += [*getattr(one, "__metadata__", ()), *get_args(one)]
+    return None
+
+
+def _numbers(key: str, value: Any, names: Sequence[str], mark: ModeKey) -> Any:
+    if isinstance(value, list):
+        return [_numbers(f"{key}[{i}]", one, names, mark) for i, one in enumerate(value)]
+    if isinstance(value, dict):
+        return {name: _numbers(f"{key}.{name}", x, names, mark) for name, x in value.items()}
+    if not isinstance(value, str) or value in mark.words:
+        return value
+    return mode_number(value, names, key)
+
+
+def mode_number(mode: str, names: Sequence[str], key: str = "mode") -> int:
+    """The number of the mode with a name.
+
+    Examples
+    --------
+    >>> mode_number("brake", ["throttle", "brake"])
+    1
+    """
+    if mode not in names:
+        known = f" or one of {', '.join(map(repr, names))}" if names else ""
+        raise ArgumentError(f"{key} must be the number of a mode{known}, got {mode!r}.")
+    return list(names).index(mode)
