@@ -42,9 +42,10 @@ def _numbered(section: Section, names: Sequence[str], where: str = "") -> Sectio
         value, mark = getattr(section, key), _mark(field)
         if mark is not None:
             changes[key] = _numbers(where + key, value, names, mark)
-        elif isinstance(value, list) and isinstance(next(iter(value), None), Section):
+        elif isinstance(value, list) and any(isinstance(one, Section) for one in value):
             changes[key] = [
-                _numbered(one, names, f"{where}{key}[{i}].") for i, one in enumerate(value)
+                _numbered(one, names, f"{where}{key}[{i}].") if isinstance(one, Section) else one
+                for i, one in enumerate(value)
             ]
     return section.model_copy(update=changes) if changes else section
 
@@ -61,24 +62,15 @@ def _mark(field: FieldInfo) -> ModeKey | None:
 
 
 def _numbers(key: str, value: Any, names: Sequence[str], mark: ModeKey) -> Any:
+    """A mode, or a list or a table of them, by numbers."""
     if isinstance(value, list):
         return [_numbers(f"{key}[{i}]", one, names, mark) for i, one in enumerate(value)]
     if isinstance(value, dict):
         return {name: _numbers(f"{key}.{name}", x, names, mark) for name, x in value.items()}
     if not isinstance(value, str) or value in mark.words:
         return value
-    return mode_number(value, names, key)
-
-
-def mode_number(mode: str, names: Sequence[str], key: str = "mode") -> int:
-    """The number of the mode with a name.
-
-    Examples
-    --------
-    >>> mode_number("brake", ["throttle", "brake"])
-    1
-    """
-    if mode not in names:
-        known = f" or one of {', '.join(map(repr, names))}" if names else ""
-        raise ArgumentError(f"{key} must be the number of a mode{known}, got {mode!r}.")
-    return list(names).index(mode)
+    if value not in names:
+        known = ", ".join(map(repr, (*mark.words, *names)))
+        either = f" or one of {known}" if known else ""
+        raise ArgumentError(f"{key} must be the number of a mode{either}, got {value!r}.")
+    return list(names).index(value)
