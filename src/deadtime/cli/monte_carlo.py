@@ -62,9 +62,9 @@ def monte_carlo(
 ) -> int:
     """Run the laws of a problem over many random switching signals, all on the same ones.
 
-    They are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
-    given here, sojourns are the dwell time plus an exponential time and the next mode is any
-    other that the file allows, each as likely. Ctrl-C ends the run early and keeps what is done.
+    Signals are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
+    given here, sojourns are the dwell time plus an exponential time, and all other modes that the
+    file allows are equally likely. Ctrl-C ends the run early and keeps the finished scenarios.
 
     Parameters
     ----------
@@ -73,10 +73,10 @@ def monte_carlo(
     dwell_time
         Shortest sojourn, seconds; by default the problem's dwell time, or its signal's.
     mean_sojourn
-        Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time where it
-        states none above that.
+        Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time if that
+        is not longer.
     seed
-        Of the signals.
+        Seed of the signals.
     backend
         numba, the compiled engine and the only one.
     step
@@ -106,7 +106,7 @@ def monte_carlo(
     require_writable("data", data, _DATA)
     require_writable("table", table, TABLES)
     signals = chosen.signals
-    if sojourn is not None:  # the dwell time of what is drawn
+    if sojourn is not None:  # of the drawn signals
         longest = chosen.limits.maximum_dwell
         signals = SignalClass(sojourn.dwell.value or None, maximum_dwell=longest, at=signals.at)
     drawn = drawn_as(model, signals, period)
@@ -126,7 +126,7 @@ def monte_carlo(
         share_compiling=True,
     )
     if result.scenarios == 0:
-        raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print
+        raise KeyboardInterrupt  # no block of scenarios is complete
     outcome = summary(result)
     written = [path for path in (picture, data, table) if path is not None]
     if json_output:
@@ -144,7 +144,7 @@ def monte_carlo(
     if not result.attributes["interrupted"]:
         return 0
     done = f"{outcome.scenarios:,} of {scenarios:,} scenarios"
-    print(f"deadtime: interrupted after {done}; the results are of these", file=sys.stderr)
+    print(f"deadtime: interrupted after {done}; the results cover these", file=sys.stderr)
     return 130
 
 
@@ -168,7 +168,7 @@ def save_data(data: xr.Dataset, path: Path) -> None:
 
 
 def _flat(data: xr.Dataset) -> xr.Dataset:
-    """Figures of every tracked output as variables of their own, RiseTime[0], …."""
+    """Metrics of every tracked output as separate variables, RiseTime[0], …."""
     for name in [str(name) for name, one in data.items() if "output" in one.dims]:
         for output in range(data.sizes["output"]):
             data[f"{name}[{output}]"] = data[name].isel(output=output, drop=True)
@@ -197,7 +197,7 @@ class Sojourn(NamedTuple):
 
 
 def _require_signals(problem: Problem) -> None:
-    """Refuse a problem whose plant is none that random signals switch."""
+    """Refuse one mode, a rule, and settings that Monte Carlo does not run."""
     import numpy as np
 
     from deadtime.switching import SwitchingSignal
@@ -229,7 +229,7 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
     signal = problem.given_signal
     if dwell is None and problem.signals.chatter > 1:
-        # Not the shortest sojourn of the file's signal: bursts of switches may be any closer.
+        # The shortest sojourn of the file's signal says nothing: bursts may switch faster.
         shortest = signals_of(problem, signal).dwell
     elif dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
         raise ArgumentError(
@@ -270,7 +270,7 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Sw
 
 
 def _is_limited(problem: Problem) -> bool:
-    """Whether the file says more of its signals than one dwell time."""
+    """Whether the file limits its signals by more than one dwell time."""
     return not problem.limits.is_plain
 
 
@@ -323,10 +323,10 @@ def _print(
     checks = unit_checks_of(problem, data.attributes["step"])
     details = [*about, *nominal_plant_sentence(problem), *checks]
     if problem.imperfections:
-        details.append(f"Imperfect: {', '.join(problem.imperfections_in_words)}.")
+        details.append(f"Imperfections: {', '.join(problem.imperfections_in_words)}.")
     for reason in dict.fromkeys(data.one_by_one.values()):
         slow = ", ".join(name for name, why in data.one_by_one.items() if why == reason)
-        details.append(f"Run one by one, which takes longer: {slow}, because {reason}.")
+        details.append(f"Run one by one, which is slower: {slow}, because {reason}.")
     print()
     print_details([*details, *filter(None, [data.attributes["message"]])])
 
