@@ -211,9 +211,7 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
     with xr.open_dataset("part.nc", engine="scipy") as read:
         done = read.sizes["scenario"]
     assert 8 <= done < 80
-    assert err == (
-        f"deadtime: interrupted after {done} of 80 scenarios; the results cover these\n"
-    )
+    assert err == (f"deadtime: interrupted after {done} of 80 scenarios; the results cover these\n")
     if ending == "json":
         assert (json.loads(out)["scenarios"], json.loads(out)["interrupted"]) == (done, True)
     else:

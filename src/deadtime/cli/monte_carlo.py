@@ -254,24 +254,19 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
 def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SwitchingModel:
     """Sojourns of dwell + Exp(mean − dwell), then any mode that may follow."""
-    from deadtime.problems.switching_assumptions import AS_ASKED, random_model, signals_of
+    from deadtime.problems.switching_assumptions import AS_GIVEN, random_model, signals_of
     from deadtime.switching.models.semi_markov import SemiMarkov
     from deadtime.switching.models.sojourns import ShiftedExponential
 
-    if _is_limited(problem):
-        asked = [sojourn.dwell.value] if sojourn.dwell.source == AS_ASKED else None
-        signals = signals_of(problem, problem.signal, asked).signals
+    if not problem.limits.is_plain:
+        given = [sojourn.dwell.value] if sojourn.dwell.source == AS_GIVEN else None
+        signals = signals_of(problem, problem.signal, given).signals
         allowed = signals.limits(problem.plant.modes)
         mean = problem.mean_sojourn if mean_sojourn is None else mean_sojourn
         short = mean is not None and mean <= max(allowed.dwell_time)
         return random_model(allowed, None if short and mean_sojourn is None else mean)
     dwell, mean = sojourn.dwell.value, sojourn.mean.value
     return SemiMarkov(ShiftedExponential(dwell, mean - dwell), modes=problem.plant.modes)
-
-
-def _is_limited(problem: Problem) -> bool:
-    """Whether the file limits its signals by more than one dwell time."""
-    return not problem.limits.is_plain
 
 
 def _print(
@@ -287,7 +282,7 @@ def _print(
     from deadtime.reports import metrics
 
     print_answer(outcome.answer, problem.title)
-    limited, about = _is_limited(problem), []
+    limited, about = not problem.limits.is_plain, []
     if sojourn is None:
         what = f"of the file's [switching], {problem.switching!r}"
     elif limited:
@@ -346,7 +341,7 @@ def _record(
         "scenarios": outcome.scenarios,
         "dwell_time": None if sojourn is None else sojourn.dwell.value,
         "mean_sojourn": None if sojourn is None else sojourn.mean.value,
-        "model": repr(model) if sojourn is None or _is_limited(problem) else None,
+        "model": repr(model) if sojourn is None or not problem.limits.is_plain else None,
         "horizon": problem.horizon,
         **{name: data.attributes[name] for name in ("step", "seed", "backend", "message")},
         "interrupted": bool(data.attributes["interrupted"]),

@@ -36,29 +36,29 @@ from deadtime.switching import SignalClass
 
 
 def require_units(units: Mapping[str, str], names: Sequence[str]) -> None:
-    """Refuse a unit of something that has no such name, that is empty, or that the name has.
+    """Refuse an empty unit, one of an unknown name, and one that the name already has.
 
     Examples
     --------
     >>> require_units({"speed": "m/s"}, ["position (m)", "speed"])
     >>> require_units({"sped": "m/s"}, ["position (m)", "speed"])
     Traceback (most recent call last):
-    deadtime.ArgumentError: units must be of states, inputs or outputs, 'position (m)', 'speed', \
-got 'sped': give that a name first, or correct it.
+    deadtime.ArgumentError: units must belong to states, inputs or outputs, 'position (m)', \
+'speed', got 'sped': give that a name first, or correct it.
     """
     for name, unit in units.items():
         if name not in names:
             known = ", ".join(map(repr, dict.fromkeys(names))) or "of which none has a name"
             raise ArgumentError(
-                f"units must be of states, inputs or outputs, {known}, got {name!r}: give that a "
-                "name first, or correct it."
+                f"units must belong to states, inputs or outputs, {known}, got {name!r}: give "
+                "that a name first, or correct it."
             )
         if not unit.strip():
             raise ArgumentError(f"units of {name!r} must not be empty: leave it out, or say 1.")
         if name.endswith(")"):
             raise ArgumentError(
-                f"units of {name!r} must not be given twice, got {unit!r}, too: take what is in "
-                "brackets out of the name."
+                f"units of {name!r} must not be given twice, got {unit!r}, too: remove the "
+                "brackets from the name."
             )
 
 
@@ -78,7 +78,7 @@ def build_imperfections(
 ) -> tuple[Imperfection, ...]:
     """The imperfections of a file, each checked against the sizes of its loop.
 
-    `measured` is how many outputs a sensor gives, where it does not give the state.
+    `measured` is the number of measured outputs, where the state is not measured.
     """
     sensors = sizes if measured is None else sizes._replace(states=measured)
     built = []
@@ -235,7 +235,7 @@ def _measured(
     step: float | None,
     folder: Path,
 ) -> tuple[tuple[str, ...], FileServo | None]:
-    """Names of what is measured, where there is an observer or a servo; and the servo."""
+    """Names of the measured outputs with an observer or a servo; and the servo."""
     if file.observer is None and file.servo is None:
         return (), None
     states = states or numbered("x", plant.states)
@@ -254,7 +254,7 @@ def _measured(
         if file.observer is None and file.servo.disturbance is not None:
             raise ArgumentError(
                 "disturbance is estimated by an observer: give an [observer] for the states and "
-                "the disturbance, or leave it out, for the sum of errors takes it up, too."
+                "the disturbance, or leave it out, since the sum of errors compensates it, too."
             )
         return outputs, FileServo.of(file.servo, C, outputs, folder)
 

@@ -1,6 +1,6 @@
 """Read a problem file; every error names the file, the line and the key.
 
-`build_what_can` is for a page or a study: the laws that can be built run without the others.
+A page or a study uses `build_what_can`, which leaves out laws that cannot be built.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def build_what_can(
 ) -> tuple[schema.ProblemFile, Problem, dict[int, str]]:
     """The checked file, a problem with those of its laws that can be built, and why others cannot.
 
-    `draft` is what the file says, as nested dictionaries and lists; relative paths start at the
-    folder of `source`; `prepare` changes the checked file before the problem is built. Why a law
-    failed stands by its number among the file's laws.
+    `draft` is the content of the file, as nested dictionaries and lists; relative paths start at
+    the folder of `source`; `prepare` changes the checked file before the problem is built. The
+    reasons are listed by the numbers of the laws in the file.
 
     Raises
     ------
@@ -101,6 +101,6 @@ def problem_with_run(place: Path, run: Mapping[str, Any]) -> Problem:
     try:
         return build_problem(file, source)
     except SectionError as error:
-        if text is None or error.path == ("run",):  # not what a line of the file says
+        if text is None or error.path == ("run",):  # no line of the file is wrong
             raise ArgumentError(str(error)) from None
         raise text.complaint(error) from None

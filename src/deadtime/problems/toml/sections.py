@@ -17,7 +17,7 @@ from deadtime.base.errors import ArgumentError
 
 
 class First(FailFast):
-    """Of a list with thousands of faults the first is enough; this one can stand in a union."""
+    """Stops at the first fault of a list; unlike `FailFast`, it may be inside a union."""
 
     __hash__ = object.__hash__  # pyright: ignore[reportAssignmentType]
 
@@ -59,7 +59,7 @@ class Shape:
     Attributes
     ----------
     form : str
-        The shape as messages write it, such as ``(modes, n, n)``; or what it is in words.
+        The shape in messages, such as ``(modes, n, n)``; or a description.
     example : list
         A value that fits.
 
@@ -74,12 +74,12 @@ class Shape:
 
     @property
     def is_array(self) -> bool:
-        """Whether nothing but an array of numbers will do."""
+        """Whether the value must be an array of numbers."""
         return self.form.startswith("(") and self.form.endswith(")") and " or " not in self.form
 
     @property
     def axes(self) -> int:
-        """How deep its lists go."""
+        """Depth of its lists."""
         return np.ndim(self.example)
 
 
@@ -124,7 +124,7 @@ def modules_of(package: ModuleType) -> Iterator[ModuleType]:
 
 
 def kinds_of(entry: type[BaseModel]) -> tuple[str, ...]:
-    """The texts that an entry's `kind` may be: one, if it is whole."""
+    """The allowed texts of an entry's `kind`: one, if it is complete."""
     kind = entry.model_fields.get("kind")
     return () if kind is None else get_args(kind.annotation)
 
@@ -146,9 +146,9 @@ def collect(
     Parameters
     ----------
     what : str
-        What they are entries of, for messages.
+        Noun of the entries, for messages.
     base : type
-        A section; `kind`, a docstring and what is abstract in it are asked of all its entries.
+        A section; its entries need a `kind`, a docstring and its abstract methods.
     modules : iterable of modules
     require_whole : callable, optional
         Refuses an entry that lacks something else.
@@ -158,7 +158,7 @@ def collect(
     Raises
     ------
     ArgumentError
-        If a module holds no entry, or an entry lacks something or takes what another one has.
+        If a module has no entry, or an entry is incomplete or repeats a name of another.
     """
     found: list[type[S]] = []
     for module in modules:
@@ -185,7 +185,7 @@ def _is_entry(one: object, base: type[Section], module: ModuleType) -> bool:
 
 
 def _require_kind(what: str, entry: type[Section]) -> None:
-    """Refuse an entry that problem files could not name, or editors not explain."""
+    """Refuse an entry without a kind for files, or a docstring for editors."""
     kinds = kinds_of(entry)
     if len(kinds) != 1 or not isinstance(kinds[0], str):
         refuse(what, entry, 'lacks its kind: write kind: Literal["…"], what problem files call it.')
@@ -196,7 +196,7 @@ def _require_kind(what: str, entry: type[Section]) -> None:
 def _require_apart(
     what: str, entry: type[S], other: type[S], names_of: Callable[[type[S]], Iterable[str]]
 ) -> None:
-    """Refuse an entry that takes what another one has."""
+    """Refuse an entry with the kind or a name of another."""
     kind, taken = kinds_of(entry)[0], set(names_of(other))
     theirs = f"which {other.__name__} has: choose another."
     if kind == kinds_of(other)[0]:

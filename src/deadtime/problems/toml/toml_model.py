@@ -1,6 +1,6 @@
 """Read a TOML file into a pydantic model; every error names the file, the line and the key.
 
-Errors about the meaning of a file, found while something is built from it, say in which section.
+Errors that arise while something is built from a file name its section.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from deadtime.problems.toml.complaints import (
 
 
 class SectionError(ArgumentError):
-    """Something is wrong in one section of the file; `path` says where."""
+    """A fault in one section of the file, at `path`."""
 
     def __init__(self, message: str, path: tuple) -> None:
         super().__init__(message)
@@ -39,9 +39,9 @@ class SectionError(ArgumentError):
 
 @contextmanager
 def section(*path: str | int) -> Iterator[None]:
-    """Say of any `ArgumentError` inside that it arose in this table of the file.
+    """Attribute any `ArgumentError` inside to this table of the file.
 
-    Numbers that cannot be computed with, such as 1e308, are such an error, too.
+    Overflow, as with numbers such as 1e308, becomes such an error, too.
 
     Examples
     --------
@@ -69,7 +69,7 @@ MOST_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class TomlText:
-    """A file as read: where it is, what it says, and what is raised for anything wrong in it."""
+    """The path and the text of a file, and the class of its errors."""
 
     source: Path
     text: str
@@ -90,8 +90,8 @@ def read_toml(
 ) -> tuple[Model, TomlText]:
     """The checked contents of a TOML file, and its text for later complaints.
 
-    A `kind` of error is raised if it is missing, is no TOML or says what the `model` does not know;
-    `hint` says how to come by such a file.
+    A `kind` of error is raised if it is missing, is not TOML or does not fit the `model`; `hint`
+    says how to create such a file.
     """
     text = read_text(source, MOST_BYTES, kind, hint=hint)
     if found := excess(text):
@@ -109,7 +109,7 @@ def read_toml(
 
 
 def require_valid(model: type[Model], data: Any) -> Model:
-    """The checked model of what a file would say; `SectionError` with the path of keys if not."""
+    """The checked model of a file's content; else a `SectionError` with the path of keys."""
     try:
         return model.model_validate(data)
     except ValidationError as error:

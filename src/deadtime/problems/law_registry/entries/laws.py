@@ -47,7 +47,7 @@ from deadtime.problems.law_registry.entry import (
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import Matrix, Mode, Vector
 
-_DWELL_TIME = "Trust the current mode for the rest of this dwell time, seconds."
+_DWELL_TIME = "Predict the current mode for the rest of this dwell time, seconds."
 
 
 class AveragedLaw(LawSection):
@@ -116,7 +116,7 @@ class AveragedLaw(LawSection):
 
 
 def _hashable(array: np.ndarray) -> tuple:
-    """An array of three dimensions as something that can be looked up."""
+    """A three-dimensional array as nested tuples."""
     return tuple(tuple(map(tuple, matrix)) for matrix in array.tolist())
 
 
@@ -131,7 +131,7 @@ def _minimax(
     dwell_time: float | None,
     allow_unstable: bool,
 ) -> Law:
-    """The law of minimax weights, one for all cells of a study: it depends on no switching."""
+    """The law of minimax weights, cached since cells of a study differ in the switching only."""
     return AveragedPredictor.minimax(
         SwitchedSystem(np.array(A), np.array(B), np.array(delays)),
         np.array(gains),
@@ -227,7 +227,7 @@ class ExpectedLaw(LawSection):
     needs: ClassVar = ("model",)
 
     kind: Literal["expected"]
-    ages: int | None = Field(None, description="Most ages (samples) that the table tells apart.")
+    ages: int | None = Field(None, description="Largest number of ages (samples) in the table.")
 
     def law(self, setting: LawSetting) -> Law:
         assert setting.model is not None
@@ -329,7 +329,7 @@ class BeliefLaw(LawSection):
 
     kind: Literal["belief"]
     of: Literal["expected", "optimal"] = Field(
-        "expected", description="The law whose rows are weighed by the belief."
+        "expected", description="The law whose rows the belief weights."
     )
 
     def law(self, setting: LawSetting) -> Law:

@@ -102,7 +102,7 @@ class FittedSwitching(SwitchingSection):
     )
     labels: dict[str, Mode] | None = Field(None, description="Mode of each text in the logs.")
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="Of the logs' times; seconds by default."
+        None, description="Unit of the logs' times; seconds by default."
     )
 
     def build(self, modes: int, folder: Path) -> SwitchingModel:
@@ -113,7 +113,7 @@ class FittedSwitching(SwitchingSection):
         return SemiMarkov.fit(signals, family=self.family, modes=modes, first=self.first)
 
     def promise(self, model: SwitchingModel) -> Promise:
-        """Nothing: a switch that logs do not show is not thereby excluded."""
+        """Nothing: a transition that the logs lack is still possible."""
         return None, None, None
 
 
