@@ -136,7 +136,7 @@ def test_every_law_that_can_follow_runs_where_none_is_listed(tmp_path):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ((SERVO.replace("position (m)", "angle"), RUN), "tracked must be names of measured outputs"),
+        ((SERVO.replace("position (m)", "angle"), RUN), "tracked must be names of measured"),
         ((SERVO.replace("position (m)", "speed (m/s)"), RUN), "no constant input moves"),
         ((SERVO.replace('["position (m)"]', "[]"), RUN), "tracked must name an output, got none"),
         (("[servo]\n", RUN), "tracked must have at most as many rows as there are inputs, 1"),

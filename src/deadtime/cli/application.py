@@ -61,7 +61,7 @@ app = App(
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
 )
 
-_tokens: ContextVar[tuple[str, ...]] = ContextVar("asked", default=())
+_tokens: ContextVar[tuple[str, ...]] = ContextVar("tokens", default=())
 
 
 def command_line() -> str:
@@ -173,8 +173,8 @@ def _example_of(error: CycloptsError, chain: Sequence[str]) -> str:
     if not isinstance(error, MissingArgumentError) or error.argument is None or not chain:
         return ""
     examples = str(app[chain[0]].help_epilogue).split("`")
-    found = (text for text in examples if f" {error.argument.name} " in text)
-    return "".join(f" Such as: {text}." for text in islice(found, 1))
+    fitting = (text for text in examples if f" {error.argument.name} " in text)
+    return "".join(f" Such as: {text}." for text in islice(fitting, 1))
 
 
 def _stop(code: int, message: str) -> NoReturn:

@@ -439,7 +439,7 @@ def least_dwell_times(
         record["mode"] = mode
     elif not isinstance(record["dwell_time"], tuple):
         del record["dwell_time"]
-    kept = (with_names(one, problem.modes) for one in _kept(signals, modes, mode))
+    kept = (with_names(one, problem.modes) for one in _kept_limits(signals, modes, mode))
     notes = [f"Sampling period {period:g} s.", *kept]
     table = ("law", "proved from", "refuted up to"), cells
     return _answer(problem, law, bracket, ("least_dwell_times", record), notes, table, json_output)
@@ -459,8 +459,8 @@ def longest_mode_lags(
         )
 
     def bracket(one: Law) -> ProvedBracket:
-        found = longest_mode_lag(problem.plant, one, signals, period)
-        return ProvedBracket(found.certified_seconds, found.refuted_seconds, found.message)
+        lag = longest_mode_lag(problem.plant, one, signals, period)
+        return ProvedBracket(lag.certified_seconds, lag.refuted_seconds, lag.message)
 
     def cells(one: ProvedBracket) -> tuple[str, str]:
         ends = one.certified, one.refuted
@@ -485,49 +485,51 @@ def _answer(
     """Print the bracket of every law, or the reason why it has none; or that of one law."""
     from deadtime.reports.certificate_tables import left_out
 
-    names, found = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
+    names, brackets = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
     laws = [problem.law(name) for name in names]
     with progress_bar(len(names), json_output, f"searching: {names[0]}") as advance:
         for name, one in zip(names, laws, strict=True):
             try:
-                found[name] = bracket(one)
+                brackets[name] = bracket(one)
             except ArgumentError as error:
                 if law is not None:
                     raise
-                found[name] = ProvedBracket(None, None, str(error))
+                brackets[name] = ProvedBracket(None, None, str(error))
             advance(name)
     if json_output:
         key, about_them = record
-        print_json(about_them | {key: {name: one.record() for name, one in found.items()}})
+        print_json(about_them | {key: {name: one.record() for name, one in brackets.items()}})
     else:
         headings, cells = table
-        sentences = [f"{name}: {with_names(x.message, problem.modes)}" for name, x in found.items()]
-        proved = [name for name, one in found.items() if one.certified is not None]
+        sentences = [
+            f"{name}: {with_names(x.message, problem.modes)}" for name, x in brackets.items()
+        ]
+        proved = [name for name, one in brackets.items() if one.certified is not None]
         answer = f"Proved for {', '.join(proved)}." if proved else "Nothing is proved for any law."
         alone = len(sentences) == 1
         print_answer(sentences[0] if alone else answer, problem.title, *notes, "")
-        print_table(headings, [(name, *cells(one)) for name, one in found.items()])
+        print_table(headings, [(name, *cells(one)) for name, one in brackets.items()])
         print()
         print_details([*([] if alone else sentences), *left_out(problem)])
-    return 0 if law is None or found[law].certified is not None else 1
+    return 0 if law is None or brackets[law].certified is not None else 1
 
 
-def _kept(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
+def _kept_limits(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
     """Sentences on the limits of the signals that a search for dwell times keeps."""
-    limits, found = signals.limits(modes), []
+    limits, sentences = signals.limits(modes), []
     if mode is not None:
-        found.append(f"The dwell time of mode {mode} varies; the others are kept.")
+        sentences.append(f"The dwell time of mode {mode} varies; the others are kept.")
     elif len(set(limits.dwell_time)) > 1:
         times = ", ".join(f"{one:g}" for one in limits.dwell_time)
-        found.append(f"Dwell times of the modes stay in proportion to {times} s.")
+        sentences.append(f"Dwell times of the modes stay in proportion to {times} s.")
     if signals.chatter > 1:
         often = f"{signals.chatter} + T/τ switches in any T seconds at most"
-        found.append(f"Dwell times τ are averages: {often}.")
+        sentences.append(f"Dwell times τ are averages: {often}.")
     if len(limits.lasting) < modes:
-        found.append("No sojourn is longer than the maximum dwell time of its mode.")
+        sentences.append("No sojourn is longer than the maximum dwell time of its mode.")
     if signals.at == "samples" or signals.chatter > 1 or not limits.is_free:
-        found.append(f"Every signal {signals.in_words(modes)[1]}.")
-    return found
+        sentences.append(f"Every signal {signals.in_words(modes)[1]}.")
+    return sentences
 
 
 def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
@@ -536,15 +538,15 @@ def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
     from deadtime.switching.constraint import one_or_each
 
     limits = signals.limits(modes)
-    found: dict[str, object] = {"dwell_time": one_or_each(limits.dwell_time)}
+    record: dict[str, object] = {"dwell_time": one_or_each(limits.dwell_time)}
     if len(limits.lasting) < modes:
         longest = limits.maximum_dwell
-        found["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
+        record["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
     if not limits.is_free:
-        found["transitions"] = limits.transitions.astype(int)
+        record["transitions"] = limits.transitions.astype(int)
     usual, names = SignalClass(1.0), ("at", "chatter", "mode_lag", "lost_samples")
     more = {name: getattr(signals, name) for name in names}
-    return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
+    return record | {name: x for name, x in more.items() if x != getattr(usual, name)}
 
 
 def about(problem: Problem, step: float, signals: SignalClass | None = None) -> dict[str, object]:

@@ -119,7 +119,7 @@ def design(
     source = source or _initial(plant.states, initial, probability)
     limit = None if input_limit is None else options.one_or_several("input-limit", input_limit)
     with progress_bar(budget, quiet=json_output) as advance:
-        found = designed(
+        result = designed(
             plant,
             delay_margin=delay_margin,
             step=period,
@@ -136,15 +136,15 @@ def design(
         )
     title = chosen.name if mode is None else f"{chosen.name}, {chosen.modes[mode]}"
     with replacing(written[0], "out") as place:
-        sections = problem_sections(found, law, chosen.plant, chosen.gains, mode)
+        sections = problem_sections(result, law, chosen.plant, chosen.gains, mode)
         place.write_text(sections, encoding="utf-8")
-    save_figure(plot_designs({title: found}), written[1])
+    save_figure(plot_designs({title: result}), written[1])
     if json_output:
-        print_json(design_record(found), written)
+        print_json(design_record(result), written)
     else:
-        _print(chosen, found, mode)
+        _print(chosen, result, mode)
         print("\nGains and law: {}, chart: {}".format(*written))
-    return 0 if found.reached else 1
+    return 0 if result.reached else 1
 
 
 def _mean(plant, gains):
@@ -186,20 +186,20 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
     return StationaryNoise(W, V, 0.99 if probability is None else probability)
 
 
-def _print(problem: Problem, found: Design, mode: int | None) -> None:
+def _print(problem: Problem, result: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
     from deadtime.reports.design import HEADINGS, LIMIT_HEADINGS, STEP, design_rows, limit_rows
 
-    print_answer(found.message, problem.title, "")
-    rows, at = design_rows(found), HEADINGS.index(STEP)
+    print_answer(result.message, problem.title, "")
+    rows, at = design_rows(result), HEADINGS.index(STEP)
     if len({row[at] for row in rows}) > 1:
         print_table(HEADINGS, rows)
     else:  # in the sentence above
         keep = [i for i in range(len(HEADINGS)) if i != at]
         print_table([HEADINGS[i] for i in keep], [[row[i] for i in keep] for row in rows])
-    print(f"Cost: {text_of(found.weight)}, each mode held, the mean over |x(0)| = 1.")
-    what = "a bound" if found.initial.kind == "noise" else "the largest"
-    print(f"Peak |u|: {what} under constant switching signals, for {found.initial.text}.")
+    print(f"Cost: {text_of(result.weight)}, each mode held, the mean over |x(0)| = 1.")
+    what = "a bound" if result.initial.kind == "noise" else "the largest"
+    print(f"Peak |u|: {what} under constant switching signals, for {result.initial.text}.")
     print("\nLimits of linear controllers of one mode alone:")
     names = problem.modes if mode is None else (problem.modes[mode],)
-    print_table(LIMIT_HEADINGS, limit_rows(found, names))
+    print_table(LIMIT_HEADINGS, limit_rows(result, names))

@@ -87,7 +87,7 @@ def experiment(
     chosen = options.problem_of(problem)
     period = step_of(chosen, step)
     length = chosen.horizon if horizon is None else positive("horizon", horizon)
-    found = design_experiment(
+    result = design_experiment(
         chosen.plant,
         length,
         period,
@@ -103,17 +103,17 @@ def experiment(
         hold=hold,
         seed=seed,
     )
-    found.to_csv(out, chosen.operating_point)
+    result.to_csv(out, chosen.operating_point)
     if json_output:
-        print_json(_record(found, chosen.operating_point), [out])
+        print_json(_record(result, chosen.operating_point), [out])
         return
-    rows = f"{found.time.size:,} rows, every {period:.4g} s"
-    answer, *details = found.sentences
+    rows = f"{result.time.size:,} rows, every {period:.4g} s"
+    answer, *details = result.sentences
     print_answer(answer, f"An experiment of {rows}", "")
-    errors = zip(found.names, found.errors, strict=True)
+    errors = zip(result.names, result.errors, strict=True)
     print_table(("", "standard error"), [(name, f"{error:.3g}") for name, error in errors])
     print()
-    print_details([*_absolute(chosen, found), *details])
+    print_details([*_absolute(chosen, result), *details])
     print(f"\nWritten: {out}")
 
 
@@ -161,23 +161,23 @@ def _signal(
     return problem.given_signal
 
 
-def _absolute(problem: Problem, found: Experiment) -> list[str]:
+def _absolute(problem: Problem, result: Experiment) -> list[str]:
     """A sentence on the table's inputs, where the problem has an operating point."""
     if problem.operating_point is None:
         return []
     where = problem.operating_point.in_words(problem.states, problem.inputs)
-    table = "to be added to the law's" if found.added else "absolute"
+    table = "to be added to the law's" if result.added else "absolute"
     return [f"The plant rests at {where}; limits are deviations from it, table inputs are {table}."]
 
 
-def _record(found: Experiment, point: OperatingPoint | None) -> dict:
+def _record(result: Experiment, point: OperatingPoint | None) -> dict:
     return {
-        "t": found.time,
-        "inputs": found.sent(point),
-        "mode": found.mode,
-        "added": found.added,
-        "delay_errors": dict(found.delay_errors),
-        "errors": dict(zip(found.names, found.errors, strict=True)),
-        "largest": found.largest,
-        "sentences": list(found.sentences),
+        "t": result.time,
+        "inputs": result.sent(point),
+        "mode": result.mode,
+        "added": result.added,
+        "delay_errors": dict(result.delay_errors),
+        "errors": dict(zip(result.names, result.errors, strict=True)),
+        "largest": result.largest,
+        "sentences": list(result.sentences),
     }

@@ -174,12 +174,12 @@ def _write(
     fit: Identification,
     sentences: list[str],
     logs: tuple[Path, ...],
-    asked: tuple[Path | None, Path | None, Path | None],
+    targets: tuple[Path | None, Path | None, Path | None],
     stage: Callable[[str], None],
 ) -> list[Path]:
     from deadtime.reports.identification_report import write_identification
 
-    out, figure, report = asked
+    out, figure, report = targets
     if out is not None:
         fit.save(out)
     if figure is not None or report is not None:
@@ -189,7 +189,7 @@ def _write(
     if report is not None:
         name = f"A plant from {logs[0].name}" + (f" and {len(logs) - 1} more" * (len(logs) > 1))
         write_identification(fit, report, sentences, name, command_line())
-    return [path for path in asked if path is not None]
+    return [path for path in targets if path is not None]
 
 
 def _numbered(fit: Identification) -> str:
@@ -331,11 +331,11 @@ def fit(
                 "figure: leave out family, dwell-time, maximum-dwell and out, or the step."
             )
         chain = MarkovChain.fit(signals, step)
-        found = {"P": chain.P.tolist(), "step": chain.step} | _off_grid(signals, chain.step)
+        record = {"P": chain.P.tolist(), "step": chain.step} | _off_grid(signals, chain.step)
         if json_output:
-            print_json(found, [])
+            print_json(record, [])
             return
-        between, switches = found["off_grid"], found["switches"]
+        between, switches = record["off_grid"], record["switches"]
         if between:
             print(
                 f"# Between samples of {chain.step:g} s: {between:,} of {switches:,} switches; "

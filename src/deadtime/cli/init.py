@@ -110,11 +110,11 @@ def _shell() -> Shell:
     from cyclopts.completion.detect import ShellDetectionError, detect_shell
 
     try:
-        found = detect_shell()
+        detected = detect_shell()
     except ShellDetectionError:
-        found = None
-    if found in ("bash", "zsh", "fish"):
-        return found
+        detected = None
+    if detected in ("bash", "zsh", "fish"):
+        return detected
     raise ArgumentError(
         "shell must be one of bash, zsh, fish where it cannot be detected, got none: "
         "deadtime completion bash."

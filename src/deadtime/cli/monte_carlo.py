@@ -96,9 +96,9 @@ def monte_carlo(
     chosen = options.with_law(options.problem_of(problem), law)
     period = _period(chosen, step)
     _require_signals(chosen)
-    asked = dwell_time is not None or mean_sojourn is not None
+    overridden = dwell_time is not None or mean_sojourn is not None
     model, sojourn = chosen.switching, None
-    if model is None or asked:
+    if model is None or overridden:
         sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
         model = _model(chosen, sojourn, mean_sojourn)
     picture = output_file("out", out, f"{chosen.name}-monte-carlo")

@@ -150,8 +150,8 @@ def with_step(problem: Problem, step: float | None) -> Problem:
 
     if step is None:
         return problem
-    kept = snap((problem.step or 0.0) / positive("step", step)).is_integer()
-    at = problem.signals.at if kept else "anywhere"
+    divides = snap((problem.step or 0.0) / positive("step", step)).is_integer()
+    at = problem.signals.at if divides else "anywhere"
     return replace(problem, step=step, signals=replace(problem.signals, at=at))
 
 

@@ -88,10 +88,10 @@ def plot(
         raise ArgumentError(f"out {str(folder)!r} cannot be written: {reason}.") from None
     paths = []
     with progress_bar(len(drawings), quiet=json_output) as advance:
-        found = reduced()
+        data = reduced()
         for name, draw in drawings.items():
             paths.append(out if single else out / f"{name}.png")
-            save_figure(draw(found), paths[-1])
+            save_figure(draw(data), paths[-1])
             advance(name)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": left_out or None}, paths)
@@ -133,26 +133,26 @@ def _plan(
     from deadtime.reports.figures.sweeps.heat import grid_for, heat, regret, wins
     from deadtime.reports.figures.sweeps.reduction import reduce
 
-    kept = selection.select(data, metric, fixed)
-    laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
+    chosen = selection.select(data, metric, fixed)
+    laws = selection.named_laws(chosen, None if law is None else [law], selection.laws_of(chosen))
     if kind in ("wins", "regret"):
         selection.quotients_of(metric)
-    if kind == "regret" and selection.oracle_or_refuse(kept) == law:
+    if kind == "regret" and selection.oracle_or_refuse(chosen) == law:
         raise ArgumentError(f"law must be another one than the oracle, got {law!r}.")
     if kind == "wins" and law is not None:
         raise ArgumentError("law is for heat and regret: leave it out, wins compare all laws.")
     left_out = ""
     try:
-        panes(kept, sides[0])
+        panes(chosen, sides[0])
     except ArgumentError as error:
         if kind == "bands":
             raise
         left_out = f"bands are left out: {error}"
     if kind != "bands":
-        grid_for(kept, *sides)
+        grid_for(chosen, *sides)
     quotients = metric not in selection.RATES
-    oracle = selection.oracle_of(kept) if quotients and kind in ("regret", "all") else ""
-    rivals = selection.causal(kept) if quotients and kind in ("wins", "all") else []
+    oracle = selection.oracle_of(chosen) if quotients and kind in ("regret", "all") else ""
+    rivals = selection.causal(chosen) if quotients and kind in ("wins", "all") else []
     names, given = _file_names(laws), {"metric": metric, "x": sides[0], "y": sides[1]}
     drawings: dict[str, Callable[[xr.Dataset], Figure]] = {}
     if kind in ("heat", "all"):
@@ -166,7 +166,7 @@ def _plan(
         for one in laws
         if oracle and one != oracle  # whose regret is 1 everywhere
     }
-    return partial(reduce, kept, metric, rivals, oracle), drawings, left_out
+    return partial(reduce, chosen, metric, rivals, oracle), drawings, left_out
 
 
 def _is_figure(out: Path) -> bool:

@@ -76,10 +76,10 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
     rows = table(result)
     print_table(headings_of(result), rows)
     shown: list[Sequence[Sequence[str]]] = [rows]
-    for heading, found in metrics.tracking_of_runs(result):
+    for heading, rows_of_one in metrics.tracking_of_runs(result):
         print(f"\n{heading}")
-        shown.append(found)
-        print_table(metrics.HEADINGS, found)
+        shown.append(rows_of_one)
+        print_table(metrics.HEADINGS, rows_of_one)
     print_never(shown)
     print()
     print_details(details)

@@ -193,8 +193,8 @@ def app(
     if not json_output:
         print(f"Starting the explorer with {problem}: half a minute the first time.", flush=True)
     with ExitStack() as starting:
-        say = starting.enter_context(stage_line(quiet=json_output))
-        say("loading libraries")
+        stage = starting.enter_context(stage_line(quiet=json_output))
+        stage("loading libraries")
         try:
             from deadtime.app.server import is_loopback, serve
         except ModuleNotFoundError as error:
@@ -218,5 +218,5 @@ def app(
 
         serve(
             str(problem), address, port, browser, origin,
-            sessions=sessions, started=on_started, progress=say,
+            sessions=sessions, started=on_started, progress=stage,
         )  # fmt: skip

@@ -146,10 +146,10 @@ def _print_medians(data: xr.Dataset) -> None:
 
     if data["reason"].size > _SHOWN or not bool((data["done"] == 1).any()):
         return
-    found = sweep_table(data)
+    medians = sweep_table(data)
     print()
-    print_table(found.headings, found.rows)
-    print(f"({' '.join(found.said).removeprefix('deadtime: ')}.)")
+    print_table(medians.headings, medians.rows)
+    print(f"({' '.join(medians.said).removeprefix('deadtime: ')}.)")
 
 
 def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
@@ -164,22 +164,22 @@ def _verify(place: str) -> list[str]:
     from deadtime.scenarios.sweeps.store import open_store, place_of
 
     target = open_store(place_of(place))
-    found = [f"the values of {name} were damaged" for name in target.restore_coordinates()]
+    faults = [f"the values of {name} were damaged" for name in target.restore_coordinates()]
     for number, fault in target.faults():
         target.forget(number)
-        found.append(fault)
-    return found
+        faults.append(fault)
+    return faults
 
 
 def _reasons(data: Any) -> dict[str, tuple[int, str]]:
     """Number of failed cells of each law, and an example of the reason."""
-    found = {}
+    reasons = {}
     for law in data.law.values:
         texts = data.reason.sel(law=law).values.ravel()
         wrong = texts[texts != ""]
         if wrong.size:
-            found[str(law)] = (int(wrong.size), str(wrong[0]))
-    return found
+            reasons[str(law)] = (int(wrong.size), str(wrong[0]))
+    return reasons
 
 
 def _print_plan(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:

@@ -81,9 +81,9 @@ def _require_whole(entry: Entry) -> None:
     if made is None:
         _refuse(entry, "lacks made: give made = the class of the imperfection.")
     keys = [key for key in entry.model_fields if key != "kind"]
-    asked = [field.name for field in fields(made)]  # pyright: ignore[reportArgumentType]
-    if sorted(keys) != sorted(asked):
-        _refuse(entry, f"has the keys {keys}, {made.__name__} takes {asked}: make them the same.")
+    names = [field.name for field in fields(made)]  # pyright: ignore[reportArgumentType]
+    if sorted(keys) != sorted(names):
+        _refuse(entry, f"has the keys {keys}, {made.__name__} takes {names}: make them the same.")
     unknown = [] if axis is None else [key for key in axis.keys(1.0) if key not in keys]
     if unknown:
         _refuse(entry, f"sets {unknown[0]} by its axis, which is no key of the section.")

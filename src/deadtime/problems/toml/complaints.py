@@ -294,8 +294,8 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
         return f"{_kind_of(name)} must be one of {expected}, got {tag}."
     given = _at(data, place.path)
     shape = _shape(place.field)
-    if shape is not None and (found := _misshapen(name, str(place.path[-1]), given, shape)):
-        return found
+    if shape is not None and (sentence := _misshapen(name, str(place.path[-1]), given, shape)):
+        return sentence
     if place.tables and kind in (*_TABLE, "list_type"):
         return _no_table(name, given, place)
     whole = ".".join(map(str, (name, *place.item)))

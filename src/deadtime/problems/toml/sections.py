@@ -160,7 +160,7 @@ def collect(
     ArgumentError
         If a module has no entry, or an entry is incomplete or repeats a name of another.
     """
-    found: list[type[S]] = []
+    entries: list[type[S]] = []
     for module in modules:
         own = [one for one in vars(module).values() if _is_entry(one, base, module)]
         if not own:
@@ -173,10 +173,10 @@ def collect(
                 call = f"{lacking}({', '.join(signature(getattr(entry, lacking)).parameters)})"
                 refuse(what, entry, f"lacks {call}: define it, as {base.__name__} says.")
             require_whole(entry)
-            for other in found:
+            for other in entries:
                 _require_apart(what, entry, other, names_of)
-            found.append(entry)
-    return tuple(found)
+            entries.append(entry)
+    return tuple(entries)
 
 
 def _is_entry(one: object, base: type[Section], module: ModuleType) -> bool:
@@ -197,12 +197,12 @@ def _require_apart(
     what: str, entry: type[S], other: type[S], names_of: Callable[[type[S]], Iterable[str]]
 ) -> None:
     """Refuse an entry with the kind or a name of another."""
-    kind, taken = kinds_of(entry)[0], set(names_of(other))
+    kind, names = kinds_of(entry)[0], set(names_of(other))
     theirs = f"which {other.__name__} has: choose another."
     if kind == kinds_of(other)[0]:
         refuse(what, entry, f"takes the kind {kind!r}, {theirs}")
     if entry.__name__ == other.__name__:
         refuse(what, entry, f"takes the class name of that in {other.__module__}: choose another.")
     for name in names_of(entry):
-        if name in taken:
+        if name in names:
             refuse(what, entry, f"takes the name {name!r}, {theirs}")

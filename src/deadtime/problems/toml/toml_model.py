@@ -94,8 +94,8 @@ def read_toml(
     says how to create such a file.
     """
     text = read_text(source, MOST_BYTES, kind, hint=hint)
-    if found := excess(text):
-        raise kind(f"{source} {found}.")
+    if reason := excess(text):
+        raise kind(f"{source} {reason}.")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -113,6 +113,6 @@ def require_valid(model: type[Model], data: Any) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found, more = faults(error, model, data)
-        sentences = " ".join(fault.sentence for fault in found)
-        raise SectionError(sentences + more, found[0].path) from None
+        listed, more = faults(error, model, data)
+        sentences = " ".join(fault.sentence for fault in listed)
+        raise SectionError(sentences + more, listed[0].path) from None
