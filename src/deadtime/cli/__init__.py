@@ -12,7 +12,7 @@ finished scenarios), 141 when the output's pipe is closed. Errors are one line o
 stderr; with `--json` stdout then stays empty.
 """
 
-from deadtime.cli import (
+from deadtime.cli import (  # noqa: F401 (each registers its commands)
     certificates,
     design,
     experiment,
@@ -27,18 +27,4 @@ from deadtime.cli import (
 )
 from deadtime.cli.application import app, main
 
-__all__ = [
-    "app",
-    "certificates",
-    "design",
-    "experiment",
-    "export",
-    "identify",
-    "init",
-    "loop",
-    "main",
-    "monte_carlo",
-    "plot",
-    "runs",
-    "sweep",
-]
+__all__ = ["app", "main"]

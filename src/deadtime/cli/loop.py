@@ -131,22 +131,14 @@ def _step_row(name: str, answer: StepResponse) -> list[str]:
 def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
     from deadtime.base.json_records import record
 
-    figures = (
-        "mode",
-        "phase",
-        "phase_frequency",
-        "disk",
-        "disk_frequency",
-        "disk_gain",
-        "disk_phase",
-    )
+    margins = ("phase", "phase_frequency", "disk", "disk_frequency", "disk_gain", "disk_phase")
     return {
         "growth": view.gain.growth,
         "gain_margin": [view.gain.lower, view.gain.upper],
         "stabilising_gain": view.gain.stabilising,
         "delay_margin": [view.delay.lower, view.delay.upper],
         "modes": [
-            record(each, *figures)
+            record(each, "mode", *margins)
             | {"peak_sensitivity": each.sensitivity.max()}
             | {"step_info": steps[each.mode].info if steps else None}
             for each in view.modes

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import file_names
 from deadtime.cli import options
 from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import output_folder, print_json, progress_bar, save_figure
@@ -153,7 +154,7 @@ def _plan(
     quotients = metric not in selection.RATES
     oracle = selection.oracle_of(chosen) if quotients and kind in ("regret", "all") else ""
     rivals = selection.causal(chosen) if quotients and kind in ("wins", "all") else []
-    names, given = _file_names(laws), {"metric": metric, "x": sides[0], "y": sides[1]}
+    names, given = file_names(laws), {"metric": metric, "x": sides[0], "y": sides[1]}
     drawings: dict[str, Callable[[xr.Dataset], Figure]] = {}
     if kind in ("heat", "all"):
         drawings |= {f"heat-{metric}-{names[one]}": partial(heat, law=one, **given) for one in laws}
@@ -175,16 +176,3 @@ def _is_figure(out: Path) -> bool:
 
     known = Figure().canvas.get_supported_filetypes()
     return out.suffix[1:].lower() in known and not out.is_dir()
-
-
-def _file_names(laws: Sequence[str]) -> dict[str, str]:
-    """Unique file names of the laws."""
-    from deadtime.base.wording import file_name
-
-    names: dict[str, str] = {}
-    for law in laws:
-        name, count = file_name(law) or "law", 2
-        while name in names.values():
-            name, count = f"{file_name(law) or 'law'}-{count}", count + 1
-        names[law] = name
-    return names

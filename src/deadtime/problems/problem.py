@@ -138,13 +138,12 @@ class Problem(Frozen):
         return states, inputs
 
     def __post_init__(self) -> None:
-        if not self.states:
-            object.__setattr__(self, "states", numbered("x", self.plant.states))
-        if not self.modes:
-            names = tuple(f"mode {i}" for i in range(self.plant.modes))
-            object.__setattr__(self, "modes", names)
-        if not self.inputs:
-            object.__setattr__(self, "inputs", input_names(self.plant.inputs))
+        for key, names in (
+            ("states", numbered("x", self.plant.states)),
+            ("modes", tuple(f"mode {i}" for i in range(self.plant.modes))),
+            ("inputs", input_names(self.plant.inputs)),
+        ):
+            object.__setattr__(self, key, getattr(self, key) or names)
         super().__post_init__()
 
     @property

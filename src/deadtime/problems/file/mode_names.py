@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, get_args
-
-from pydantic.fields import FieldInfo
+from typing import Any
 
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.file.schema import ProblemFile
 from deadtime.problems.toml import section as _section
-from deadtime.problems.toml.sections import ModeKey, Section
+from deadtime.problems.toml.sections import ModeKey, Section, note_of
 
 
 def with_mode_numbers(file: ProblemFile) -> ProblemFile:
@@ -39,9 +37,9 @@ def _numbered(section: Section, names: Sequence[str], where: str = "") -> Sectio
     """A section with numbers of modes; `where` is its place in the section around it."""
     changes: dict[str, Any] = {}
     for key, field in type(section).model_fields.items():
-        value, mark = getattr(section, key), _mark(field)
-        if mark is not None:
-            changes[key] = _numbers(where + key, value, names, mark)
+        value, note = getattr(section, key), note_of(field, ModeKey)
+        if note is not None:
+            changes[key] = _numbers(where + key, value, names, note.words)
         elif isinstance(value, list) and any(isinstance(one, Section) for one in value):
             changes[key] = [
                 _numbered(one, names, f"{where}{key}[{i}].") if isinstance(one, Section) else one
@@ -50,27 +48,16 @@ def _numbered(section: Section, names: Sequence[str], where: str = "") -> Sectio
     return section.model_copy(update=changes) if changes else section
 
 
-def _mark(field: FieldInfo) -> ModeKey | None:
-    """The mark of a key that takes modes, alone or in a list or a table."""
-    inner: list[Any] = [field.annotation, *field.metadata]  # the field's own mark first
-    while inner:
-        one = inner.pop()
-        if isinstance(one, ModeKey):
-            return one
-        inner += [*getattr(one, "__metadata__", ()), *get_args(one)]
-    return None
-
-
-def _numbers(key: str, value: Any, names: Sequence[str], mark: ModeKey) -> Any:
+def _numbers(key: str, value: Any, names: Sequence[str], words: Sequence[str]) -> Any:
     """A mode, or a list or a table of them, by numbers."""
     if isinstance(value, list):
-        return [_numbers(f"{key}[{i}]", one, names, mark) for i, one in enumerate(value)]
+        return [_numbers(f"{key}[{i}]", one, names, words) for i, one in enumerate(value)]
     if isinstance(value, dict):
-        return {name: _numbers(f"{key}.{name}", x, names, mark) for name, x in value.items()}
-    if not isinstance(value, str) or value in mark.words:
+        return {name: _numbers(f"{key}.{name}", x, names, words) for name, x in value.items()}
+    if not isinstance(value, str) or value in words:
         return value
     if value not in names:
-        known = ", ".join(map(repr, (*mark.words, *names)))
+        known = ", ".join(map(repr, (*words, *names)))
         either = f" or one of {known}" if known else ""
         raise ArgumentError(f"{key} must be the number of a mode{either}, got {value!r}.")
     return list(names).index(value)

@@ -11,14 +11,14 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.toml.sections import Shape, kinds_of
+from deadtime.problems.toml.sections import Shape, kinds_of, note_of
 
 # The end of a token is optional, so that nothing backtracks and the time is linear in the text.
 # (Possessive groups, `*+`, are faulty before Python 3.11.5.)
@@ -293,7 +293,7 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
         expected, tag = context["expected_tags"], _short(context["tag"])
         return f"{_kind_of(name)} must be one of {expected}, got {tag}."
     given = _at(data, place.path)
-    shape = _shape(place.field)
+    shape = None if place.field is None else note_of(place.field, Shape)
     if shape is not None and (sentence := _misshapen(name, str(place.path[-1]), given, shape)):
         return sentence
     if place.tables and kind in (*_TABLE, "list_type"):
@@ -307,14 +307,6 @@ def _advice(key: str, known: Sequence[str]) -> str:
     # Typing errors seldom hit the first letter.
     near = difflib.get_close_matches(key, [name for name in known if name[:1] == key[:1]], 1)
     return f"did you mean {near[0]}?" if near else f"it can be one of {', '.join(known)}."
-
-
-def _shape(field: FieldInfo | None) -> Shape | None:
-    """The `Shape` of a field, also of an optional one."""
-    if field is None:
-        return None
-    inner = [m for part in get_args(field.annotation) for m in getattr(part, "__metadata__", ())]
-    return next((mark for mark in (*field.metadata, *inner) if isinstance(mark, Shape)), None)
 
 
 def _misshapen(name: str, key: str, given: Any, shape: Shape) -> str:

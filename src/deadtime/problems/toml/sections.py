@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, FailFast, Field
+from pydantic.fields import FieldInfo
 
 from deadtime.base.errors import ArgumentError
 
@@ -112,6 +113,19 @@ def frozen(name: str, given: DistributionSection) -> Any:
             f"{name}: {given.distribution} takes the parameters {known}, got "
             f"{sorted(given.model_extra or {})}."
         ) from None
+
+
+N = TypeVar("N")
+
+
+def note_of(field: FieldInfo, kind: type[N]) -> N | None:
+    """The outermost note of a kind on a field, or on what its type contains."""
+    parts: list[Any] = [*field.metadata, field.annotation]
+    for part in parts:  # which grows: outer parts come first
+        if isinstance(part, kind):
+            return part
+        parts += [*getattr(part, "__metadata__", ()), *get_args(part)]
+    return None
 
 
 S = TypeVar("S", bound=Section)
