@@ -95,7 +95,7 @@ def dwell_time_of(
     if not math.isfinite(signal.dwell_time):
         return SourcedTime(problem.horizon, "the horizon, since its signal never switches")
     step = step_of(problem)
-    periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
+    periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))  # 1e-9: round-off
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
     if problem.switching is not None or problem.signals.chatter > 1:
         return SourcedTime(

@@ -151,7 +151,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     signal, promise = rule, SignalClass()
     if signal is None:
         longest = max(truth.longest_delay, *(law.plant.longest_delay for law in laws.values()))
-        end = horizon + longest + min(step or 0.0, horizon)
+        end = horizon + longest + min(step or 0.0, horizon)  # of the oracle's last prediction
         with _section("signal"):
             signal = build_signal(file.signal, plant, end, source.parent, model, step)
             signal.require_modes(plant.modes)

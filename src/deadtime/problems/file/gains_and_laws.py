@@ -94,6 +94,7 @@ def _pole(given: float | str) -> complex:
     except ValueError:
         hint = ""
         with suppress(ValueError):
+            # As MATLAB writes it.
             meant = str(given).replace(" ", "").replace("i", "j").replace("I", "j")
             complex(meant)
             hint = f': write "{meant}"'

@@ -97,6 +97,7 @@ def problem_with_run(place: Path, run: Mapping[str, Any]) -> Problem:
     else:
         file, text = read_toml(place, ProblemFile, ProblemFileError, _HINT)
         source = place
+    # Copies are not validated; `build_problem` checks the numbers of [run].
     file = file.model_copy(update={"run": file.run.model_copy(update=dict(run))})
     try:
         return build_problem(file, source)

@@ -1,4 +1,4 @@
-"""Names of modes in a problem file, replaced by their numbers before anything is built."""
+"""Names of modes in a problem file: replaced by numbers before anything is built."""
 
 from __future__ import annotations
 

@@ -218,6 +218,7 @@ def _recorded(path: Path, size: int, names: Sequence[str]) -> tuple[np.ndarray, 
         raise ArgumentError(f"{path} is no CSV: {error}.") from None
     header = [cell.strip() for cell in rows[0]] if rows else []
     others = [name for name in header if name != "time"]
+    # Combinations of outputs have no name: their columns are in the order of the file.
     columns = list(names) if all(name in others for name in names) else others
     if "time" not in header or len(columns) != size:
         raise ArgumentError(

@@ -140,7 +140,7 @@ def whole_periods(
     """
     drawn = draw(2.0 * end)  # no sojourn is cut to less than half
     most = np.floor(np.array(longest) / step + 1e-9)[drawn.modes[:-1]]
-    counts = np.minimum(np.ceil(np.diff(drawn.times) / step - 1e-9), most)
+    counts = np.minimum(np.ceil(np.diff(drawn.times) / step - 1e-9), most)  # 1e-9: round-off
     times = step * np.append(0.0, np.cumsum(counts))
     return SwitchingSignal(times[times < end], drawn.modes[times < end], end)
 
