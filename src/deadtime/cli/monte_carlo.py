@@ -60,7 +60,7 @@ def monte_carlo(
     table: Path | None = None,
     json_output: options.AsJson = False,
 ) -> int:
-    """Run the laws of a problem over many random switching signals, all on the same ones.
+    """Run the laws of a problem over many random switching signals, the same for all laws.
 
     Signals are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
     given here, sojourns are the dwell time plus an exponential time, and all other modes that the

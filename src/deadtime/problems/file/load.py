@@ -84,7 +84,7 @@ def problem_with_run(place: Path, run: Mapping[str, Any]) -> Problem:
     Raises
     ------
     ArgumentError
-        If an entry does not fit; else what `load_problem` raises.
+        If an entry does not fit; other errors as in `load_problem`.
 
     Examples
     --------

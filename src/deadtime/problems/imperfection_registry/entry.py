@@ -1,7 +1,7 @@
 """An entry of the registry: the section of a problem file for an imperfection.
 
 class BacklashSection(ImperfectionSection):
-    "What editors show beside the kind."
+    "The description in editors."
 
     made: ClassVar = Backlash
 
@@ -33,7 +33,7 @@ class ImperfectionAxis:
     label, unit : str
         For readers.
     description : str
-        What editors show.
+        The text in editors.
     keys : callable
         From a value to the keys of the section.
     values : type

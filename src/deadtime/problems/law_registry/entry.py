@@ -1,7 +1,7 @@
 """The section of a problem file for a law, and the setting that the law is built from.
 
 class CurrentModeLaw(LawSection):
-    "What editors show beside the kind."
+    "The description in editors."
 
     names = (Named("current mode", knows="nothing"),)
     kind: Literal["current-mode"]
@@ -78,7 +78,7 @@ class LawSetting:
             raise ArgumentError(NEEDS[need].format(kind=kind))
 
 
-# What a law may need, and the message for a file that lacks it.
+# Needs of laws, with the message for a file that lacks one.
 NEEDS: Mapping[Need, str] = {
     "model": "kind = '{kind}' needs a [switching] section: a model of the switching.",
     "mode_filter": (

@@ -1,7 +1,7 @@
 """An entry of the registry: the [switching] section for a model.
 
 class RenewalSwitching(SwitchingSection):
-    "What editors show beside the kind."
+    "The description in editors."
 
     kind: Literal["renewal"]
     sojourn: float = Field(description="Seconds in a mode.")

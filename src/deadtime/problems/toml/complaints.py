@@ -276,7 +276,7 @@ def _kind_of(name: str) -> str:
 
 
 def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
-    """The fault of a key, and what to do about it."""
+    """The fault of a key, and its remedy."""
     (item, place), kind = group[0], group[0][0]["type"]
     name = key_in_words(place.path) or "file"
     if kind == "missing":
