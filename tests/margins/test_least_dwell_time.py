@@ -169,7 +169,7 @@ def test_the_command_line_fails_for_one_law_without_a_certified_dwell_time(capsy
     assert run(capsys, "certify", "paper", "--law", "mean", "--least-dwell-time")[0] == 1
     code, _, error = run(capsys, "certify", "paper", "--least-dwell-time", "--dwell-time", "0.5")
     assert code == 2
-    assert "--least-dwell-time searches the dwell time" in error
+    assert "--least-dwell-time searches for the dwell time" in error
 
 
 LIMITED = """\

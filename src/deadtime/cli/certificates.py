@@ -103,13 +103,13 @@ def certify(
         Cover all plants of the file's [uncertainty], as `deadtime identify` writes it: A and B in
         their ellipsoid of 95 %, each delay in its interval of 95 %.
     least_dwell_time
-        Search the least dwell time instead: print the shortest that is proved and the longest that
-        is refuted. Several dwell times, of the problem or given, are scaled together.
+        Search for the least dwell time instead: print the shortest that is proved and the longest
+        that is refuted. Several dwell times, of the problem or given, are scaled together.
     mode
         With --least-dwell-time: vary the dwell time of this mode alone, and keep the others.
     longest_mode_lag
-        Search the longest mode detection delay instead: print the longest that is proved and the
-        shortest that is refuted.
+        Search for the longest mode detection delay instead: print the longest that is proved and
+        the shortest that is refuted.
     explain
         Also print the formal statement of every proof: its assumptions, and how it was shown.
     out
@@ -125,8 +125,8 @@ def certify(
         given = uncertain or any(option is not None for option in (decay_rate, delays, out))
         if one or given or lost_samples != 0:
             raise ArgumentError(
-                "--least-dwell-time searches the dwell time: leave out --dwell-time (except one "
-                "per mode, which are scaled together), --decay-rate, --delays, --lost-samples, "
+                "--least-dwell-time searches for the dwell time: leave out --dwell-time (except "
+                "one per mode, which are scaled together), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
         signals = options.kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
@@ -137,7 +137,7 @@ def certify(
         given = (decay_rate, delays, out)
         if any(one is not None for one in given) or mode_lag != 0 or lost_samples or uncertain:
             raise ArgumentError(
-                "--longest-mode-lag searches the lag: leave out --mode-lag, "
+                "--longest-mode-lag searches for the lag: leave out --mode-lag, "
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
