@@ -277,7 +277,7 @@ def test_a_chain_of_a_log_says_which_switches_lie_between_its_samples(tmp_path, 
     log.write_text("t,mode\n0,0\n0.1,1\n0.25,0\n0.4,1\n0.62,0\n0.9,1\n1.2,0\n", encoding="utf-8")
     code, out, _ = run(capsys, "fit", str(log), "--step", "0.1")
     assert code == 0
-    assert out.startswith("# Between samples of 0.1 s: 2 of 6 switches; the chain makes each at ")
+    assert out.startswith("# Between samples of 0.1 s: 2 of 6 switches; the chain moves each to ")
     code, out, _ = run(capsys, "fit", str(log), "--step", "0.01")
     assert (code, out.splitlines()[0]) == (0, "[switching]")
     _, out, _ = run(capsys, "fit", str(log), "--step", "0.1", "--json")

@@ -151,14 +151,14 @@ def test_certify_does_not_list_as_left_out_what_it_covers(capsys, made_up, monke
     assert "Not covered: dropout (probability 0.5), noise (std 0.1)." in text
     assert names == ["dropout (probability 0.5)", "noise (std 0.1)"]
     assert left_out("--mode-lag", "1")[1] == [
-        "mode delay (periods 2)",
+        "mode detection delay (periods 2)",
         "dropout (probability 0.5)",
         "noise (std 0.1)",
     ]
     text, names = left_out("--lost-samples", "3")
-    assert "Not covered: mode delay (periods 2), noise (std 0.1)." in text
+    assert "Not covered: mode detection delay (periods 2), noise (std 0.1)." in text
     assert "Covered while at most 3 samples in a row are lost: dropout (probability 0.5)." in text
-    assert names == ["mode delay (periods 2)", "noise (std 0.1)"]
+    assert names == ["mode detection delay (periods 2)", "noise (std 0.1)"]
 
 
 def test_a_refusal_calls_an_input_by_its_name():
@@ -291,7 +291,7 @@ def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys
         assert out.count("\n") == 1
     code, _, err = run(capsys, "verify", str(saved), "--law", "averaged")
     assert code == 2
-    assert "--law must come with --problem" in err
+    assert "--law needs --problem" in err
     for part, value in (("law", {"context": ["mode"]}), ("", {"rho": 10**400})):
         code, out, err = run(capsys, "verify", str(rewritten(copied(saved, tmp_path), part, value)))
         assert (code, out, err.count("\n")) == (2, "", 1)
@@ -315,7 +315,7 @@ def test_a_certificate_of_a_law_that_the_problem_lacks_is_rejected(capsys, saved
     other.write_text(f'{text}\n[[law]]\nkind = "mean"\n')
     code, out, _ = run(capsys, "verify", str(saved), "--problem", str(other), "--step", "0.1")
     assert code == 1
-    assert out.startswith("Rejected: the certificate is about a table of none of")
+    assert out.startswith("Rejected: its table belongs to none of")
     assert "Matches" not in out
 
 
@@ -417,7 +417,7 @@ def test_a_proof_that_takes_more_work_than_is_usual_is_saved_with_the_command_th
     file.write_text(MILD_FILE, encoding="utf-8")
     code, out, _ = run(capsys, "certify", str(file), "--law", "averaged", "--out", str(path))
     assert code == 0
-    command = re.search(r"More work than is usual: deadtime (verify .*)", out)[1].split()
+    command = re.search(r"It needs more work than usual: deadtime (verify .*)", out)[1].split()
     assert run(capsys, *command[:-2])[0] == 1
     code, out, _ = run(capsys, *command)
     assert code == 0

@@ -18,7 +18,7 @@ def test_the_noise_of_a_file_limits_the_inputs_and_what_has_none_is_refused(tmp_
     assert found["initial"] == kept
     for arguments, said in (
         (["follower", "--noise"], "--noise needs an imperfection of the kind white-disturbance"),
-        ([str(problem), "--noise", "--initial", "2"], "both say what moves the inputs"),
+        ([str(problem), "--noise", "--initial", "2"], "exclude each other: give one"),
     ):
         with pytest.raises(SystemExit) as stopped:
             main(["design", *arguments, *out])

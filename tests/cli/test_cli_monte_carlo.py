@@ -158,7 +158,7 @@ def test_the_nominal_plant_is_named_and_laws_run_one_by_one_have_a_reason(capsys
     _, out, _ = run(capsys, "pushed.toml", "--scenarios", "2", "--out", "run.png")
     out = " ".join(out.split())
     assert nominal not in out
-    assert "one by one, which takes longer: averaged, because the plant is disturbed and its" in out
+    assert "one by one, which is slower: averaged, because the plant is disturbed and its" in out
 
 
 def test_a_plant_with_a_delay_per_input_and_mode_and_a_chain_at_samples(capsys, folder):
@@ -211,9 +211,7 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
     with xr.open_dataset("part.nc", engine="scipy") as read:
         done = read.sizes["scenario"]
     assert 8 <= done < 80
-    assert err == (
-        f"deadtime: interrupted after {done} of 80 scenarios; the results are of these\n"
-    )
+    assert err == (f"deadtime: interrupted after {done} of 80 scenarios; the results cover these\n")
     if ending == "json":
         assert (json.loads(out)["scenarios"], json.loads(out)["interrupted"]) == (done, True)
     else:

@@ -47,7 +47,7 @@ def test_uncertain_needs_an_uncertainty_and_is_of_one_question(tmp_path, capsys)
         (("certify", "paper", "--uncertain"), "has no [uncertainty]"),
         (("certify", "paper", "--uncertain", "--least-dwell-time"), "leave out"),
         (("certify", "paper", "--uncertain", "--longest-mode-lag"), "leave out"),
-        (("verify", str(tmp_path / "c.json"), "--uncertain"), "--uncertain must come with"),
+        (("verify", str(tmp_path / "c.json"), "--uncertain"), "--uncertain needs --problem"),
     ):
         code, _, err = run(capsys, *arguments)
         assert code == 2

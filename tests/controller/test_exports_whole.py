@@ -154,7 +154,7 @@ def test_simulate_takes_a_law_a_step_a_horizon_and_a_start(folder, capsys, place
         (["--step", "-1"], "step must be positive, in s, got -1"),
         (["--horizon", "0"], "horizon must be positive"),
         (["--x0", "1,2,3"], "x0 must have shape (n,) = (2,), got (3,)"),
-        (["--x0", "1;2"], "x0 must be numbers with commas between them, such as --x0 1,-0.5"),
+        (["--x0", "1;2"], "x0 must be numbers separated by commas, such as --x0 1,-0.5"),
     ],
 )
 def test_what_does_not_fit_a_run_is_refused_by_the_option_s_name(folder, capsys, options, message):

@@ -121,7 +121,7 @@ def test_an_experiment_about_an_operating_point_is_a_table_of_absolute_inputs(he
     options = ("--input-limit", "5", "--horizon", "100", "--noise", "0.05")
     out = run(capsys, "experiment", "heater.toml", *options, "--out", "e.csv")
     said = " ".join(out.split())
-    assert "rests at T (°C) = 21 with valve (%) = 40; limits are about it, and inputs of" in said
+    assert "rests at T (°C) = 21 with valve (%) = 40; limits are deviations from it, table" in said
     u = np.loadtxt(heater / "e.csv", delimiter=",", skiprows=1)[:, 1]
     assert u.min() >= 35.0 - 1e-9
     assert u.max() <= 45.0 + 1e-9
@@ -129,7 +129,7 @@ def test_an_experiment_about_an_operating_point_is_a_table_of_absolute_inputs(he
     record = json.loads(run(capsys, "experiment", "heater.toml", *options, "--json"))
     np.testing.assert_allclose(record["inputs"][0], u, rtol=1e-10)
     added = run(capsys, "experiment", "heater.toml", *options, "--law", "averaged", "--out", "a")
-    assert "inputs of the table to be added to the law's" in " ".join(added.split())
+    assert "table inputs are to be added to the law's" in " ".join(added.split())
     add = np.loadtxt(heater / "a.csv", delimiter=",", skiprows=1)[:, 1]
     assert np.abs(add).max() <= 10.0
 

@@ -169,7 +169,7 @@ def test_the_command_line_fails_for_one_law_without_a_certified_dwell_time(capsy
     assert run(capsys, "certify", "paper", "--law", "mean", "--least-dwell-time")[0] == 1
     code, _, error = run(capsys, "certify", "paper", "--least-dwell-time", "--dwell-time", "0.5")
     assert code == 2
-    assert "--least-dwell-time looks for the dwell time itself" in error
+    assert "--least-dwell-time searches for the dwell time" in error
 
 
 LIMITED = """\
@@ -223,4 +223,4 @@ def test_the_command_line_keeps_what_the_problem_says_of_its_signals(capsys, tmp
     assert asked[2] == (dt.SignalClass([0.3, 0.3, 0.9], transitions=ways), None)
     code, _, error = run(capsys, "certify", str(path), "--mode", "1")
     assert code == 2
-    assert "--mode must come with --least-dwell-time" in error
+    assert "--mode needs --least-dwell-time" in error

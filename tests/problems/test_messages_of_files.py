@@ -39,9 +39,11 @@ step = 0.1
 
 @pytest.fixture
 def loaded(tmp_path):
-    def load(old="", new=""):
-        path = tmp_path / "p.toml"
-        path.write_text(FILE.replace(old, new) if old else FILE, encoding="utf-8")
+    def load(*changes):
+        path, text = tmp_path / "p.toml", FILE
+        for old, new in zip(changes[::2], changes[1::2], strict=True):
+            text = text.replace(old, new)
+        path.write_text(text, encoding="utf-8")
         return load_problem(path)
 
     return load
@@ -53,6 +55,48 @@ def test_mode_names_stand_for_mode_numbers(loaded):
     assert by_name.imperfections == by_number.imperfections
     with pytest.raises(dt.ArgumentError, match=r"mode must be .* 'throttle', 'brake', got 'break'"):
         loaded('mode = "brake"', 'mode = "break"')
+
+
+REGIONS = """[signal]
+kind = "polyhedra"
+[[signal.regions]]
+H = [[1.0, 0.0]]
+h = [0.0]
+mode = "brake"
+[[signal.regions]]
+H = [[-1.0, 0.0]]
+h = [0.0]
+mode = "throttle\""""
+SIGNAL = '[signal]\nkind = "model"'
+SECTIONS = {
+    "constant": '[signal]\nkind = "constant"\nmode = "brake"',
+    "periodic": '[signal]\nkind = "periodic"\nsojourns = [1.0, 2.0]\nmodes = ["brake", 0]',
+    "switches": '[signal]\nkind = "switches"\ntimes = [0.0, 0.7]\nmodes = ["throttle", "brake"]',
+    "log": '[signal]\nkind = "log"\nfile = "log.csv"\nlabels = { go = "throttle", stop = "brake" }',
+    "polyhedra": REGIONS,
+    "observer": SIGNAL
+    + '\n[observer]\nkind = "luenberger"\nC = [[1.0, 0.0]]\npoles = [-3.0, -4.0]\nmodel = "brake"',
+}
+
+
+@pytest.mark.parametrize("section", SECTIONS.values(), ids=SECTIONS)
+def test_every_section_takes_modes_by_name(loaded, tmp_path, section):
+    (tmp_path / "log.csv").write_text("t,mode\n0,go\n1.5,stop\n", encoding="utf-8")
+    numbers = section.replace('"throttle"', "0").replace('"brake"', "1")
+    causal = 'kind = "exact"', 'kind = "averaged"'  # a rule leaves no law to know the future
+    by_name, by_number = (loaded(SIGNAL, text, *causal) for text in (section, numbers))
+    assert repr(by_name.signal) == repr(by_number.signal)
+    runs = [one.simulate("brake only").states for one in (by_name, by_number)]
+    assert (runs[0] == runs[1]).all()
+    key = "labels.stop" if "log" in section else r"mod\w*"
+    with pytest.raises(dt.ProblemFileError, match=rf"{key}.* 'throttle', 'brake', got 'break'\."):
+        loaded(SIGNAL, section.replace('"brake"', '"break"'), *causal)
+
+
+def test_a_wrong_name_of_a_mode_is_found_by_its_line(loaded):
+    message = r"line 15, \[signal\]: modes\[1\] must be the number of a mode or one of 'throttle'"
+    with pytest.raises(dt.ProblemFileError, match=message):
+        loaded(SIGNAL, SECTIONS["switches"].replace('"brake"', '"break"'))
 
 
 def test_the_kind_of_a_law_is_answered_with_its_name(loaded):

@@ -131,7 +131,7 @@ def test_an_observer_of_one_model_reads_no_mode_and_the_other_is_said_to_need_it
 
 def test_a_model_that_is_none_is_refused(tmp_path):
     for model, message in (
-        ('"median"', "should be 'modes' or 'mean' or"),
+        ('"median"', "model must be the number of a mode or one of 'modes', 'mean', got"),
         ("2", "must be in 0..1"),
     ):
         with pytest.raises(dt.ProblemFileError, match=re.escape(message)):

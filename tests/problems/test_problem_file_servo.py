@@ -136,7 +136,7 @@ def test_every_law_that_can_follow_runs_where_none_is_listed(tmp_path):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ((SERVO.replace("position (m)", "angle"), RUN), "tracked must be names of what is"),
+        ((SERVO.replace("position (m)", "angle"), RUN), "tracked must be names of measured"),
         ((SERVO.replace("position (m)", "speed (m/s)"), RUN), "no constant input moves"),
         ((SERVO.replace('["position (m)"]', "[]"), RUN), "tracked must name an output, got none"),
         (("[servo]\n", RUN), "tracked must have at most as many rows as there are inputs, 1"),
@@ -171,8 +171,8 @@ def test_a_reference_beyond_the_limits_is_refused_with_the_steady_input_it_takes
     path = write(tmp_path, SERVO, LIMITS, RUN, plant=plant)
     # 0 = 0.5 x + 0.8 u at x = 3
     message = (
-        "reference 3 is out of reach: in mode 1 it takes the steady input -1.875, and the "
-        "saturation allows -1 to 1. Ask for less, or allow more."
+        "reference 3 is out of reach: in mode 1 it needs the steady input -1.875, and the "
+        "saturation allows -1 to 1: change one of them."
     )
     with pytest.raises(dt.ProblemFileError, match=re.escape(message)):
         load_problem(path)
@@ -247,7 +247,7 @@ def test_an_offset_is_a_force_in_its_mode(tmp_path):
 def test_the_steady_input_answers_the_offset_too(tmp_path):
     steady = SERVO.replace("3.0", "1.5").replace("[1.0", "[1.5")
     path = write(tmp_path, steady, LIMITS, OFFSET.replace("0.6", "0.9"), RUN)
-    with pytest.raises(dt.ProblemFileError, match=r"in mode 1 it takes the steady input -1\.125"):
+    with pytest.raises(dt.ProblemFileError, match=r"in mode 1 it needs the steady input -1\.125"):
         load_problem(path)
 
 

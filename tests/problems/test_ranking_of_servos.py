@@ -9,7 +9,6 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.page_outcome import ProblemOutcome, csv_of, table_of
-from deadtime.imperfections.disturbances import in_words
 from deadtime.problems.comparison import compare
 from deadtime.reports.figures.runs import all_laws, plot_tracking
 from deadtime.reports.scenario_tables import summary
@@ -135,6 +134,6 @@ def test_an_offset_is_called_so():
     from deadtime.imperfections import StepDisturbance
 
     rows = [[0.0, 0.0], [0.3, 0.0], [0.0, -1.5]]
-    assert in_words(StepDisturbance(rows)) == "offset [0.3, 0] in mode 1 and [0, -1.5] in mode 2"
+    assert StepDisturbance(rows).in_words == "offset [0.3, 0] in mode 1 and [0, -1.5] in mode 2"
     for other in (StepDisturbance([0.3, 0.0]), StepDisturbance(rows, start=1.0)):
-        assert in_words(other) == repr(other)
+        assert other.in_words.startswith("step disturbance (force [")

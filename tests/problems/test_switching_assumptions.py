@@ -70,8 +70,8 @@ def test_monte_carlo_draws_what_the_file_states(file, capsys, signal, options, e
     _, out, _ = run(capsys, *arguments)
     text = " ".join(out.split())
     whole = "the problem's mean sojourn" if "mean_sojourn" in signal else "twice the dwell time"
-    whole = "as asked" if "--mean-sojourn" in options else whole
-    dwell = "as asked" if "--dwell-time" in options else "the problem's dwell time"
+    whole = "as given" if "--mean-sojourn" in options else whole
+    dwell = "as given" if "--dwell-time" in options else "the problem's dwell time"
     assert f"Dwell time {expected[0]:g} s: {dwell}." in text
     assert f"Mean sojourn {expected[1]:g} s: {whole}." in text
 
@@ -91,7 +91,7 @@ def test_the_bound_of_a_plant_that_a_rule_switches_takes_the_dwell_time_asked_fo
     path.write_text(text.replace("[[law]]", "normal = [1.0, 0.0]\n[[law]]"), encoding="utf-8")
     code, out, err = run(capsys, "bound", path, "--dwell-time", 0.5)
     assert (code, err) == (0, "")
-    assert "Dwell time 0.5 s (as asked)." in " ".join(out.split())
+    assert "Dwell time 0.5 s (as given)." in " ".join(out.split())
     code, _, err = run(capsys, "bound", path)
     assert (code, "give --dwell-time" in err) == (2, True)
 

@@ -112,7 +112,10 @@ def test_an_fmu_describes_outputs_and_references_by_their_names(write, tmp_path)
 
 def test_slips_are_refused_by_their_line(write):
     for units, said in (
-        ('{ sped = "m/s" }', "units must be of states, inputs or outputs, 'gap', 'speed', 'force'"),
+        (
+            '{ sped = "m/s" }',
+            "units must belong to states, inputs or outputs, 'gap', 'speed', 'force'",
+        ),
         ('{ gap = " " }', "units of 'gap' must not be empty"),
         ("{ gap = 3 }", "units"),
         ('"m"', "units: input should be a table"),

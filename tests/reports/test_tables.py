@@ -65,7 +65,7 @@ def test_the_latex_table_says_what_the_printed_ones_say():
     heading, *rows = cells(latex)
     assert heading == [
         *("law", r"5 \%", "median", r"95 \% interval", r"95 \%", "wins", r"95 \% interval"),
-        *("/ oracle", r"95 \% interval", "diverged"),
+        *("/ oracle", r"95 \% interval", "growing runs"),
     ]
     assert r"\usepackage{booktabs}" in latex
     assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == 1
@@ -76,6 +76,18 @@ def test_the_latex_table_says_what_the_printed_ones_say():
         shown = row.replace("\\%", "%").split("&")
         assert [shown[i] for i in (0, 1, 2, 4, 5, 7, 9)] == printed
         assert [shown[i] for i in (0, 2, 3, 7, 8)] == more
+
+
+def test_the_tables_of_one_law_compare_it_with_nothing():
+    dims = ("law", "scenario")
+    values = dims, np.arange(1.0, 101.0)[None]
+    metrics = {"cost": values, "ise": values, "diverged": (dims, np.zeros((1, 100), dtype=bool))}
+    found = summary(xr.Dataset(metrics, {"law": ["mean"]}))
+    assert dict(zip(found.headings, found.rows()[0], strict=True)) == {
+        "law": "mean", "5 %": "5.95", "median": "50.5", "95 %": "95.0", "growing runs": "0",
+    }  # fmt: skip
+    assert found.interval_headings == ["law", "median", "95 % interval"]
+    assert found.interval_rows() == [["mean", "50.5", "40.0 to 61.0"]]
 
 
 def test_a_sweep_has_a_row_for_each_cell_and_law_with_both_intervals():

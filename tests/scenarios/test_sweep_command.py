@@ -65,7 +65,7 @@ def test_interrupted_the_command_says_how_far_it_came_and_ends_with_130(monkeypa
     monkeypatch.setattr("deadtime.cli.sweep.progress_of", lambda *_, **__: nullcontext(interrupt))
     assert ran("study.toml", "--workers", "1") == 130
     assert capsys.readouterr().err == (
-        "deadtime: interrupted after 4 of 4 cells; the same command goes on\n"
+        "deadtime: interrupted after 4 of 4 cells; the same command continues\n"
     )
 
 

@@ -50,7 +50,7 @@ app = App(
     help_epilogue=lines(
         "deadtime init problem.toml       # a commented file: change its numbers to yours",
         "deadtime simulate problem.toml   # a verdict, metrics and a figure",
-        "deadtime certify problem.toml    # stable for every signal? a proof, or a signal",
+        "deadtime certify problem.toml    # stable for every signal? a proof, or a counterexample",
         "deadtime app                     # the same with sliders, in a browser",
         title="Start here",
     )
@@ -61,25 +61,24 @@ app = App(
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
 )
 
-_asked: ContextVar[tuple[str, ...]] = ContextVar("asked", default=())
+_tokens: ContextVar[tuple[str, ...]] = ContextVar("tokens", default=())
 
 
 def command_line() -> str:
-    """The command that runs, as a shell takes it; for pages that say what made them."""
-    return shlex.join(("deadtime", *_asked.get()))
+    """The running command, quoted for a shell, for the reports that it writes."""
+    return shlex.join(("deadtime", *_tokens.get()))
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit; a command returns its code, every error becomes one line."""
-    _mend_surroundings()
+    """Run the command line and exit with the command's code; an error is printed as one line."""
+    _repair_environment()
     from deadtime.cli.console import Terminal
 
-    # Before NumPy is loaded: the matrices here are small, and a second thread costs them more
-    # than it saves; what takes long is shared out elsewhere.
+    # Before NumPy is loaded: a second BLAS thread costs more than it saves on small matrices.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     notices.compiling = _say_compiling
     tokens = as_command(sys.argv[1:] if arguments is None else list(arguments))
-    _asked.set(tuple(tokens))
+    _tokens.set(tuple(tokens))
     for stream in (sys.stdout, sys.stderr):
         # Where the encoding lacks • or ∞, a question mark is better than no result.
         if isinstance(stream, TextIOWrapper):
@@ -98,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _stop(2, f"error: {_one_line(error)}{_where_to_look(error)}")
     except KeyboardInterrupt:
         _stop(INTERRUPTED, "interrupted")
-    except BrokenPipeError:  # `| head` has seen enough: stop as other commands do, in silence
+    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         _abandon_stdout()
         _stop(141, "")
     except OSError as error:
@@ -114,30 +113,30 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     raise SystemExit(code if isinstance(code, int) else 0)
 
 
-def _mend_surroundings() -> None:
-    """Mend what a process may be started with that libraries stumble over."""
-    # Closed, as by `>&-`: what is opened first would be taken for it.
+def _repair_environment() -> None:
+    """Reopen closed streams and drop window sizes of 0, which libraries do not expect."""
+    # Of a stream closed by `>&-` the next file that is opened would get the descriptor.
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             stream = os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w")
             setattr(sys, name, stream)
             setattr(sys, f"__{name}__", stream)
-    # That there is no home to keep fonts in is no news of the command's.
+    # Without a writable home Matplotlib warns of its font cache.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    for name in ("COLUMNS", "LINES"):  # 0 stands for a size that nobody knows
+    for name in ("COLUMNS", "LINES"):  # 0 means unknown
         if not os.environ.get(name, "").strip("0"):
             os.environ.pop(name, None)
 
 
 @functools.cache
 def _say_compiling() -> None:
-    """Why nothing seems to happen, once; not where nobody is looking."""
+    """Print once, on a terminal, that code is being compiled."""
     if sys.stderr.isatty():
         print("deadtime: compiling, once per machine …", file=sys.stderr, flush=True)
 
 
 def as_command(tokens: list[str]) -> list[str]:
-    """Two spellings that other tools have: `help COMMAND` and `--install-completion`."""
+    """Translate `help COMMAND` and `--install-completion`, which other tools have."""
     if tokens[:1] == ["help"]:
         return [*tokens[1:], "--help"]
     if tokens[:1] == ["--install-completion"]:
@@ -152,7 +151,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _unexpected(error: Exception) -> str:
-    """A bug in a line: what it was, and who wants to know."""
+    """One line on a bug: the exception, and a request to report it."""
     if os.environ.get("DEADTIME_DEBUG"):
         traceback.print_exception(error)
     return (
@@ -170,12 +169,12 @@ def _where_to_look(error: BaseException) -> str:
 
 
 def _example_of(error: CycloptsError, chain: Sequence[str]) -> str:
-    """How the help of a command writes an option that lacks a value, where it has an example."""
+    """An example of a missing option from the command's help; empty if it has none."""
     if not isinstance(error, MissingArgumentError) or error.argument is None or not chain:
         return ""
     examples = str(app[chain[0]].help_epilogue).split("`")
-    found = (text for text in examples if f" {error.argument.name} " in text)
-    return "".join(f" Such as: {text}." for text in islice(found, 1))
+    fitting = (text for text in examples if f" {error.argument.name} " in text)
+    return "".join(f" Such as: {text}." for text in islice(fitting, 1))
 
 
 def _stop(code: int, message: str) -> NoReturn:
@@ -187,7 +186,7 @@ def _stop(code: int, message: str) -> NoReturn:
 
 
 def _leave(code: int) -> None:
-    """End the process without Python's own end if threads are still in compiled code."""
+    """Exit without Python's shutdown while threads still run compiled code."""
     if not at_work():
         return
     for stream in (sys.stdout, sys.stderr):
@@ -197,9 +196,9 @@ def _leave(code: int) -> None:
 
 
 def _abandon_stdout() -> None:
-    """Let nothing more be written to a pipe that is closed or a disk that is full.
+    """Discard further output where the pipe is closed or the disk is full.
 
-    Python would try once more when it exits, and complain.
+    Python flushes stdout again at exit and would report a second error.
     """
     if sys.stdout is sys.__stdout__:
         nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -1,11 +1,10 @@
-"""`deadtime certify`, `verify` and `bound`: what is proved for every switching signal."""
+"""`deadtime certify`, `verify` and `bound`: proofs for every switching signal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import file_names, with_names
@@ -19,13 +18,14 @@ from deadtime.cli.printing import (
     print_table,
     progress_bar,
 )
+from deadtime.cli.proved_brackets import least_dwell_times, longest_mode_lags, setting_record
 
 if TYPE_CHECKING:
-    from deadtime.feedback import Law
     from deadtime.problems import Problem
     from deadtime.problems.switching_assumptions import AssumedSignals
     from deadtime.reports.certificate_tables import Judged
-    from deadtime.switching import SignalClass
+
+_OF_VERIFICATION = ("proven", "message", "statement", "decay_rate", "seconds", "about")
 
 
 @app.command(
@@ -66,54 +66,55 @@ def certify(
     out: options.File = None,
     json_output: options.AsJson = False,
 ) -> int:
-    """Is the loop stable for every switching signal with the dwell time? With a proof, or a signal.
+    """Prove that the loop is stable for every switching signal, or find one that destabilises it.
 
     With `--law` the exit code is 1 unless that law is proved stable.
 
     Parameters
     ----------
     dwell_time
-        Dwell time in seconds, or one per mode with commas between them, such as 0.2,0.5,0.1; by
-        default what the problem promises, else that of its signal, in whole periods. With a chatter
-        above 1 it is an average dwell time.
+        Dwell time in seconds, or one per mode separated by commas, such as 0.2,0.5,0.1; by default
+        the problem's, else that of its signal in whole periods. With a chatter above 1 it is an
+        average dwell time.
     maximum_dwell
-        Longest sojourn in seconds, or one per mode, inf for none; what the problem promises by
-        default. Which mode may follow which is said by the problem: in its [signal], else by the
-        zeros of its [switching].
+        Longest sojourn in seconds, or one per mode, inf for none; the problem's by default. The
+        problem also states the allowed transitions: in its [signal], else by the zeros of its
+        [switching].
     chatter
-        N: any T seconds may hold N + T/τ switches, one in a period at most, τ the dwell time; 1 for
-        a dwell time of every sojourn. That of the problem's average dwell time by default, else 1.
+        N: any T seconds contain at most N + T/τ switches, at most one per period, τ the dwell time;
+        1 for a dwell time of every sojourn. The problem's by default, 1 where it has no average
+        dwell time.
     at
-        When modes may change: anywhere, or samples: only where the law samples, so that a dwell
-        time of one period is meaningful. By default as the problem's [signal] has it: samples
-        where a Markov chain of that period draws it.
+        Where modes may change: anywhere, or samples: only at the law's samples, so that a dwell
+        time of one period is meaningful. By default as in the problem's [signal]: samples if a
+        Markov chain of that period draws it.
     decay_rate
-        The decay rate to certify, in 1/s; by default one close to that of the slowest mode.
+        Decay rate to certify, in 1/s; by default one close to that of the slowest mode.
     delays
         Lowest and highest true delays in seconds: two numbers, or two lists in brackets, without
         spaces, with a number for each input (or a list for each mode), as in [0.3,0.1] [0.32,0.12].
-        What is proved then holds for every delay in its range; each range lies in one period.
+        The proof then covers every delay in its range; each range lies in one period.
     mode_lag
-        How many periods late the mode is reported to the laws, as by the imperfection mode_delay.
+        Mode detection delay of the laws in periods, as of the imperfection mode_delay.
     lost_samples
-        How many samples in a row may be lost, at most, whichever: what is proved then holds for
-        every loss of them, as by the imperfection dropout.
+        Largest number of samples lost in a row: the proof then covers every such loss, as by the
+        imperfection dropout.
     uncertain
-        Prove it for all plants that the file's [uncertainty], as `deadtime identify` writes it,
-        leaves open: A and B in their ellipsoid of 95 %, each delay in its interval of 95 %.
+        Cover all plants of the file's [uncertainty], as `deadtime identify` writes it: A and B in
+        their ellipsoid of 95 %, each delay in its interval of 95 %.
     least_dwell_time
-        Look for the least dwell time instead: the shortest proved, and the longest refuted. Several
-        dwell times, of the problem or given, move in proportion.
+        Search for the least dwell time instead: print the shortest that is proved and the longest
+        that is refuted. Several dwell times, of the problem or given, are scaled together.
     mode
-        With --least-dwell-time: the dwell time of this mode moves alone, and the others stay.
+        With --least-dwell-time: vary the dwell time of this mode alone, and keep the others.
     longest_mode_lag
-        Look for the longest lag instead with which the mode is reported: the longest proved, and
-        the shortest refuted.
+        Search for the longest mode detection delay instead: print the longest that is proved and
+        the shortest that is refuted.
     explain
-        Print the formal statement of every proof, too: its assumptions, and how it was shown.
+        Also print the formal statement of every proof: its assumptions, and how it was shown.
     out
-        Save the certificates that are proofs, for `deadtime verify`, as JSON: a name that ends in
-        .json or in nothing; of several laws, each into a file named after the law.
+        JSON file for the certificates that are proofs, for `deadtime verify`; the suffix .json may
+        be left out. For several laws, one file each, named after the law.
     """
     from deadtime.certificates.certificate import require_json
     from deadtime.reports.certificate_tables import certificate_record, judge
@@ -124,25 +125,25 @@ def certify(
         given = uncertain or any(option is not None for option in (decay_rate, delays, out))
         if one or given or lost_samples != 0:
             raise ArgumentError(
-                "--least-dwell-time looks for the dwell time itself: leave out --dwell-time (but "
-                "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
+                "--least-dwell-time searches for the dwell time: leave out --dwell-time (except "
+                "one per mode, which are scaled together), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
         signals = options.kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
         return least_dwell_times(chosen, law, signals, mode, json_output)
     if mode is not None:
-        raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
+        raise ArgumentError("--mode needs --least-dwell-time, whose search varies its dwell time.")
     if longest_mode_lag:
         given = (decay_rate, delays, out)
         if any(one is not None for one in given) or mode_lag != 0 or lost_samples or uncertain:
             raise ArgumentError(
-                "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
+                "--longest-mode-lag searches for the lag: leave out --mode-lag, "
                 "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
     late: dict[str, Any] = {"at": at, "mode_lag": mode_lag, "lost_samples": lost_samples}
-    asked, period = options.signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
+    assumed, period = options.signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
     if longest_mode_lag:
-        return longest_mode_lags(chosen, law, asked, period, json_output)
+        return longest_mode_lags(chosen, law, assumed, period, json_output)
     names = None if law is None else [law]
     if out is not None:
         out = output_file("--out", require_json("--out", out), kinds=(".json",))
@@ -155,7 +156,7 @@ def certify(
         )
         judged = judge(
             chosen,
-            asked.signals,
+            assumed.signals,
             period,
             laws=names,
             decay_rate=decay_rate,
@@ -166,17 +167,17 @@ def certify(
         )
     saved = {} if out is None else _save(judged, out)
     if json_output:
-        record = about(chosen, period, asked.signals) | for_json(asked.signals, chosen.plant.modes)
+        record = setting_record(chosen, period, assumed.signals, assumed.signals)
         record |= {"delays": ranges}
         record |= {"uncertain": uncertain} if chosen.uncertain is not None else {}
         print_json(record | {"laws": certificate_record(judged)}, [*saved])
     else:
-        _print_judged(chosen, judged, asked, period, explain, (uncertain, ranges))
+        _print_judged(chosen, judged, assumed, period, explain, (uncertain, ranges))
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
             for path, limit in saved.items():
-                if limit > 1:  # such as where many delays have ranges
-                    print(f"More work than is usual: deadtime verify {path} --limit {limit}")
+                if limit > 1:  # such as with ranges of many delays
+                    print(f"It needs more work than usual: deadtime verify {path} --limit {limit}")
     return 0 if law is None or judged[0].stable else 1
 
 
@@ -205,40 +206,40 @@ def verify(
     explain: options.Flag = False,
     json_output: options.AsJson = False,
 ) -> int:
-    """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
+    """Verify a saved certificate from its file alone; exit code 1 if it proves nothing.
 
-    Needs no optimisation solver. With a problem the certificate must be about it, too: its plant,
-    its sampling period, its dwell time, and the table of one of its laws.
+    Needs no optimisation solver. With a problem the certificate must also cover its plant, its
+    sampling period, its dwell time, and the table of one of its laws.
 
     Parameters
     ----------
     certificate
-        A file that `deadtime certify --out` or `Certificate.save` wrote.
+        A file written by `deadtime certify --out` or `Certificate.save`.
     problem
-        A problem file, or paper, three-mode, follower, that the certificate must be about.
+        A problem file, or paper, three-mode, follower, that the certificate must cover.
     law
-        The law of the problem whose table it must be.
+        The law of the problem whose table the certificate must contain.
     dwell_time
-        The dwell time in seconds that it must cover, or one per mode with commas between them; by
-        default that of `certify` for the problem.
+        Dwell time in seconds that it must cover, or one per mode separated by commas; with a
+        problem as in `certify` by default.
     maximum_dwell
-        The longest sojourns that it must cover; with a problem as `certify` takes them.
+        Longest sojourns that it must cover; with a problem as in `certify`.
     chatter
-        The chatter of an average dwell time that it must cover; with a problem as `certify` has it.
+        Chatter of an average dwell time that it must cover; with a problem as in `certify`.
     at
-        When modes may change in the signals that it must cover; with a problem as `certify` has it.
+        Where modes may change in the signals that it must cover; with a problem as in `certify`.
     step
-        The sampling period in seconds that it must have; by default that of the problem.
+        Sampling period in seconds that it must have; the problem's by default.
     mode_lag
-        How many periods late the mode may be reported; with a problem 0 by default.
+        Mode detection delay in periods that it must cover; with a problem 0 by default.
     lost_samples
-        How many samples in a row it must allow to be lost.
+        Number of samples lost in a row that it must cover.
     uncertain
-        It must be about all plants that the problem's [uncertainty] leaves open.
+        It must cover all plants of the problem's [uncertainty].
     limit
-        How many times as much work as is usual may be done for a file of its size.
+        Allowed work, relative to the usual limit for a file of its size.
     explain
-        Print the formal statement, first numbers and digests, too.
+        Also print the formal statement, first numbers and digests.
     """
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
@@ -250,9 +251,9 @@ def verify(
     matches, about = None, ""
     if problem is None:
         if law is not None:
-            raise ArgumentError("--law must come with --problem: which plant is it a law of?")
+            raise ArgumentError("--law needs --problem, the file of that law.")
         if uncertain:
-            raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
+            raise ArgumentError("--uncertain needs --problem, the file with the [uncertainty].")
         times = (
             options.times_from("dwell-time", dwell_time),
             options.times_from("maximum-dwell", maximum_dwell),
@@ -266,25 +267,27 @@ def verify(
     else:
         chosen = options.with_step(options.problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = options.signals_and_step(chosen, dwell_time, maximum_dwell, chatter, **late)
-        dwell, chatter = asked.dwell.value, asked.signals.chatter
+        assumed, period = options.signals_and_step(
+            chosen, dwell_time, maximum_dwell, chatter, **late
+        )
+        dwell, chatter = assumed.dwell.value, assumed.signals.chatter
         only = None if law is None else laws[law]
         plant = uncertain_plant(chosen) if uncertain else chosen.plant
-        result = check(certificate, plant, only, step=period, dwell_time=asked.signals, limit=limit)
+        result = check(
+            certificate, plant, only, step=period, dwell_time=assumed.signals, limit=limit
+        )
         names = laws_of(certificate, laws) if result.proven else []
         if names:
-            about = asked.in_words(chosen.modes, period)
+            about = assumed.in_words(chosen.modes, period)
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
             matches |= {"chatter": chatter} if chatter > 1 else {}
         elif result.proven:
-            why = "Rejected: the certificate is about a table of none of the problem's laws."
+            why = "Rejected: its table belongs to none of the problem's laws."
             result = replace(result, proven=False, message=why, summary=(why,))
     if json_output:
-        from deadtime.base.json_records import plain
+        from deadtime.base.json_records import record
 
-        facts = plain(result)
-        del facts["summary"]  # `statement` says it in full
-        print_json(facts | {"matches": matches})
+        print_json(record(result, *_OF_VERIFICATION) | {"matches": matches})
         return 0 if result.proven else 1
     print("\n".join(result.summary))
     if matches is not None:
@@ -298,7 +301,7 @@ def verify(
 
 
 def _save(judged: list[Judged], out: Path) -> dict[Path, int]:
-    """Save every certificate that says stable, one file for one law; the limit of each."""
+    """Save every certificate of a stable loop, a file per law; the work limits of the files."""
     certificates = {one.law: one.certificate for one in judged if one.stable}
     saved, names = {}, file_names(one.law for one in judged)
     for name, certificate in certificates.items():
@@ -311,12 +314,12 @@ def _save(judged: list[Judged], out: Path) -> dict[Path, int]:
 def _print_judged(
     problem: Problem,
     judged: list[Judged],
-    asked: AssumedSignals,
+    assumed: AssumedSignals,
     step: float,
     explain: bool,
-    left_open: tuple[bool, object],
+    plants: tuple[bool, object],
 ) -> None:
-    """The verdict, its signals, the table, then details; formal statements where asked for."""
+    """Print the verdict, its signals, the table and details; with `explain` formal statements."""
     from deadtime.certificates.certificate import not_covered
     from deadtime.cli.console import Terminal
     from deadtime.reports.certificate_tables import (
@@ -334,21 +337,21 @@ def _print_judged(
     print_answer(
         sentences[0] if alone else summary_of(judged),
         problem.title,
-        asked.in_words(problem.modes, step),
-        *plants_in_words(problem, *left_open),
+        assumed.in_words(problem.modes, step),
+        *plants_in_words(problem, *plants),
         "",
     )
     print_table(HEADINGS, certificate_rows(judged))
     print()
-    if not alone:  # the table has all there is to say of a law that is proved stable
+    if not alone:  # the table says everything about a law that is proved stable
         sentences = [text for one, text in zip(judged, sentences, strict=True) if not one.stable]
     elif judged[0].margin is not None:
         sentences = [f"Delay: {with_names(judged[0].margin.message, problem.modes)}."]
     else:
         sentences = []
-    print_details([*sentences, *left_out(problem, asked.signals)])
+    print_details([*sentences, *left_out(problem, assumed.signals)])
     if any(one.stable for one in judged):
-        print_details([not_covered(asked.signals)])
+        print_details([not_covered(assumed.signals)])
     Terminal().print(f"\n{LEGEND}", style="dim", markup=False)
     if explain:
         for one in judged:
@@ -391,167 +394,3 @@ def bound(
         return
     print_answer(bound_sentence(bounds), f"Dwell time {dwell:.4g} s ({source}).", "")
     print_table(bound_headings(bounds, chosen.constants), bound_rows(bounds, chosen.constants))
-
-
-class ProvedBracket(NamedTuple):
-    """The ends of a bracket, proved and refuted, in seconds; None where nothing is known."""
-
-    certified: float | None
-    refuted: float | None
-    message: str
-    certified_each: tuple[float, ...] | None = None
-    refuted_each: tuple[float, ...] | None = None
-
-    def record(self) -> dict[str, object]:
-        """For JSON; the dwell times of each mode where they are not one and the same."""
-        each = self.certified_each, self.refuted_each
-        several = any(len(set(one)) > 1 for one in each if one)
-        kept = self._fields if several else self._fields[:3]
-        return {name: getattr(self, name) for name in kept}
-
-
-def least_dwell_times(
-    problem: Problem, law: str | None, signals: SignalClass, mode: int | None, json_output: bool
-) -> int:
-    """The bracket of every law, or of one; 1 if that one has none."""
-    from deadtime.margins import least_dwell_time
-    from deadtime.problems.switching_assumptions import step_of
-
-    period, modes = step_of(problem), problem.plant.modes
-
-    def bracket(one: Law) -> ProvedBracket:
-        margin = least_dwell_time(problem.plant, one, period, dwell_time=signals, mode=mode)
-        return ProvedBracket(*(getattr(margin, field) for field in ProvedBracket._fields))
-
-    def cells(one: ProvedBracket) -> tuple[str, str]:
-        proved = _seconds(one.certified, one.certified_each, up=True)
-        return proved, _seconds(one.refuted, one.refuted_each)
-
-    record = about(problem, period) | for_json(signals, modes)
-    if mode is not None:
-        record["mode"] = mode
-    elif not isinstance(record["dwell_time"], tuple):
-        del record["dwell_time"]
-    kept = (with_names(one, problem.modes) for one in _kept(signals, modes, mode))
-    said = [f"Sampling period {period:g} s.", *kept]
-    table = ("law", "proved from", "refuted up to"), cells
-    return _answer(problem, law, bracket, ("least_dwell_times", record), said, table, json_output)
-
-
-def longest_mode_lags(
-    problem: Problem, law: str | None, asked: AssumedSignals, period: float, json_output: bool
-) -> int:
-    """The bracket of every law, or of one, in periods; 1 if that one has none."""
-    from deadtime.margins import longest_mode_lag
-
-    signals = asked.signals
-    if signals.chatter > 1:
-        raise ArgumentError(
-            "--longest-mode-lag is asked of a dwell time, not of an average one: give "
-            "--dwell-time and --chatter 1."
-        )
-
-    def bracket(one: Law) -> ProvedBracket:
-        found = longest_mode_lag(problem.plant, one, signals, period)
-        return ProvedBracket(found.certified_seconds, found.refuted_seconds, found.message)
-
-    def cells(one: ProvedBracket) -> tuple[str, str]:
-        ends = one.certified, one.refuted
-        low, high = ("–" if seconds is None else f"{seconds:.4g} s" for seconds in ends)
-        return low, high
-
-    record = about(problem, period) | for_json(signals, problem.plant.modes)
-    said, table = [asked.in_words(problem.modes, period)], ("law", "proved up to", "refuted at")
-    given = ("longest_mode_lags", record), said, (table, cells)
-    return _answer(problem, law, bracket, *given, json_output)
-
-
-def _answer(
-    problem: Problem,
-    law: str | None,
-    bracket: Callable[[Law], ProvedBracket],
-    record: tuple[str, dict[str, object]],
-    said: list[str],
-    table: tuple[tuple[str, ...], Callable[[ProvedBracket], tuple[str, str]]],
-    json_output: bool,
-) -> int:
-    """Print the bracket of every law, with what refuses it in place of one, or of one law."""
-    from deadtime.reports.certificate_tables import left_out
-
-    names, found = list(problem.laws) if law is None else [law], dict[str, ProvedBracket]()
-    laws = [problem.law(name) for name in names]
-    with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
-        for name, one in zip(names, laws, strict=True):
-            try:
-                found[name] = bracket(one)
-            except ArgumentError as error:
-                if law is not None:
-                    raise
-                found[name] = ProvedBracket(None, None, str(error))
-            advance(name)
-    if json_output:
-        key, about_them = record
-        print_json(about_them | {key: {name: one.record() for name, one in found.items()}})
-    else:
-        headings, cells = table
-        sentences = [f"{name}: {with_names(x.message, problem.modes)}" for name, x in found.items()]
-        proved = [name for name, one in found.items() if one.certified is not None]
-        answer = f"Proved for {', '.join(proved)}." if proved else "Nothing is proved for any law."
-        alone = len(sentences) == 1
-        print_answer(sentences[0] if alone else answer, problem.title, *said, "")
-        print_table(headings, [(name, *cells(one)) for name, one in found.items()])
-        print()
-        print_details([*([] if alone else sentences), *left_out(problem)])
-    return 0 if law is None or found[law].certified is not None else 1
-
-
-def _kept(signals: SignalClass, modes: int, mode: int | None) -> list[str]:
-    """Sentences on what a search for dwell times keeps of the signals."""
-    limits, found = signals.limits(modes), []
-    if mode is not None:
-        found.append(f"The dwell time of mode {mode} moves; the others stay.")
-    elif len(set(limits.dwell_time)) > 1:
-        times = ", ".join(f"{one:g}" for one in limits.dwell_time)
-        found.append(f"Dwell times of the modes stay in proportion to {times} s.")
-    if signals.chatter > 1:
-        often = f"{signals.chatter} + T/τ switches in any T seconds at most"
-        found.append(f"Dwell times τ are averages: {often}.")
-    if len(limits.lasting) < modes:
-        found.append("No sojourn is longer than the maximum dwell time of its mode.")
-    if signals.at == "samples" or signals.chatter > 1 or not limits.is_free:
-        found.append(f"Every signal {signals.in_words(modes)[1]}.")
-    return found
-
-
-def for_json(signals: SignalClass, modes: int) -> dict[str, object]:
-    """The signals that were asked about; nothing where there is no limit, null for none."""
-    from deadtime.switching import SignalClass
-    from deadtime.switching.constraint import one_or_each
-
-    limits = signals.limits(modes)
-    found: dict[str, object] = {"dwell_time": one_or_each(limits.dwell_time)}
-    if len(limits.lasting) < modes:
-        longest = limits.maximum_dwell
-        found["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
-    if not limits.is_free:
-        found["transitions"] = limits.transitions.astype(int)
-    usual, names = SignalClass(1.0), ("at", "chatter", "mode_lag", "lost_samples")
-    more = {name: getattr(signals, name) for name in names}
-    return found | {name: x for name, x in more.items() if x != getattr(usual, name)}
-
-
-def about(problem: Problem, step: float, signals: SignalClass | None = None) -> dict[str, object]:
-    """The problem and the loop that answers are about, for JSON."""
-    from deadtime.reports.certificate_tables import without_imperfections
-
-    without = without_imperfections(problem, signals)
-    return {"problem": problem.name, "step": step, "imperfections_left_out": without}
-
-
-def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = False) -> str:
-    from deadtime.margins.dwell_time import in_words
-
-    if value is None or value == float("inf"):
-        return "–" if value is None else "any"
-    times = (value,) if each is None or len(set(each)) == 1 else each
-    return ", ".join(in_words(one, up=up) for one in times) + " s"

@@ -1,4 +1,4 @@
-"""Where the commands print to: styled on terminals, plain text elsewhere."""
+"""The console of the commands: styled on terminals, plain text elsewhere."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from rich.console import Console
 
 
 class Terminal(Console):
-    """A console without escape sequences unless it is a terminal that wants colours.
+    """A console that writes escape sequences to terminals only.
 
-    NO_COLOR turns all styles off, FORCE_COLOR turns them on in a pipe; NO_COLOR is the stronger.
-    A pipe whose reader is gone raises BrokenPipeError, for the entry point to deal with.
+    NO_COLOR turns all styles off, FORCE_COLOR turns them on in a pipe; NO_COLOR takes precedence.
+    A closed pipe raises BrokenPipeError, which the entry point handles.
     """
 
     def __init__(self, stderr: bool = False) -> None:

@@ -55,16 +55,16 @@ def design(
     out: options.Folder = Path("design"),
     json_output: options.AsJson = False,
 ) -> int:
-    """Gains and a law with a delay margin in every constant mode, at the least cost found.
+    """Design gains and a law with a delay margin in every constant mode, at low cost.
 
     Writes OUT.toml, to be pasted into the problem file, and the chart OUT.png. Exit code 1 if the
-    margin, the decay rate or the limit of the inputs is not reached.
+    margin, the decay rate or the input limit is not reached.
 
     Parameters
     ----------
     delay_margin
-        The error of the delay to be tolerated, relative to it: 0.05 for ±5 %. Of several delays
-        all err alike, by so much of the shortest. None is asked for by default.
+        Relative error of the delay to be tolerated: 0.05 for ±5 %. Several delays err alike, by
+        this fraction of the shortest. No margin is required by default.
     law
         The family of laws: averaged, or mean with the mean of the gains.
     mode
@@ -72,24 +72,24 @@ def design(
     longest_step
         Allow longer periods, up to this, seconds.
     decay_rate
-        How fast every constant mode must decay at least, in 1/s.
+        Least decay rate of every constant mode, in 1/s.
     input_limit
-        What |u| must stay below, one number or one for each input, with commas.
+        Bound of |u|, one number or one for each input, separated by commas.
     initial
-        From which states: one number for every |x(0)| up to it, or half the width of a box for each
-        state, with commas; 1 by default.
+        Initial states of the bound: one number for every |x(0)| up to it, or half the width of a
+        box for each state, separated by commas; 1 by default.
     probability
-        With which it must, of a normal x(0) whose standard deviations --initial gives; with
-        --noise the share of the time, 0.99 by default.
+        Probability of the bound, for a normal x(0) whose standard deviations --initial gives; with
+        --noise the fraction of the time, 0.99 by default.
     noise
-        Under the noise of the file's imperfections, of kinds white-disturbance and noise, once it
-        is stationary, instead of from a state at the start.
+        Bound |u| under the stationary noise of the file's imperfections, of kinds
+        white-disturbance and noise, instead of from initial states.
     filtered
         Only laws with a low-pass filter, or only without; both by default.
     budget
-        How many designs to try.
+        Number of designs to try.
     out
-        Where to write, without suffix.
+        Path of both files, without suffix.
     """
     from deadtime.base.checks import index
     from deadtime.base.files import replacing
@@ -103,9 +103,9 @@ def design(
     written = [output_file("out", Path(f"{out}{kinds[0]}"), kinds=kinds) for kinds in both]
     if chosen.tracked:
         raise ArgumentError(
-            f"the problem {chosen.name!r} follows a reference, and design is for laws that bring "
-            "the state to 0: take its poles or weights for (x, q) by hand, and judge them with "
-            "deadtime loop."
+            f"the problem {chosen.name!r} follows a reference, and design is for laws that "
+            "regulate the state to 0: choose poles or weights for (x, q) by hand, and check them "
+            "with deadtime loop."
         )
     plant, gains = chosen.plant, chosen.gains
     if mode is not None:
@@ -114,12 +114,12 @@ def design(
         gains = gains[one]
     period = step_of(chosen, step)
     if noise and initial is not None:
-        raise ArgumentError("--noise and --initial both say what moves the inputs: give one.")
+        raise ArgumentError("--noise and --initial exclude each other: give one of them.")
     source = _noise(chosen, probability) if noise else None
     source = source or _initial(plant.states, initial, probability)
     limit = None if input_limit is None else options.one_or_several("input-limit", input_limit)
     with progress_bar(budget, quiet=json_output) as advance:
-        found = designed(
+        result = designed(
             plant,
             delay_margin=delay_margin,
             step=period,
@@ -136,15 +136,15 @@ def design(
         )
     title = chosen.name if mode is None else f"{chosen.name}, {chosen.modes[mode]}"
     with replacing(written[0], "out") as place:
-        sections = problem_sections(found, law, chosen.plant, chosen.gains, mode)
+        sections = problem_sections(result, law, chosen.plant, chosen.gains, mode)
         place.write_text(sections, encoding="utf-8")
-    save_figure(plot_designs({title: found}), written[1])
+    save_figure(plot_designs({title: result}), written[1])
     if json_output:
-        print_json(design_record(found), written)
+        print_json(design_record(result), written)
     else:
-        _print(chosen, found, mode)
+        _print(chosen, result, mode)
         print("\nGains and law: {}, chart: {}".format(*written))
-    return 0 if found.reached else 1
+    return 0 if result.reached else 1
 
 
 def _mean(plant, gains):
@@ -154,7 +154,7 @@ def _mean(plant, gains):
 
 
 def _initial(states: int, initial: str | None, probability: float | None) -> InitialStates | None:
-    """A ball or a box; of a normal x(0) the numbers are standard deviations."""
+    """A ball or a box of initial states, or with a probability a normal distribution."""
     import numpy as np
 
     from deadtime.synthesis import InitialStates
@@ -173,8 +173,8 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
 
     if problem.outputs:
         raise ArgumentError(
-            "--noise is for laws that measure the state, and design is of these: the observer of "
-            f"the problem {problem.name!r} has noise of its own."
+            "--noise is for laws that measure the state: leave it out, since the problem "
+            f"{problem.name!r} measures outputs."
         )
     W, V = options.process_noise(problem), np.diag(options.sensor_variances(problem))
     if not (W.any() or V.any()):
@@ -186,20 +186,20 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
     return StationaryNoise(W, V, 0.99 if probability is None else probability)
 
 
-def _print(problem: Problem, found: Design, mode: int | None) -> None:
+def _print(problem: Problem, result: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
     from deadtime.reports.design import HEADINGS, LIMIT_HEADINGS, STEP, design_rows, limit_rows
 
-    print_answer(found.message, problem.title, "")
-    rows, at = design_rows(found), HEADINGS.index(STEP)
+    print_answer(result.message, problem.title, "")
+    rows, at = design_rows(result), HEADINGS.index(STEP)
     if len({row[at] for row in rows}) > 1:
         print_table(HEADINGS, rows)
-    else:  # the sentence says it
+    else:  # in the sentence above
         keep = [i for i in range(len(HEADINGS)) if i != at]
         print_table([HEADINGS[i] for i in keep], [[row[i] for i in keep] for row in rows])
-    print(f"Cost: {text_of(found.weight)}, each mode held, the mean over |x(0)| = 1.")
-    what = "what it stays below" if found.initial.kind == "noise" else "the largest"
-    print(f"Peak |u|: {what} under constant switching signals, for {found.initial.text}.")
-    print("\nWhat linear controllers of one mode alone can tolerate:")
+    print(f"Cost: {text_of(result.weight)}, each mode held, the mean over |x(0)| = 1.")
+    what = "a bound" if result.initial.kind == "noise" else "the largest"
+    print(f"Peak |u|: {what} under constant switching signals, for {result.initial.text}.")
+    print("\nLimits of linear controllers of one mode alone:")
     names = problem.modes if mode is None else (problem.modes[mode],)
-    print_table(LIMIT_HEADINGS, limit_rows(found, names))
+    print_table(LIMIT_HEADINGS, limit_rows(result, names))

@@ -44,7 +44,7 @@ def experiment(
     out: Path = Path("experiment.csv"),
     json_output: options.AsJson = False,
 ) -> None:
-    """Design the inputs whose log tells the delays of a plant best, as a CSV table.
+    """Design inputs whose log identifies the delays of a plant best, as a CSV table.
 
     Parameters
     ----------
@@ -52,10 +52,10 @@ def experiment(
         A problem file, such as `deadtime identify` writes from a first log; or paper, three-mode,
         follower.
     input_limit
-        What |u| must not exceed, one number or one for each input, with commas; where the problem
-        has an operating point, u and x are deviations from it, and the table has absolute inputs.
+        Bound of |u|, one number or one for each input, separated by commas; where the problem has
+        an operating point, u and x are deviations from it, and the table has absolute inputs.
     state_limit
-        What |x| must not exceed, likewise, at three standard deviations of the noise.
+        Bound of |x|, likewise, at three standard deviations of the noise.
     horizon
         Length of the experiment, seconds; the problem's by default.
     step
@@ -67,15 +67,15 @@ def experiment(
         Standard deviation of the sensors, one number or one for each state; that of the file's
         noise by default, 0 where it has none.
     law
-        The law of the file to whose inputs those of the experiment are added; none by default.
+        The law of the file to which the inputs of the experiment are added; none by default.
     sojourn
-        Take the modes in turn, each for so many seconds; by default the file's signal says.
+        Visit the modes in turn, each for this many seconds; by default as in the file's signal.
     criterion
-        Tell the delays alone as well as can be, or all unknowns.
+        Minimise the standard errors of the delays alone, or of all unknowns.
     hold
-        For how many periods each value is held at least.
+        Least number of periods for which a value is held.
     seed
-        Of the search, and of the signal where the file draws it.
+        Seed of the search, and of the signal where the file draws it.
     out
         The table to write, CSV.
     """
@@ -87,7 +87,7 @@ def experiment(
     chosen = options.problem_of(problem)
     period = step_of(chosen, step)
     length = chosen.horizon if horizon is None else positive("horizon", horizon)
-    found = design_experiment(
+    result = design_experiment(
         chosen.plant,
         length,
         period,
@@ -103,17 +103,17 @@ def experiment(
         hold=hold,
         seed=seed,
     )
-    found.to_csv(out, chosen.operating_point)
+    result.to_csv(out, chosen.operating_point)
     if json_output:
-        print_json(_record(found, chosen.operating_point), [out])
+        print_json(_record(result, chosen.operating_point), [out])
         return
-    rows = f"{found.time.size:,} rows, every {period:.4g} s"
-    answer, *details = found.sentences
+    rows = f"{result.time.size:,} rows, every {period:.4g} s"
+    answer, *details = result.sentences
     print_answer(answer, f"An experiment of {rows}", "")
-    errors = zip(found.names, found.errors, strict=True)
+    errors = zip(result.names, result.errors, strict=True)
     print_table(("", "standard error"), [(name, f"{error:.3g}") for name, error in errors])
     print()
-    print_details([*_absolute(chosen, found), *details])
+    print_details([*_absolute(chosen, result), *details])
     print(f"\nWritten: {out}")
 
 
@@ -139,8 +139,8 @@ def _noise(problem: Problem, given: str | None) -> ArrayLike:
     noisy = any(isinstance(one, Noise) for one in problem.imperfections)
     if noisy and problem.outputs:
         raise ArgumentError(
-            "noise must be given where the problem measures outputs, as its own is of those: the "
-            "standard deviations of the sensors of the states, such as --noise 0.01, or 0."
+            "noise must be given where the problem measures outputs: the standard deviations of "
+            "the sensors of the states, such as --noise 0.01, or 0."
         )
     return options.sensor_variances(problem) ** 0.5 if noisy else 0.0
 
@@ -161,23 +161,23 @@ def _signal(
     return problem.given_signal
 
 
-def _absolute(problem: Problem, found: Experiment) -> list[str]:
-    """A sentence on the table's inputs, where the plant does not rest at 0."""
+def _absolute(problem: Problem, result: Experiment) -> list[str]:
+    """A sentence on the table's inputs, where the problem has an operating point."""
     if problem.operating_point is None:
         return []
     where = problem.operating_point.in_words(problem.states, problem.inputs)
-    table = "to be added to the law's" if found.added else "absolute"
-    return [f"The plant rests at {where}; limits are about it, and inputs of the table {table}."]
+    table = "to be added to the law's" if result.added else "absolute"
+    return [f"The plant rests at {where}; limits are deviations from it, table inputs are {table}."]
 
 
-def _record(found: Experiment, point: OperatingPoint | None) -> dict:
+def _record(result: Experiment, point: OperatingPoint | None) -> dict:
     return {
-        "t": found.time,
-        "inputs": found.sent(point),
-        "mode": found.mode,
-        "added": found.added,
-        "delay_errors": dict(found.delay_errors),
-        "errors": dict(zip(found.names, found.errors, strict=True)),
-        "largest": found.largest,
-        "sentences": list(found.sentences),
+        "t": result.time,
+        "inputs": result.sent(point),
+        "mode": result.mode,
+        "added": result.added,
+        "delay_errors": dict(result.delay_errors),
+        "errors": dict(zip(result.names, result.errors, strict=True)),
+        "largest": result.largest,
+        "sentences": list(result.sentences),
     }

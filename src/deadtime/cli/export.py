@@ -52,22 +52,21 @@ def export(
 ) -> int:
     """Write a law of a problem as C99, as an FMU, or both.
 
-    The inputs are limited where the problem has a saturation. What is written takes and gives
-    absolute values where the problem has an operating point. Exit code 1 if the C fails its
-    self-check.
+    A saturation of the problem limits the inputs. With an operating point, measurements and inputs
+    are absolute values. Exit code 1 if the C fails its self-check.
 
     Parameters
     ----------
     single
         Single precision.
     accuracy
-        What a dense table may lose to take less room, of the sum of the moduli of a row's taps.
+        Allowed error of a compressed table, relative to the sum of the moduli of a row's taps.
     rom_budget
-        Bytes that the tables may take.
+        Largest size of the tables, bytes.
     name
         Prefix of names and files in the C.
     prediction
-        Let the C say, too, which state its input will meet: NAME_predict.
+        Also write the predicted state at the arrival of the input to the C: NAME_predict.
     fmi
         Version of FMI.
     """
@@ -82,13 +81,13 @@ def export(
     from deadtime.reports.verdict import observer_reads_mode
 
     chosen = options.problem_of(problem)
-    called, asked = options.law_of(chosen, law)
-    controller = _controller(chosen, asked, step)
-    given = Names(called, chosen.states, chosen.modes, chosen.inputs)
+    law_name, chosen_law = options.law_of(chosen, law)
+    controller = _controller(chosen, chosen_law, step)
+    given = Names(law_name, chosen.states, chosen.modes, chosen.inputs)
     names = given
-    if asked.outputs is not None:
+    if chosen_law.outputs is not None:
         names = replace(given, outputs=chosen.outputs, tracked=chosen.tracked)
-    with Staging() as staging:  # all that is asked for, or nothing
+    with Staging() as staging:  # all files or none
         shared = {
             "precision": "float" if single else "double",
             "accuracy": accuracy,
@@ -110,13 +109,13 @@ def export(
         }
     if json_output:
         point = chosen.operating_point
-        result: dict[str, Any] = {"law": called, "step": controller.step}
+        result: dict[str, Any] = {"law": law_name, "step": controller.step}
         result["operating_point"] = None if point is None else {"x": point.x, "u": point.u}
         result |= {key: one.facts for key, one in made.items()}
         print_json(result, [file for one in made.values() for file in one.files])
     else:
-        print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}{_built_in(chosen)}")
-        for sentence in observer_reads_mode(chosen, [called]):
+        print(f"{chosen.title}: law {law_name}, {_limits_in_words(controller)}{_built_in(chosen)}")
+        for sentence in observer_reads_mode(chosen, [law_name]):
             print(sentence)
         for one in made.values():
             print(*one.lines, sep="\n")
@@ -124,12 +123,12 @@ def export(
 
 
 def _built_in(problem: Problem) -> str:
-    """A line that says of what is written that it takes absolute values, where it does."""
+    """A line on the operating point; empty without one."""
     point = problem.operating_point
     if point is None:
         return ""
     return (
-        "\nWhat is measured goes in and inputs come out as absolute values: the operating point, "
+        "\nMeasurements and inputs are absolute values: the operating point, "
         f"{point.in_words(problem.states, problem.inputs)}, is built in."
     )
 
@@ -145,10 +144,10 @@ def _controller(problem: Problem, law: Law, step: float | None) -> Controller:
 
     period = step_of(problem, step)
     point = problem.operating_point
-    rest = 0.0 if point is None else point.u  # of which the file's limits are deviations
+    rest = 0.0 if point is None else point.u  # the file's limits are deviations from it
     clips = absolute_limits(problem.imperfections, Sizes.of(problem.plant, period))
     limits = None
-    if clips:  # one after the other: what all of them allow
+    if clips:  # in series: their intersection
         low, high = np.max([low for low, _ in clips], axis=0), np.min([h for _, h in clips], axis=0)
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")

@@ -70,36 +70,35 @@ def identify(
     logs
         CSV files with columns t (seconds), x1, x2, …, u1, u2, … and the mode.
     modes
-        The column of the mode; of modes that were not logged their number, or numbers to choose
-        from such as 1..3.
+        Column of the mode; for modes that were not logged their number, or a range such as 1..3.
     one_mode
-        The plant has one mode, and the log no column of it.
+        The plant has one mode, and the log no mode column.
     delay
-        The range in which delays are looked for, two numbers, in seconds.
+        Range of the delays, two numbers, in seconds.
     per_mode
-        Every mode has delays of its own.
+        Every mode has its own delays.
     noise
-        Whether measurements are noisy; tried by default, where the residuals are not white.
+        Whether measurements are noisy; by default tried if the residuals are not white.
     switches
         Whether the mode changes at any time or at samples only.
     states
-        Columns of the states, where they are not x1, x2, …, with commas between them; the option
-        may be given several times. A name that has a comma of its own is taken whole.
+        Columns of the states, if not x1, x2, …, separated by commas; the option may be repeated. A
+        column whose name contains a comma is kept whole.
     inputs
-        Columns of the inputs, likewise, where they are not u1, u2, …
+        Columns of the inputs, likewise, if not u1, u2, …
     outputs
-        With order: columns of the outputs, where they are not y1, y2, …
+        With order: columns of the outputs, if not y1, y2, …
     order
-        How many states each output has, where not all states are logged: 2 of a position, whose
-        speed is not.
+        Number of states per output where not all states are logged: 2 for a position without its
+        speed.
     zeros
-        With order: whether inputs act on all states of an output, not the last derivative alone;
-        by default where the log asks for it.
+        With order: whether inputs act on all states of an output, not on the last derivative alone;
+        by default if the log requires it.
     rest
-        Whether inputs before the log were those of its first row; by default where it begins at
-        rest and what is left of it does not contradict that.
+        Whether inputs before the log equal those of its first row; by default if the log begins at
+        rest and its residuals do not contradict that.
     beside
-        A problem file with a law: its delay margin is put beside the delay's interval.
+        A problem file with a law, whose delay margin is compared with the delay's interval.
     law
         The law of that file, by its name; the first by default.
     out
@@ -107,7 +106,7 @@ def identify(
     figure
         The figure to write, PNG, SVG, PDF or PGF.
     report
-        The page to write, HTML: what there is to say, all intervals, figures of how well it fits.
+        The page to write, HTML: the sentences, all intervals, and figures of the fit.
     """
     from deadtime.identification import identify as identified
     from deadtime.reports.identification_report import HEADINGS, interval_rows, sampling_of
@@ -122,7 +121,7 @@ def identify(
     _require_apart([*logs, beside], [out, figure, report])
     whose = _law_of(beside, law)
     failed = None
-    with stage_line(quiet=json_output) as say:
+    with stage_line(quiet=json_output) as stage:
         fit = identified(
             list(logs),
             None if one_mode else _modes(modes),
@@ -136,20 +135,20 @@ def identify(
             order=None if order is None else order[0] if len(order) == 1 else order,
             zeros=zeros,
             rest=rest,
-            progress=say,
+            progress=stage,
         )
-        said = list(fit.sentences)
+        sentences = list(fit.sentences)
         try:
             if whose is not None:
-                say("computing the delay margin of the law")
-                said.append(_verdict(fit, *whose))
-        except ArgumentError as error:  # of the law: what the log tells is not lost with it
+                stage("computing the delay margin of the law")
+                sentences.append(_verdict(fit, *whose))
+        except ArgumentError as error:  # of the law: the identification is still written
             failed = error
-        written = _write(fit, said, logs, (out, figure, report), say)
+        written = _write(fit, sentences, logs, (out, figure, report), stage)
     if json_output:
-        print_json(_record(fit, said), written)
+        print_json(_record(fit, sentences), written)
     else:
-        answer, *details = said
+        answer, *details = sentences
         print_answer(answer, f"A plant from {sampling_of(fit)}{_numbered(fit)}", "")
         print_table(HEADINGS, interval_rows(fit))
         print()
@@ -161,7 +160,7 @@ def identify(
 
 
 def _require_apart(read: list[Path | None], written: list[Path | None]) -> None:
-    """Refuse to write over what is read, or twice to one file."""
+    """Refuse to overwrite an input file, or to write one file twice."""
     seen = {path.resolve() for path in read if path is not None}
     for path in written:
         if path is None:
@@ -173,24 +172,24 @@ def _require_apart(read: list[Path | None], written: list[Path | None]) -> None:
 
 def _write(
     fit: Identification,
-    said: list[str],
+    sentences: list[str],
     logs: tuple[Path, ...],
-    asked: tuple[Path | None, Path | None, Path | None],
-    say: Callable[[str], None],
+    targets: tuple[Path | None, Path | None, Path | None],
+    stage: Callable[[str], None],
 ) -> list[Path]:
     from deadtime.reports.identification_report import write_identification
 
-    out, figure, report = asked
+    out, figure, report = targets
     if out is not None:
         fit.save(out)
     if figure is not None or report is not None:
-        say("drawing how likely every delay is")
+        stage("drawing the likelihood of the delays")
     if figure is not None:
         save_figure(fit.plot(), figure)
     if report is not None:
         name = f"A plant from {logs[0].name}" + (f" and {len(logs) - 1} more" * (len(logs) > 1))
-        write_identification(fit, report, said, name, command_line())
-    return [path for path in asked if path is not None]
+        write_identification(fit, report, sentences, name, command_line())
+    return [path for path in targets if path is not None]
 
 
 def _numbered(fit: Identification) -> str:
@@ -209,7 +208,7 @@ def _modes(text: str) -> str | int | range:
 
 
 def _columns(given: list[str] | None, log: Path) -> list[str] | None:
-    """Names with commas between them, but for columns of the log that have commas in them."""
+    """Names split at commas, except columns of the log whose names contain commas."""
     if given is None or not any("," in text for text in given):
         return given
     from deadtime.identification.log.read_tables import read_table
@@ -220,7 +219,7 @@ def _columns(given: list[str] | None, log: Path) -> list[str] | None:
 
 
 def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | None:
-    """The name of the law whose margin is asked for, the law, and its period."""
+    """The law of the delay margin: its name, the law, and its period."""
     if beside is None:
         if name is not None:
             raise ArgumentError("law needs beside: the problem file whose law it is.")
@@ -242,7 +241,7 @@ def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
     return law_beside(fit, name, law, step)
 
 
-def _record(fit: Identification, said: list[str]) -> dict:
+def _record(fit: Identification, sentences: list[str]) -> dict:
     from deadtime.base.json_records import record
     from deadtime.reports.identification_report import listed_names
 
@@ -263,7 +262,7 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "intervals": {name: list(fit.interval(name)) for name in listed_names(fit)},
         "log_likelihood": fit.log_likelihood,
         "hidden": fit.hidden and record(fit.hidden, *_OF_HIDDEN),
-        "sentences": said,
+        "sentences": sentences,
     }
 
 
@@ -299,19 +298,19 @@ def fit(
         Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
         lognormal, fixed; auto takes the best.
     first
-        drop, if the logs begin in the middle of a sojourn.
+        drop if the logs begin in the middle of a sojourn.
     labels
         Mode of each text in the logs, such as --labels.idle 0 --labels.busy 1.
     unit
-        Of the times; s by default.
+        Unit of the times; s by default.
     dwell_time
-        The shortest sojourn, seconds, where it is known, or one per mode with commas between them:
-        families are fitted as truncated there.
+        Known shortest sojourn, seconds, or one per mode separated by commas: families are
+        truncated there.
     maximum_dwell
-        The longest sojourn likewise, inf for none.
+        Known longest sojourn likewise, inf for none.
     step
-        Fit a Markov chain of this period, seconds, in place of sojourns: it switches at samples
-        only. It has no family and no figure.
+        Fit a Markov chain of this period, seconds, instead of sojourns: it switches at samples
+        only, and has no family and no figure.
     out
         The figure, PNG, SVG, PDF or PGF; fit.png by default.
     """
@@ -332,15 +331,15 @@ def fit(
                 "figure: leave out family, dwell-time, maximum-dwell and out, or the step."
             )
         chain = MarkovChain.fit(signals, step)
-        found = {"P": chain.P.tolist(), "step": chain.step} | _off_grid(signals, chain.step)
+        record = {"P": chain.P.tolist(), "step": chain.step} | _off_grid(signals, chain.step)
         if json_output:
-            print_json(found, [])
+            print_json(record, [])
             return
-        between, switches = found["off_grid"], found["switches"]
+        between, switches = record["off_grid"], record["switches"]
         if between:
             print(
                 f"# Between samples of {chain.step:g} s: {between:,} of {switches:,} switches; "
-                "the chain makes each at the next sample."
+                "the chain moves each to the next sample."
             )
         print(chain.section())
         return

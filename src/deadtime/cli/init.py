@@ -1,4 +1,4 @@
-"""`deadtime init`, `schema` and `completion`: files that the command line writes by itself."""
+"""`deadtime init`, `schema` and `completion`: a first problem file, and files for tools."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def init(
     path
         The file to write.
     example
-        Whose numbers to start with.
+        The example whose numbers the file has.
     force
-        Replace a file that exists.
+        Replace an existing file.
     """
     from deadtime.base.files import replacing
     from deadtime.problems.literature import template
@@ -60,7 +60,7 @@ def init(
 def schema(*, json_output: options.AsJson = False) -> None:
     """Print the JSON Schema of problem files, for editors that complete and check TOML.
 
-    With and without `--json`.
+    The output is the same with `--json`.
     """
     from deadtime.problems.file import json_schema
 
@@ -89,13 +89,13 @@ def completion(
     Parameters
     ----------
     shell
-        bash, zsh or fish; the one that you are in by default.
+        bash, zsh or fish; the current one by default.
     install
-        Write the script where the shell looks for it, and let its start-up file load it.
+        Write the script where the shell looks for it, and load it in its start-up file.
     """
     chosen = shell or _shell()
     script = app.generate_completion(shell=chosen)
-    if chosen == "bash":  # so that folders end in a slash and go on
+    if chosen == "bash":  # so that folders end in a slash
         script = script.replace("complete -F", "complete -o filenames -F")
     written = [_install(chosen, script)] if install else []
     if json_output:
@@ -110,11 +110,11 @@ def _shell() -> Shell:
     from cyclopts.completion.detect import ShellDetectionError, detect_shell
 
     try:
-        found = detect_shell()
+        detected = detect_shell()
     except ShellDetectionError:
-        found = None
-    if found in ("bash", "zsh", "fish"):
-        return found
+        detected = None
+    if detected in ("bash", "zsh", "fish"):
+        return detected
     raise ArgumentError(
         "shell must be one of bash, zsh, fish where it cannot be detected, got none: "
         "deadtime completion bash."
@@ -131,6 +131,6 @@ def _install(shell: Shell, script: str) -> Path:
     except OSError as error:
         raise ArgumentError(
             f"the script cannot be written ({error.strerror}): print it with deadtime completion "
-            f"{shell}, and put it where your shell looks."
+            f"{shell}, and store it where your shell looks."
         ) from None
     return path

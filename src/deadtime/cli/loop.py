@@ -1,4 +1,4 @@
-"""`deadtime loop` and `robustness`: what errors and imperfections a loop tolerates."""
+"""`deadtime loop` and `robustness`: stability margins of a loop, and tolerated imperfections."""
 
 from __future__ import annotations
 
@@ -47,19 +47,18 @@ def loop(
     out: options.Picture = None,
     json_output: options.AsJson = False,
 ) -> int:
-    """How near −1 is the loop? Bode, Nyquist, sensitivity and step response of every mode.
+    """Show stability margins, Bode, Nyquist, sensitivity and step response of every mode.
 
-    The step is one of a reference; where nothing is tracked, a constant 1 at an input of the
-    plant.
+    The step is that of a reference; if nothing is tracked, a constant 1 at an input of the plant.
 
     Parameters
     ----------
     at
-        Where the loop is cut open: at the plant's inputs, or at what is measured.
+        Where the loop is opened: at the plant's inputs, or at the measurement.
     channel
-        Which input is pushed, from 0; in a file with a [servo], which reference steps.
+        Number of the input with the step, from 0; in a file with a [servo], of the reference.
     output
-        Which state, or which output where an observer runs, is shown then, from 0.
+        Number of the state, or with an observer of the output, in the step response, from 0.
     """
     from deadtime.base.wording import sentence_of, with_names
     from deadtime.margins.loop_view import loop_view
@@ -69,16 +68,16 @@ def loop(
 
     chosen = options.problem_with(problem, step, None, None)
     path = output_file("out", out, f"{chosen.name}-loop")
-    name, asked = options.law_of(chosen, law)
-    view, steps = loop_view(chosen.plant, asked, chosen.step, at), []
+    name, chosen_law = options.law_of(chosen, law)
+    view, steps = loop_view(chosen.plant, chosen_law, chosen.step, at), []
     shown, pushed = None, "the input"
     if chosen.step is not None:
-        args = chosen.plant, asked
+        args = chosen.plant, chosen_law
         steps = [
             step_response(*args, mode, chosen.step, channel=channel, output=output)
             for mode in range(chosen.plant.modes)
         ]
-        shown = _shown(chosen, asked, channel if chosen.tracked else output)
+        shown = _shown(chosen, chosen_law, channel if chosen.tracked else output)
         if chosen.tracked:
             pushed = "its reference"
         elif len(chosen.inputs) > 1:
@@ -90,7 +89,7 @@ def loop(
         setting = {"problem": chosen.name, "law": name, "step": chosen.step, "at": at}
         print_json(setting | _record(view, steps), [path])
         return 0 if stable else 1
-    said = (sentence_of(margin.message) for margin in (view.gain, view.delay))
+    sentences = (sentence_of(margin.message) for margin in (view.gain, view.delay))
     growth, names = view.gain.growth.tolist(), chosen.modes
     judged, why = held_in_words(chosen, growth)
     print_answer(
@@ -103,7 +102,7 @@ def loop(
         print(f"\n{shown} after a constant 1 at {pushed}:")
         print_table(_STEP_HEADINGS, [_step_row(*each) for each in zip(names, steps, strict=True)])
     print()
-    print_details(with_names(text, chosen.modes) for text in said)
+    print_details(with_names(text, chosen.modes) for text in sentences)
     print(f"\nFigure: {path}")
     return 0 if stable else 1
 
@@ -132,22 +131,14 @@ def _step_row(name: str, answer: StepResponse) -> list[str]:
 def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
     from deadtime.base.json_records import record
 
-    figures = (
-        "mode",
-        "phase",
-        "phase_frequency",
-        "disk",
-        "disk_frequency",
-        "disk_gain",
-        "disk_phase",
-    )
+    margins = ("phase", "phase_frequency", "disk", "disk_frequency", "disk_gain", "disk_phase")
     return {
         "growth": view.gain.growth,
         "gain_margin": [view.gain.lower, view.gain.upper],
         "stabilising_gain": view.gain.stabilising,
         "delay_margin": [view.delay.lower, view.delay.upper],
         "modes": [
-            record(each, *figures)
+            record(each, "mode", *margins)
             | {"peak_sensitivity": each.sensitivity.max()}
             | {"step_info": steps[each.mode].info if steps else None}
             for each in view.modes
@@ -173,15 +164,15 @@ def robustness(
 ) -> None:
     """Find the delay and gain errors, lost and late samples, late modes and noise a loop tolerates.
 
-    Where the file has an [uncertainty], as `deadtime identify` writes it, also on how many of 100
-    plants drawn from it every law is stable.
+    With an [uncertainty] in the file, as `deadtime identify` writes it, also print for every law
+    how many of 100 plants drawn from it are stable.
 
     Parameters
     ----------
     scenarios
-        Runs for each value of what is random.
+        Runs per value of a random imperfection.
     seed
-        Of the first of them.
+        Seed of the first run.
     """
     from deadtime.base.wording import with_names
     from deadtime.margins import robustness as assess
@@ -192,11 +183,11 @@ def robustness(
 
     chosen = options.problem_of(problem)
     path = output_file("out", out, f"{chosen.name}-robustness")
-    (name, asked), period = options.law_of(chosen, law), step_of(chosen, step)
+    (name, chosen_law), period = options.law_of(chosen, law), step_of(chosen, step)
     with progress_bar(len(STEPS), quiet=json_output) as advance:
         result = assess(
             chosen.plant,
-            asked,
+            chosen_law,
             chosen.signal,
             chosen.x0,
             chosen.horizon,

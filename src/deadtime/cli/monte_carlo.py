@@ -60,11 +60,11 @@ def monte_carlo(
     table: Path | None = None,
     json_output: options.AsJson = False,
 ) -> int:
-    """Run the laws of a problem over many random switching signals, all on the same ones.
+    """Run the laws of a problem over many random switching signals, the same for all laws.
 
-    They are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
-    given here, sojourns are the dwell time plus an exponential time and the next mode is any
-    other that the file allows, each as likely. Ctrl-C ends the run early and keeps what is done.
+    Signals are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
+    given here, sojourns are the dwell time plus an exponential time, and all other modes that the
+    file allows are equally likely. Ctrl-C ends the run early and keeps the finished scenarios.
 
     Parameters
     ----------
@@ -73,10 +73,10 @@ def monte_carlo(
     dwell_time
         Shortest sojourn, seconds; by default the problem's dwell time, or its signal's.
     mean_sojourn
-        Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time where it
-        states none above that.
+        Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time if that
+        is not longer.
     seed
-        Of the signals.
+        Seed of the signals.
     backend
         numba, the compiled engine and the only one.
     step
@@ -96,9 +96,9 @@ def monte_carlo(
     chosen = options.with_law(options.problem_of(problem), law)
     period = _period(chosen, step)
     _require_signals(chosen)
-    asked = dwell_time is not None or mean_sojourn is not None
+    overridden = dwell_time is not None or mean_sojourn is not None
     model, sojourn = chosen.switching, None
-    if model is None or asked:
+    if model is None or overridden:
         sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
         model = _model(chosen, sojourn, mean_sojourn)
     picture = output_file("out", out, f"{chosen.name}-monte-carlo")
@@ -106,7 +106,7 @@ def monte_carlo(
     require_writable("data", data, _DATA)
     require_writable("table", table, TABLES)
     signals = chosen.signals
-    if sojourn is not None:  # the dwell time of what is drawn
+    if sojourn is not None:  # of the drawn signals
         longest = chosen.limits.maximum_dwell
         signals = SignalClass(sojourn.dwell.value or None, maximum_dwell=longest, at=signals.at)
     drawn = drawn_as(model, signals, period)
@@ -126,7 +126,7 @@ def monte_carlo(
         share_compiling=True,
     )
     if result.scenarios == 0:
-        raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print
+        raise KeyboardInterrupt  # no block of scenarios is complete
     outcome = summary(result)
     written = [path for path in (picture, data, table) if path is not None]
     if json_output:
@@ -144,7 +144,7 @@ def monte_carlo(
     if not result.attributes["interrupted"]:
         return 0
     done = f"{outcome.scenarios:,} of {scenarios:,} scenarios"
-    print(f"deadtime: interrupted after {done}; the results are of these", file=sys.stderr)
+    print(f"deadtime: interrupted after {done}; the results cover these", file=sys.stderr)
     return 130
 
 
@@ -168,7 +168,7 @@ def save_data(data: xr.Dataset, path: Path) -> None:
 
 
 def _flat(data: xr.Dataset) -> xr.Dataset:
-    """Figures of every tracked output as variables of their own, RiseTime[0], …."""
+    """Metrics of every tracked output as separate variables, RiseTime[0], …."""
     for name in [str(name) for name, one in data.items() if "output" in one.dims]:
         for output in range(data.sizes["output"]):
             data[f"{name}[{output}]"] = data[name].isel(output=output, drop=True)
@@ -197,7 +197,7 @@ class Sojourn(NamedTuple):
 
 
 def _require_signals(problem: Problem) -> None:
-    """Refuse a problem whose plant is none that random signals switch."""
+    """Refuse one mode, a rule, and settings that Monte Carlo does not run."""
     import numpy as np
 
     from deadtime.switching import SwitchingSignal
@@ -229,7 +229,7 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
     signal = problem.given_signal
     if dwell is None and problem.signals.chatter > 1:
-        # Not the shortest sojourn of the file's signal: bursts of switches may be any closer.
+        # The shortest sojourn of the file's signal says nothing: bursts may switch faster.
         shortest = signals_of(problem, signal).dwell
     elif dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
         raise ArgumentError(
@@ -254,24 +254,19 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
 def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SwitchingModel:
     """Sojourns of dwell + Exp(mean − dwell), then any mode that may follow."""
-    from deadtime.problems.switching_assumptions import AS_ASKED, random_model, signals_of
+    from deadtime.problems.switching_assumptions import AS_GIVEN, random_model, signals_of
     from deadtime.switching.models.semi_markov import SemiMarkov
     from deadtime.switching.models.sojourns import ShiftedExponential
 
-    if _is_limited(problem):
-        asked = [sojourn.dwell.value] if sojourn.dwell.source == AS_ASKED else None
-        signals = signals_of(problem, problem.signal, asked).signals
+    if not problem.limits.is_plain:
+        given = [sojourn.dwell.value] if sojourn.dwell.source == AS_GIVEN else None
+        signals = signals_of(problem, problem.signal, given).signals
         allowed = signals.limits(problem.plant.modes)
         mean = problem.mean_sojourn if mean_sojourn is None else mean_sojourn
         short = mean is not None and mean <= max(allowed.dwell_time)
         return random_model(allowed, None if short and mean_sojourn is None else mean)
     dwell, mean = sojourn.dwell.value, sojourn.mean.value
     return SemiMarkov(ShiftedExponential(dwell, mean - dwell), modes=problem.plant.modes)
-
-
-def _is_limited(problem: Problem) -> bool:
-    """Whether the file says more of its signals than one dwell time."""
-    return not problem.limits.is_plain
 
 
 def _print(
@@ -287,7 +282,7 @@ def _print(
     from deadtime.reports import metrics
 
     print_answer(outcome.answer, problem.title)
-    limited, about = _is_limited(problem), []
+    limited, about = not problem.limits.is_plain, []
     if sojourn is None:
         what = f"of the file's [switching], {problem.switching!r}"
     elif limited:
@@ -308,15 +303,9 @@ def _print(
     )
     print(f"\n{metrics.measure_title(outcome.measure, problem.weight)}")
     ratio, intervals = outcome.notes
-    if len(outcome.laws) > 1:
-        print_table(outcome.headings, outcome.rows())
-        print(f"{ratio}\n")
-        print_table(outcome.interval_headings, outcome.interval_rows())
-    else:  # nothing to compare the law with: quantiles, |x| grows, and the median's interval
-        rows = [[*row[:4], row[6]] for row in outcome.rows()]
-        print_table([*outcome.headings[:4], outcome.headings[6]], rows)
-        print()
-        print_table(outcome.interval_headings[:3], [row[:3] for row in outcome.interval_rows()])
+    print_table(outcome.headings, outcome.rows())
+    print(f"{ratio}\n" if outcome.compares else "")
+    print_table(outcome.interval_headings, outcome.interval_rows())
     print(intervals)
     other = "ise" if outcome.measure == "cost" else "cost"
     print(f"\n{metrics.measure_title(other, problem.weight)}")
@@ -329,10 +318,10 @@ def _print(
     checks = unit_checks_of(problem, data.attributes["step"])
     details = [*about, *nominal_plant_sentence(problem), *checks]
     if problem.imperfections:
-        details.append(f"Imperfect: {', '.join(problem.imperfections_in_words)}.")
+        details.append(f"Imperfections: {', '.join(problem.imperfections_in_words)}.")
     for reason in dict.fromkeys(data.one_by_one.values()):
         slow = ", ".join(name for name, why in data.one_by_one.items() if why == reason)
-        details.append(f"Run one by one, which takes longer: {slow}, because {reason}.")
+        details.append(f"Run one by one, which is slower: {slow}, because {reason}.")
     print()
     print_details([*details, *filter(None, [data.attributes["message"]])])
 
@@ -352,7 +341,7 @@ def _record(
         "scenarios": outcome.scenarios,
         "dwell_time": None if sojourn is None else sojourn.dwell.value,
         "mean_sojourn": None if sojourn is None else sojourn.mean.value,
-        "model": repr(model) if sojourn is None or _is_limited(problem) else None,
+        "model": repr(model) if sojourn is None or not problem.limits.is_plain else None,
         "horizon": problem.horizon,
         **{name: data.attributes[name] for name in ("step", "seed", "backend", "message")},
         "interrupted": bool(data.attributes["interrupted"]),

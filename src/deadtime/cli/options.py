@@ -1,4 +1,4 @@
-"""Options that several commands have, and what they stand for: problems, numbers, signals."""
+"""Options that several commands have, and their values: problems, laws, numbers, signals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from deadtime.switching import SignalClass
     from deadtime.switching.signal_class import Instants
 
-# Options that several commands have; what one alone has is described by its docstring.
 AsJson = Annotated[
     bool,
     Parameter(
@@ -49,8 +48,8 @@ Picture = Annotated[
     Path | None,
     Parameter(
         alias="-o",
-        help="The picture, PNG, SVG, PDF or PGF; next to where you are, named after the problem, "
-        "by default.",
+        help="The figure, PNG, SVG, PDF or PGF; by default in the current folder, named after the "
+        "problem.",
     ),
 ]
 Flag = Annotated[bool, Parameter(negative="", show_default=False)]
@@ -59,7 +58,7 @@ File = Annotated[Path | None, Parameter(alias="-o")]
 FigureWidth: TypeAlias = Annotated[
     Literal["column", "page"] | float | None,
     Parameter(
-        help="Of pictures: column (3.5 in), page (7.16 in), or inches; by default as their "
+        help="Width of figures: column (3.5 in), page (7.16 in), or inches; by default as their "
         "panels need."
     ),
 ]
@@ -77,9 +76,9 @@ def problem_of(place: Path) -> Problem:
 def problem_with(
     place: Path, step: float | str | None, horizon: float | None, x0: str | None
 ) -> Problem:
-    """A problem with another sampling period, horizon or state at the start, where they are given.
+    """A problem with another sampling period, horizon or initial state, where given.
 
-    It is built anew: signals reach as far as the run, observers have its period.
+    It is rebuilt, so that signals cover the run and observers have its period.
     """
     from deadtime.problems.file.load import problem_with_run
 
@@ -129,31 +128,30 @@ def sensor_variances(problem: Problem) -> np.ndarray:
 
 
 def one_or_several(name: str, text: str) -> float | list[float]:
-    """One number for all, or several with commas between them."""
+    """One number for all, or several separated by commas."""
     numbers = numbers_of(name, text)
     return numbers[0] if len(numbers) == 1 else numbers
 
 
 def numbers_of(name: str, text: str) -> list[float]:
-    """Numbers with commas between them."""
+    """Numbers separated by commas."""
     try:
         return [float(number) for number in text.split(",")]
     except ValueError:
         raise ArgumentError(
-            f"{name} must be numbers with commas between them, such as --{name} 1,-0.5, "
-            f"got {text!r}."
+            f"{name} must be numbers separated by commas, such as --{name} 1,-0.5, got {text!r}."
         ) from None
 
 
 def with_step(problem: Problem, step: float | None) -> Problem:
-    """A problem at another period; modes that change at its samples may change between those."""
+    """A problem at another period; modes change anywhere unless it divides the old one."""
     from deadtime.base.checks import positive
     from deadtime.plant.discretisation import snap
 
     if step is None:
         return problem
-    kept = snap((problem.step or 0.0) / positive("step", step)).is_integer()
-    at = problem.signals.at if kept else "anywhere"
+    divides = snap((problem.step or 0.0) / positive("step", step)).is_integer()
+    at = problem.signals.at if divides else "anywhere"
     return replace(problem, step=step, signals=replace(problem.signals, at=at))
 
 
@@ -174,7 +172,7 @@ def delays_from(text: str) -> float | list[float] | list[list[float]]:
 
 
 def times_from(name: str, text: str | None) -> list[float] | None:
-    """Seconds with commas between them."""
+    """Seconds separated by commas."""
     return None if text is None else numbers_of(name, text)
 
 
@@ -185,15 +183,15 @@ def signals_and_step(
     chatter: int | None,
     **others: Any,
 ) -> tuple[AssumedSignals, float]:
-    """The signals and the period, in seconds, that a problem asks about.
+    """The signals to cover and the sampling period, in seconds, of a problem.
 
-    `others`: what problems do not know of signals, as `signals_of` takes it.
+    `others` are further arguments of `signals_of`.
     """
     from deadtime.problems.switching_assumptions import signals_of, step_of
 
     promised = problem.signals.dwell_time is not None
     if dwell_time is None and not promised and problem.switching is not None:
-        # A distribution that begins above 0, as expon with loc = 60, is what the file means.
+        # Sojourns that begin above 0, as expon with loc = 60, suggest a dwell time.
         sojourns = getattr(problem.switching, "sojourn", ())
         least = [float(x.support()[0]) if hasattr(x, "support") else 0.0 for x in sojourns]
         known = f" = {min(least):g}" if least and min(least) > 0.0 else ""

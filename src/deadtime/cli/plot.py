@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import file_names
 from deadtime.cli import options
 from deadtime.cli.application import COMPARE, app, lines
 from deadtime.cli.printing import output_folder, print_json, progress_bar, save_figure
@@ -44,8 +45,8 @@ def plot(
 ) -> None:
     """Draw a sweep's store: heat maps, quantile bands, the best law, regret against the oracle.
 
-    Two axes span a panel, the others tell panels apart, and axes with one value stand in the
-    title. What is not run yet is left out, so a sweep can be looked at while it runs.
+    Two axes span a panel, the others distinguish panels, and axes with one value are in the title.
+    Cells without results are left out, so that a sweep can be plotted while it runs.
 
     Parameters
     ----------
@@ -53,27 +54,27 @@ def plot(
         The store of a sweep.
     kind
         heat: the median of a metric under a law. bands: its median, 25 to 75 % and 5 to 95 % under
-        every law, along one axis. wins: the best law, and how much the runner-up is worse. regret:
-        a law over the oracle on the same signals. all: whatever of these the sweep has.
+        every law, along one axis. wins: the best law, and its lead over the second. regret: a law
+        over the oracle on the same signals. all: all of these that the sweep allows.
     metric
         ise, energy, cost, peak, settling_time, decay_rate or final_norm.
     law
         The law of heat and regret; every law, a file for each, by default.
     x
-        The axis across; the last with more than one value by default.
+        The horizontal axis; the last with more than one value by default.
     y
-        The axis up; the last but one by default.
+        The vertical axis; the last but one by default.
     where
-        An axis and the value to hold it at, such as delay=0.5; may be given several times.
+        A fixed value of an axis, such as delay=0.5; may be repeated.
     out
-        The figure, PNG, SVG, PDF or PGF, where there is one; or a folder for PNG files, by default
-        next to where you are and named after the store.
+        A file for one figure, PNG, SVG, PDF or PGF; or a folder for PNG files, by default in the
+        current folder and named after the store.
     """
     from deadtime.scenarios.sweeps import open_sweep
 
     out = Path(f"{Path(store).stem}-plots") if out is None else out
-    held = _where(where or [])
-    reduced, drawings, left_out = _plan(open_sweep(store), kind, metric, law, (x, y), held)
+    fixed = _where(where or [])
+    reduced, drawings, left_out = _plan(open_sweep(store), kind, metric, law, (x, y), fixed)
     single = _is_figure(out)
     if single and len(drawings) != 1:
         raise ArgumentError(
@@ -88,10 +89,10 @@ def plot(
         raise ArgumentError(f"out {str(folder)!r} cannot be written: {reason}.") from None
     paths = []
     with progress_bar(len(drawings), quiet=json_output) as advance:
-        found = reduced()
+        data = reduced()
         for name, draw in drawings.items():
             paths.append(out if single else out / f"{name}.png")
-            save_figure(draw(found), paths[-1])
+            save_figure(draw(data), paths[-1])
             advance(name)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": left_out or None}, paths)
@@ -102,18 +103,18 @@ def plot(
 
 
 def _where(texts: Sequence[str]) -> dict[str, str]:
-    """Axes and what they are held at; values are text, which the selection understands."""
-    held: dict[str, str] = {}
+    """Axes and their fixed values, as text."""
+    fixed: dict[str, str] = {}
     for text in texts:
         axis, sign, value = map(str.strip, text.partition("="))
         if not (axis and sign and value):
             raise ArgumentError(f"where must be axis=value, such as delay=0.5, got {text!r}.")
-        if axis in held:
+        if axis in fixed:
             raise ArgumentError(
                 f"where must hold an axis at one value, got {axis!r} twice: draw them one by one."
             )
-        held[axis] = value
-    return held
+        fixed[axis] = value
+    return fixed
 
 
 def _plan(
@@ -122,38 +123,38 @@ def _plan(
     metric: str,
     law: str | None,
     sides: tuple[str | None, str | None],
-    held: dict[str, str],
+    fixed: dict[str, str],
 ) -> tuple[Callable[[], xr.Dataset], dict[str, Callable[[xr.Dataset], Figure]], str]:
     """A reader of the store in one pass, its figures, and the reason if bands are left out.
 
-    Figures go by the names of their files. All that can be refused is refused here.
+    The keys of the figures are file names. Whatever can be refused is refused here.
     """
     from deadtime.reports.figures.sweeps import selection
     from deadtime.reports.figures.sweeps.bands import bands, panes
     from deadtime.reports.figures.sweeps.heat import grid_for, heat, regret, wins
     from deadtime.reports.figures.sweeps.reduction import reduce
 
-    kept = selection.select(data, metric, held)
-    laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
+    chosen = selection.select(data, metric, fixed)
+    laws = selection.named_laws(chosen, None if law is None else [law], selection.laws_of(chosen))
     if kind in ("wins", "regret"):
         selection.quotients_of(metric)
-    if kind == "regret" and selection.oracle_or_refuse(kept) == law:
+    if kind == "regret" and selection.oracle_or_refuse(chosen) == law:
         raise ArgumentError(f"law must be another one than the oracle, got {law!r}.")
     if kind == "wins" and law is not None:
-        raise ArgumentError("law is of heat and regret: wins compare all laws.")
+        raise ArgumentError("law is for heat and regret: leave it out, wins compare all laws.")
     left_out = ""
     try:
-        panes(kept, sides[0])
+        panes(chosen, sides[0])
     except ArgumentError as error:
         if kind == "bands":
             raise
         left_out = f"bands are left out: {error}"
     if kind != "bands":
-        grid_for(kept, *sides)
+        grid_for(chosen, *sides)
     quotients = metric not in selection.RATES
-    oracle = selection.oracle_of(kept) if quotients and kind in ("regret", "all") else ""
-    rivals = selection.causal(kept) if quotients and kind in ("wins", "all") else []
-    names, given = _file_names(laws), {"metric": metric, "x": sides[0], "y": sides[1]}
+    oracle = selection.oracle_of(chosen) if quotients and kind in ("regret", "all") else ""
+    rivals = selection.causal(chosen) if quotients and kind in ("wins", "all") else []
+    names, given = file_names(laws), {"metric": metric, "x": sides[0], "y": sides[1]}
     drawings: dict[str, Callable[[xr.Dataset], Figure]] = {}
     if kind in ("heat", "all"):
         drawings |= {f"heat-{metric}-{names[one]}": partial(heat, law=one, **given) for one in laws}
@@ -164,9 +165,9 @@ def _plan(
     drawings |= {
         f"regret-{metric}-{names[one]}": partial(regret, law=one, **given)
         for one in laws
-        if oracle and one != oracle  # its own is 1 everywhere
+        if oracle and one != oracle  # whose regret is 1 everywhere
     }
-    return partial(reduce, kept, metric, rivals, oracle), drawings, left_out
+    return partial(reduce, chosen, metric, rivals, oracle), drawings, left_out
 
 
 def _is_figure(out: Path) -> bool:
@@ -175,16 +176,3 @@ def _is_figure(out: Path) -> bool:
 
     known = Figure().canvas.get_supported_filetypes()
     return out.suffix[1:].lower() in known and not out.is_dir()
-
-
-def _file_names(laws: Sequence[str]) -> dict[str, str]:
-    """Laws in the names of files, no two the same."""
-    from deadtime.base.wording import file_name
-
-    names: dict[str, str] = {}
-    for law in laws:
-        name, count = file_name(law) or "law", 2
-        while name in names.values():
-            name, count = f"{file_name(law) or 'law'}-{count}", count + 1
-        names[law] = name
-    return names

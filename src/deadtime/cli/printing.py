@@ -25,23 +25,22 @@ TABLES = (".tex",)
 
 
 class Advance(Protocol):
-    """Takes what is worked on next, and how many steps are done."""
+    """Takes the name of the next task, and how many steps have been finished."""
 
     def __call__(self, what: str, /, done: int = 1) -> None: ...
 
 
 def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None) -> None:
-    """One JSON document on stdout; `written` are the files that the command made."""
+    """Print one JSON document; `written` are the files that the command made."""
     from deadtime.base.json_records import json_text
 
     whole = dict(record) if written is None else {**record, "written": [*map(str, written)]}
-    # Characters as they are where the terminal or file can hold them, escaped elsewhere.
     wide = (sys.stdout.encoding or "").lower().startswith("utf")
     print(json_text(whole, ascii_only=not wide))
 
 
 def print_answer(answer: str, *about: str) -> None:
-    """The answer of a command, in bold on terminals, and lines on its subject."""
+    """Print the answer of a command, in bold on terminals, and lines on its subject."""
     from deadtime.cli.console import Terminal
 
     console = Terminal()
@@ -51,7 +50,7 @@ def print_answer(answer: str, *about: str) -> None:
 
 
 def print_details(sentences: Iterable[str]) -> None:
-    """A bullet for each sentence."""
+    """Print each sentence after a bullet."""
     from deadtime.cli.console import Terminal
 
     for sentence in sentences:
@@ -59,7 +58,7 @@ def print_details(sentences: Iterable[str]) -> None:
 
 
 def nominal_plant_sentence(problem: Problem) -> list[str]:
-    """That the file's [uncertainty] is not part of a run; nothing for a file without one."""
+    """A sentence on an [uncertainty], which runs leave out."""
     if problem.uncertain is None:
         return []
     return [
@@ -77,10 +76,10 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
     rows = table(result)
     print_table(headings_of(result), rows)
     shown: list[Sequence[Sequence[str]]] = [rows]
-    for heading, found in metrics.tracking_of_runs(result):
+    for heading, rows_of_one in metrics.tracking_of_runs(result):
         print(f"\n{heading}")
-        shown.append(found)
-        print_table(metrics.HEADINGS, found)
+        shown.append(rows_of_one)
+        print_table(metrics.HEADINGS, rows_of_one)
     print_never(shown)
     print()
     print_details(details)
@@ -118,9 +117,9 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 @contextmanager
 def progress_bar(total: int, quiet: bool, first: str = "starting") -> Iterator[Advance]:
-    """A bar and a clock on stderr, only when that is a terminal; `first` is worked on first.
+    """Show a bar and a clock on stderr if it is a terminal; `first` names the first task.
 
-    What it yields takes what is worked on next, and how many steps are done, 1 unless told.
+    Yields a function of the name of the next task and of the number of finished steps.
     """
     if quiet or not on_terminal():
         yield lambda _, done=1: None
@@ -138,7 +137,7 @@ def progress_bar(total: int, quiet: bool, first: str = "starting") -> Iterator[A
 
 @contextmanager
 def stage_line(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A clock on stderr and what is being done, which it takes, only when that is a terminal."""
+    """Show a clock and a stage on stderr if it is a terminal; yields a function of the stage."""
     if quiet or not on_terminal():
         yield lambda _: None
         return
@@ -150,7 +149,7 @@ def stage_line(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 
 def _live(*columns: ProgressColumn) -> Progress:
-    """A line on stderr that is redrawn: columns, a clock, and what is being done."""
+    """A line on stderr that is redrawn: columns, a clock, and the task."""
     from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
     from deadtime.cli.console import Terminal
@@ -161,14 +160,14 @@ def _live(*columns: ProgressColumn) -> Progress:
 
 
 def on_terminal() -> bool:
-    """Whether somebody watches stderr; FORCE_COLOR, which is about colours, does not matter."""
+    """Whether stderr is a terminal; FORCE_COLOR has no effect on this."""
     return sys.stderr.isatty()
 
 
 def output_file(
     name: str, given: Path | None, default: str = "", kinds: tuple[str, ...] = PICTURES
 ) -> Path:
-    """The file to write, with an ending; one that could not be is refused before there is work.
+    """The file to write, with a suffix; refused before any work if it cannot be written.
 
     Examples
     --------
@@ -184,7 +183,7 @@ def output_file(
 
 
 def output_folder(name: str, path: Path) -> Path:
-    """A folder to write into, made if it is not there; refused before there is work."""
+    """A folder to write into; refused before any work if it cannot be written."""
     from deadtime.base.files import require_no_root
 
     require_no_root(name, path)
@@ -199,7 +198,7 @@ def output_folder(name: str, path: Path) -> Path:
 
 
 def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
-    """Refuse a file that could not be written, or of no such kind, before there is work to lose."""
+    """Refuse a file that cannot be written, or has another suffix, before any work."""
     if path is None:
         return
     require_name(name, path)
@@ -217,7 +216,7 @@ def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) 
 
 
 def require_width(width: options.FigureWidth) -> None:
-    """Refuse the width of a figure that cannot be drawn, before there is work to lose."""
+    """Refuse a width at which no figure can be drawn, before any work."""
     if width is not None:
         from deadtime.base.figure_files import inches
 
@@ -233,24 +232,24 @@ def save_text(name: str, path: Path, text: str) -> None:
 
 
 def require_name(name: str, path: Path) -> None:
-    """Refuse a path that names no file, such as a dot, before there is work to lose."""
-    if path.name in ("", ".."):  # of --out= a dot is left, which has no name
+    """Refuse a path that names no file, such as a dot, before any work."""
+    if path.name in ("", ".."):  # an empty --out= becomes a dot, which has no name
         raise ArgumentError(f"{name} must be the name of a file, got {str(path)!r}.")
 
 
 def save_figure(figure: Figure, target: Path) -> None:
-    """Write a figure, of the kind that its ending says."""
+    """Write a figure in the format of its suffix."""
     from io import BytesIO
 
     from deadtime.base.files import replacing
 
-    if target.suffix == ".pgf":  # its pictures lie beside it, named after it
+    if target.suffix == ".pgf":  # with its images in files beside it
         try:
             return figure.savefig(target)
         except OSError as error:
             reason = error.strerror
             raise ArgumentError(f"figure {str(target)!r} cannot be written: {reason}.") from None
-    drawn = BytesIO()  # on a full disk writers of PDF fail in ways of their own
+    drawn = BytesIO()  # in memory, since PDF writers fail in their own ways on a full disk
     figure.savefig(drawn, format=target.suffix[1:])
     with replacing(target, "figure") as place:
         place.write_bytes(drawn.getvalue())

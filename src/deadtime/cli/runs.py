@@ -50,7 +50,7 @@ def reproduce(
     out
         Folder for the report.
     certificates
-        Ask for every law if it stabilises every signal, which takes about half a minute.
+        Certify every law, which takes about half a minute.
     """
     from deadtime.reports.metrics import metrics_of
     from deadtime.reports.report import steps_of, write_report
@@ -94,13 +94,13 @@ def simulate(
     horizon
         Length of the run in seconds; the problem's by default.
     x0
-        The state at the start, such as --x0 1,-0.5; the problem's by default.
+        Initial state, such as --x0 1,-0.5; the problem's by default.
     out
-        The figure, PNG, SVG, PDF or PGF; next to where you are, named after the problem, by
-        default. With several laws a second figure compares them.
+        The figure, PNG, SVG, PDF or PGF; by default in the current folder, named after the
+        problem. With several laws a second figure compares them.
     csv
-        The run as a log, which deadtime identify reads: time, states, inputs, the mode and, with a
-        reference, outputs; of several laws, each into a file named after the law.
+        File for the run as a log for deadtime identify: time, states, inputs, the mode and, with a
+        reference, outputs; for several laws, one file each, named after the law.
     """
     from deadtime.problems.comparison import compare
     from deadtime.reports.certificate_tables import delay_sentence
@@ -175,26 +175,26 @@ def app(
     sessions: int = 40,
     json_output: options.AsJson = False,
 ) -> None:
-    """Explore a problem on a page: move it, draw its signal, watch every law.
+    """Explore a problem on a page: change its numbers, draw its signal, compare its laws.
 
     Parameters
     ----------
     port
-        Where to serve; the first free one from 5006 on by default.
+        Port of the server; by default the first free one from 5006 on.
     address
-        127.0.0.1 is this machine alone; 0.0.0.0 lets the whole network in.
+        127.0.0.1 for this machine alone; 0.0.0.0 for the whole network.
     origin
         A name, host:port, by which browsers reach the page behind a proxy.
     browser
         Open a browser.
     sessions
-        Pages that may be open at once; who comes then is asked to come later.
+        Largest number of open pages; further visitors are asked to come later.
     """
     if not json_output:
         print(f"Starting the explorer with {problem}: half a minute the first time.", flush=True)
     with ExitStack() as starting:
-        say = starting.enter_context(stage_line(quiet=json_output))
-        say("loading libraries")
+        stage = starting.enter_context(stage_line(quiet=json_output))
+        stage("loading libraries")
         try:
             from deadtime.app.server import is_loopback, serve
         except ModuleNotFoundError as error:
@@ -218,5 +218,5 @@ def app(
 
         serve(
             str(problem), address, port, browser, origin,
-            sessions=sessions, started=on_started, progress=say,
+            sessions=sessions, started=on_started, progress=stage,
         )  # fmt: skip

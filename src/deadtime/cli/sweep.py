@@ -61,24 +61,24 @@ def sweep(
     """Run every cell of a study's grid into a Zarr store: here, or on a Dask cluster.
 
     Only cells that the store lacks are computed: after Ctrl-C, a crash or a full disk the same
-    command goes on.
+    command continues.
 
     Parameters
     ----------
     store
-        A folder, or a URL that fsspec knows; beside where you are, named after the study, by
-        default. Workers of a cluster must reach it under this name.
+        A folder, or a URL for fsspec; by default in the current folder, named after the study.
+        Workers of a cluster must reach it under this name.
     scheduler
-        Address of a Dask scheduler; without it all cores of this machine work.
+        Address of a Dask scheduler; by default all cores of this machine work.
     workers
-        Processes on this machine.
+        Number of processes on this machine.
     status
-        Say how far the store is, and stop.
+        Print the progress of the store, and stop.
     dry_run
-        Say how much there is to do and to store, and stop. Some cells run on a few signals, for
-        some seconds, to say how long all of them take.
+        Print the number of runs, their time and the size of the store, and stop. Some cells run on
+        a few signals, for some seconds, to estimate the time.
     verify
-        Read everything that is stored first, and compute again what is damaged.
+        First read everything that is stored, and compute damaged cells again.
     table
         A file for medians and ratios to the oracle in every cell, with intervals, for LaTeX (.tex).
     """
@@ -99,7 +99,7 @@ def sweep(
         stage("timing some of the cells" if dry_run else "reading the store")
         plan = plan_of(chosen, place, trial=dry_run)
     if status or dry_run:
-        _say(chosen, plan, dry_run, json_output)
+        _print_plan(chosen, plan, dry_run, json_output)
         return 0
     damaged = _verify(place) if verify and plan.exists else []
     for one in damaged:
@@ -111,7 +111,7 @@ def sweep(
         left = plan_of(chosen, place)
         print(
             f"deadtime: interrupted after {left.done:,} of {left.cells:,} cells; the same command "
-            "goes on",
+            "continues",
             file=sys.stderr,
         )
         return 130
@@ -141,15 +141,15 @@ def sweep(
 
 
 def _print_medians(data: xr.Dataset) -> None:
-    """Medians with their intervals, of a sweep that a terminal holds."""
+    """Print medians with their intervals, if the sweep has few of them."""
     from deadtime.reports.scenario_tables import sweep_table
 
     if data["reason"].size > _SHOWN or not bool((data["done"] == 1).any()):
         return
-    found = sweep_table(data)
+    medians = sweep_table(data)
     print()
-    print_table(found.headings, found.rows)
-    print(f"({' '.join(found.said).removeprefix('deadtime: ')}.)")
+    print_table(medians.headings, medians.rows)
+    print(f"({' '.join(medians.said).removeprefix('deadtime: ')}.)")
 
 
 def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
@@ -160,36 +160,36 @@ def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
 
 
 def _verify(place: str) -> list[str]:
-    """Forget what of the store is damaged, and name it; coordinates are written anew."""
+    """Delete damaged parts of the store, and list them; coordinates are rewritten."""
     from deadtime.scenarios.sweeps.store import open_store, place_of
 
     target = open_store(place_of(place))
-    found = [f"the values of {name} were damaged" for name in target.restore_coordinates()]
+    faults = [f"the values of {name} were damaged" for name in target.restore_coordinates()]
     for number, fault in target.faults():
         target.forget(number)
-        found.append(fault)
-    return found
+        faults.append(fault)
+    return faults
 
 
 def _reasons(data: Any) -> dict[str, tuple[int, str]]:
-    """Law by law in how many cells something went wrong, and what, for example."""
-    found = {}
+    """Number of failed cells of each law, and an example of the reason."""
+    reasons = {}
     for law in data.law.values:
         texts = data.reason.sel(law=law).values.ravel()
         wrong = texts[texts != ""]
         if wrong.size:
-            found[str(law)] = (int(wrong.size), str(wrong[0]))
-    return found
+            reasons[str(law)] = (int(wrong.size), str(wrong[0]))
+    return reasons
 
 
-def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
+def _print_plan(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     if as_json:
         from deadtime.base.json_records import plain
 
         print_json(plain(plan))
         return
     axes = " × ".join(f"{len(values)} {name}" for name, values in study.grid.items())
-    state = f"{plan.done:,} cells are whole, {plan.cells - plan.done:,} to do"
+    state = f"{plan.done:,} cells are done, {plan.cells - plan.done:,} to do"
     print_answer(
         f"Store {plan.store}: {state if plan.exists else 'not there yet'}",
         study.title,
@@ -234,7 +234,7 @@ def duration(seconds: float) -> str:
 
 @contextmanager
 def progress_of(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress], None]]:
-    """Progress on stderr: a bar on a terminal; a line now and then about a cluster elsewhere."""
+    """Show progress on stderr: a bar on a terminal, or lines for a cluster."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -258,7 +258,7 @@ def progress_of(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Pro
 
 
 class Lines:
-    """Counts, rate and time left, a line every so many seconds."""
+    """Print counts, rate and remaining time, a line per interval of seconds."""
 
     def __init__(self, every: float) -> None:
         self._every, self._next = every, 0.0
@@ -296,17 +296,18 @@ def study(
 ) -> None:
     """Run laws over a grid of plants and switching, and write a report with maps and answers.
 
-    What the folder holds of the same study is not computed again: after an interruption the same
-    command goes on.
+    Cells of the same study in the folder are not computed again: after an interruption the same
+    command continues.
 
     Parameters
     ----------
     out
         Folder for the report.
     workers
-        Processes; as many as there are processors by default. The result is the same.
+        Number of processes, by default one per processor; the result is the same.
     scheduler
-        Address of a Dask scheduler, whose workers reach the folder, instead of this machine.
+        Address of a Dask scheduler, whose workers must reach the folder; by default this machine
+        works.
     """
     from deadtime.reports.study.report import write_study
     from deadtime.scenarios.sweeps import load_study

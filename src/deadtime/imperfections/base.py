@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Any, ClassVar, NamedTuple, TypeVar, final
 
 import numpy as np
@@ -56,7 +57,31 @@ Size = TypeVar("Size", int, Sizes)
 
 
 class Imperfection(Frozen, ABC):
-    """A deviation of the loop from the ideal one."""
+    """A deviation of the loop from the ideal one.
+
+    `words` is its text for sentences, with the names of its fields in braces; its repr by default.
+
+    Examples
+    --------
+    >>> from deadtime.imperfections import Dropout, Noise
+    >>> Dropout(1 / 30).in_words, Noise([0.1, 0.2]).in_words
+    ('dropout (probability 0.0333333)', 'noise (std [0.1, 0.2])')
+    """
+
+    words: ClassVar[str] = ""
+
+    @property
+    def in_words(self) -> str:
+        """Its name and numbers for headings and sentences."""
+        own: Any = self
+        numbers = {one.name: number_text(getattr(self, one.name)) for one in fields(own)}
+        return self.words.format(**numbers) if self.words else repr(self)
+
+
+def number_text(value: ArrayLike) -> str:
+    """A number to six digits, or nested lists of such."""
+    given = np.asarray(value)
+    return f"{given:.6g}" if given.ndim == 0 else f"[{', '.join(map(number_text, given))}]"
 
 
 class Drawing(ABC):

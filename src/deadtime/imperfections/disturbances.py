@@ -8,11 +8,10 @@ constant force with the same effect, so that a run can be evaluated at any time.
 from __future__ import annotations
 
 import math
-import re
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, number, real_array, require_covariance, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Disturbance, Imperfection, Sizes, Stacked, once, per_signal
+from deadtime.imperfections.base import Disturbance, Sizes, Stacked, number_text, once, per_signal
 from deadtime.numerics.covariance import accumulate, lower_root, rates
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.discretisation import snap
@@ -96,6 +95,7 @@ class WhiteDisturbance(DrawnDisturbance):
         per mode; positive semidefinite, in units of x² per second.
     """
 
+    words: ClassVar[str] = "white disturbance (intensity {intensity})"
     intensity: ArrayLike
 
     def counts(self, sizes: Sizes) -> tuple[int, int]:
@@ -148,6 +148,9 @@ class ColouredDisturbance(DrawnDisturbance):
         E: how each of the q sources acts on dx/dt.
     """
 
+    words: ClassVar[str] = (
+        "coloured disturbance (std {std}, time constant {time_constant} s, force {force})"
+    )
     std: ArrayLike
     time_constant: ArrayLike
     force: ArrayLike
@@ -265,6 +268,26 @@ class StepDisturbance(DrawnDisturbance):
     def depends_on_mode(self) -> bool:
         return np.ndim(self.force) == 2
 
+    @property
+    def in_words(self) -> str:
+        """A force of every mode that always acts is an offset, c_σ.
+
+        Examples
+        --------
+        >>> StepDisturbance([[0.0, 0.0], [0.3, 0.0]]).in_words
+        'offset [0.3, 0] in mode 1'
+        >>> StepDisturbance([0.3, 0.0], start=2.0).in_words
+        'step disturbance (force [0.3, 0], from 2 s)'
+        """
+        ends = math.isfinite(self.end)
+        if self.start > 0.0 or ends or not self.depends_on_mode:
+            until = f" to {self.end:g} s" if ends else ""
+            force = number_text(self.force)
+            return f"step disturbance (force {force}, from {self.start:g} s{until})"
+        rows = enumerate(np.asarray(self.force, dtype=float))
+        acting = [f"{number_text(row)} in mode {mode}" for mode, row in rows if row.any()]
+        return f"offset {' and '.join(acting) or 0}"
+
     def force_by_mode(self, sizes: Sizes) -> np.ndarray | None:
         return self._check(sizes) if self.depends_on_mode else None
 
@@ -328,33 +351,3 @@ def _follow_one(
         draws[:, 0, :, j] = whole[:-1].reshape(steps, stretches).T
         draws[:, 0, :, q + j] = whole[1:].reshape(steps, stretches).T
     draws[:, 0, :, 2 * q :] = own[:, :, q:]
-
-
-_LONG = re.compile(r"\b\d+\.\d{6,}(e[+-]?\d+)?\b")  # such as estimates
-
-
-def in_words(each: Imperfection) -> str:
-    """An imperfection as text: its class and numbers, the latter to four digits if they are long.
-
-    A force per mode that acts at all times is an offset, c_σ.
-
-    Examples
-    --------
-    >>> from deadtime.imperfections import Dropout
-    >>> in_words(StepDisturbance([[0.0, 0.0], [0.3, 0.0]])), in_words(Dropout(0.1))
-    ('offset [0.3, 0] in mode 1', 'Dropout(probability=0.1)')
-    >>> in_words(Dropout(1 / 30))
-    'Dropout(probability=0.03333)'
-    """
-    if (
-        not (isinstance(each, StepDisturbance) and each.depends_on_mode)
-        or each.start > 0.0
-        or math.isfinite(each.end)
-    ):
-        return _LONG.sub(lambda number: f"{float(number[0]):.4g}", repr(each))
-    rows = [
-        f"[{', '.join(f'{value:g}' for value in row)}] in mode {mode}"
-        for mode, row in enumerate(np.asarray(each.force, dtype=float))
-        if row.any()
-    ]
-    return f"offset {' and '.join(rows) or 0}"

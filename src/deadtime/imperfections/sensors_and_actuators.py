@@ -43,6 +43,7 @@ class Noise(DrawnRelaying, Additive, SensorImperfection):
     """
 
     normal: ClassVar[bool] = True
+    words: ClassVar[str] = "noise (std {std})"
     std: ArrayLike
 
     def count(self, sizes: Sizes, samples: int) -> int:
@@ -83,6 +84,7 @@ class Dropout(DrawnRelaying, SensorImperfection):
         Of each sample, independently.
     """
 
+    words: ClassVar[str] = "dropout (probability {probability})"
     probability: float
 
     def count(self, sizes: Sizes, samples: int) -> int:
@@ -105,6 +107,7 @@ class LateSamples(DrawnRelaying, SensorImperfection):
         Of each sample, independently; 1 for a constant measurement delay.
     """
 
+    words: ClassVar[str] = "late samples (periods {periods}, probability {probability})"
     periods: int
     probability: float = 1.0
 
@@ -133,6 +136,7 @@ class ModeDelay(DrawnRelaying, SensorImperfection):
         The delay, in periods.
     """
 
+    words: ClassVar[str] = "mode detection delay (periods {periods})"
     periods: int
 
     def count(self, sizes: Sizes, samples: int) -> int:
@@ -155,6 +159,7 @@ class WrongMode(DrawnRelaying, SensorImperfection):
         Of each sample, independently.
     """
 
+    words: ClassVar[str] = "wrong mode (probability {probability})"
     probability: float
 
     def count(self, sizes: Sizes, samples: int) -> int:
@@ -189,6 +194,7 @@ class MeasurementDelay(DrawnTiming):
     """
 
     waits: ClassVar[bool] = True
+    words: ClassVar[str] = "measurement delay ({delay} s)"
     delay: float
 
     def count(self, sizes: Sizes, samples: int) -> int:
@@ -212,6 +218,7 @@ class Jitter(DrawnTiming):
     """
 
     waits: ClassVar[bool] = False
+    words: ClassVar[str] = "jitter (up to {most} s early)"
     most: float
 
     def count(self, sizes: Sizes, samples: int) -> int:
@@ -237,6 +244,7 @@ class Saturation(Limiting, ActuatorImperfection):
         Scalars or shape (m,), low < high; infinite for no limit on a side.
     """
 
+    words: ClassVar[str] = "saturation ({low} to {high})"
     low: ArrayLike
     high: ArrayLike
 
@@ -271,6 +279,7 @@ class RateLimit(Limiting, ActuatorImperfection):
         Units of the input per second, a scalar or shape (m,).
     """
 
+    words: ClassVar[str] = "rate limit ({rate} per s)"
     rate: ArrayLike
 
     def limits(self, sizes: Sizes) -> Limits:

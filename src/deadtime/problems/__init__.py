@@ -1,4 +1,4 @@
-"""Settings to run: plants from the literature, problem files, and what files know."""
+"""Problems: plants from the literature, problem files, and the registries that files use."""
 
 import lazy_loader
 

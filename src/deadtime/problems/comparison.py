@@ -1,6 +1,6 @@
-"""One problem under every law of its list, and under its first law when switching stops.
+"""Runs of a problem under every law, and under its first law in constant modes.
 
-A law that has no ideal loop is left out where the problem has no step, and the others are run.
+Where the problem has no step, laws without an ideal loop are left out.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from deadtime.switching import SwitchingSignal
 
 Progress = Callable[[str], None]
 _MOST_PERIODS = 200_000  # of a run in one mode
-_MOST_WORK = 2e9  # of these, times those that a delay holds
+_MOST_WORK = 2e9  # periods of a run times periods of its delay
 
 
 @dataclass(frozen=True, eq=False)
 class ProblemRuns:
-    """Runs of a problem's laws, and what was measured of them.
+    """Runs of a problem's laws, with their metrics and outcomes.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class ProblemRuns:
 
     @property
     def signal(self) -> SwitchingSignal:
-        """The switching signal of the problem; what the first law's run made of it for a rule."""
+        """The switching signal of the problem; for a rule, that of the first law's run."""
         return self.runs[self.lead].signal
 
     @cached_property
@@ -78,8 +78,8 @@ class Comparison(ProblemRuns):
     held : tuple of Trajectory
         The problem's first law with mode 0, 1, … held.
     growth : tuple of float
-        Growth rate of each of these, 1/s: positive means unstable. That of the loop's spectrum;
-        where it has none, or it would take long, as `measured`.
+        Growth rate of each of these, 1/s: positive means unstable. From the loop's spectrum; where
+        that does not exist or takes long, as `measured`.
     measured : tuple of float
         The slope of log|x| over the second half of each of these runs, 1/s.
     """
@@ -97,7 +97,7 @@ def compare(problem: Problem, progress: Progress | None = None) -> Comparison:
     problem : Problem
         The setting.
     progress : callable, optional
-        Called with a few words before each piece of work.
+        Called with the name of each task before it starts.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def compare(problem: Problem, progress: Progress | None = None) -> Comparison:
     runs, refused = _run(problem, progress)
     if refused:
         problem = replace(problem, laws={name: problem.laws[name] for name in runs})
-    # Long enough for the slowest root to stand out.
+    # Long enough for the slowest root to dominate.
     horizon = max(4.0 * problem.horizon, 30.0 * problem.plant.longest_delay)
     if problem.step is not None:
         held_inputs = max(1.0, problem.plant.longest_delay / problem.step)
@@ -144,7 +144,7 @@ def _run(problem: Problem, progress: Progress) -> tuple[dict[str, Trajectory], d
 
 
 def ending(problem: Problem, name: str, run: Trajectory) -> Outcome:
-    """How the run of a law ends, with a second one beside it where something pushes it."""
+    """The outcome of a law's run; a forced run is compared with one from another state."""
     law = problem.laws[name]
     if not is_pushed(law, problem.imperfections):
         return outcome_of(run, problem.horizon)

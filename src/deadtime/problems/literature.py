@@ -3,11 +3,10 @@
     problem = deadtime.problems.paper()
     run = problem.simulate("averaged")
 
-None of the sources publishes its switching signal. Here each is drawn at random with the
-source's dwell time, and of the seeds 0 to 200 the one is taken whose ∫|x|² under the averaged
-law is the median: neither a lucky signal nor an unlucky one.
+None of the sources publishes its switching signal. Each is drawn here at random with the source's
+dwell time; of the seeds 0 to 200 the one with the median ∫|x|² under the averaged law is taken.
 
-A name stands for a commented problem file, too, which `deadtime init` writes.
+Each name is also that of a commented problem file, which `deadtime init` writes.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ def comparison_laws(
 ) -> dict[str, Law]:
     """The paper's comparison: averaged, each single mode, mean, oracle, and the baseline.
 
-    Laws of one mode are called by the names of `modes`, if given.
+    `modes` gives the names of laws of one mode.
     """
     laws: list[Law] = [AveragedPredictor(plant, gains, allow_unstable=allow_unstable)]
     if plant.modes > 1:
@@ -69,7 +68,7 @@ def comparison_laws(
 
 
 def _signal(modes: int, end: float, dwell: float, mean: float, seed: int) -> tuple:
-    """The problem's signal, and the note that says how it was chosen."""
+    """A random signal, and a note on its choice."""
     signal = SwitchingSignal.random(modes, end, dwell_time=dwell, mean_sojourn=mean, seed=seed)
     return signal, _SIGNAL_NOTE.format(dwell=dwell, rest=mean - dwell, seed=seed)
 
@@ -221,12 +220,12 @@ NAMED: Mapping[str, Callable[[], Problem]] = {
 
 
 def is_named(place: Path) -> bool:
-    """Whether a problem is asked for by its name, rather than by its file.
+    """Whether a path is the name of a problem rather than a file.
 
     Raises
     ------
     ArgumentError
-        If it can be neither, with the nearest name.
+        If it is neither; the message has the nearest name.
 
     Examples
     --------

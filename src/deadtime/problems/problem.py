@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -15,7 +14,6 @@ from deadtime.base.frozen import Frozen
 from deadtime.base.wording import input_names, numbered, with_names
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
-from deadtime.imperfections.disturbances import in_words
 from deadtime.laws import ExactPredictor
 from deadtime.plant import OperatingPoint, SwitchedSystem, Weight
 from deadtime.plant.plant_set import PlantUncertainty
@@ -35,7 +33,7 @@ class Published(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class Problem(Frozen):
-    """A complete setting: what `simulate` needs, with names and sources (immutable).
+    """A complete setting: the arguments of `simulate`, with names and sources (immutable).
 
     Attributes
     ----------
@@ -48,35 +46,34 @@ class Problem(Frozen):
     u0 : float or array_like, shape (m,)
         Constant input before time 0.
     laws : mapping
-        From a short name to a law, in the order of figures; the first is the one the problem
-        is about.
+        Laws by short names, in the order of figures; the first is the one the problem is about.
     states, modes, inputs : tuple of str
         Names of states and inputs (with units) and of the modes, for figures; numbered by default.
     outputs, tracked : tuple of str
-        Names of what laws that measure outputs are told, and of what follows a reference.
+        Names of the measured outputs, and of the outputs that follow a reference.
     notes : tuple of str
-        What a reader should know about choices that the source leaves open.
+        Notes on choices that the source leaves open.
     published : tuple of Published
         Printed numbers that the report checks.
     constants : mapping
         Printed values of the theorem's constants, by the names of `constants_table`.
     signals : SignalClass
-        What every signal is promised, which certificates ask for; without a dwell time they ask
-        about the shortest sojourn of `signal`.
+        The signals that certificates cover; without a dwell time they take the shortest sojourn of
+        `signal`.
     mean_sojourn : float or None
-        The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
+        Mean sojourn of the signals that Monte Carlo draws, seconds; None: not stated.
     switching : switching model or None
-        A model of how its mode switches, which Monte Carlo draws from; None: it states none.
+        Model of the switching, from which Monte Carlo draws; None: not stated.
     model : SwitchedSystem or None
-        What gains and laws were made for, where `plant`, the truth, differs from it.
+        The plant that gains and laws are designed for, where `plant`, the true one, differs.
     imperfections, seed, predict
         As `simulate` takes them.
     weight : Weight or None
-        Of the cost by which its laws are compared; None: the identity.
+        Weights of the cost that compares its laws; None: the identity.
     uncertain : UncertainPlant or None
-        How well the plant that laws are made for is known; None: it says nothing of that.
+        Uncertainty of the plant that laws are designed for; None: not stated.
     operating_point : OperatingPoint or None
-        Where the plant rests: all states and inputs are deviations from it; None: 0, or not said.
+        Equilibrium from which states and inputs are deviations; None: 0, or not stated.
     """
 
     name: str
@@ -111,17 +108,17 @@ class Problem(Frozen):
 
     @property
     def limits(self) -> SwitchingConstraint:
-        """The sojourns and the switches that its signals are promised."""
+        """The limits of sojourns and transitions of its signals."""
         return self.signals.limits(self.plant.modes)
 
     @property
     def dwell_time(self) -> float | None:
-        """The shortest dwell time of a mode, seconds; None where at most an average is promised."""
+        """The shortest dwell time of a mode, seconds; None if at most an average is stated."""
         return (min(self.limits.dwell_time) or None) if self.signals.chatter == 1 else None
 
     @property
     def operating_sentences(self) -> tuple[str, ...]:
-        """A sentence on what states and inputs are deviations from, where they are."""
+        """A sentence on the operating point, if there is one."""
         if self.operating_point is None:
             return ()
         where = self.operating_point.in_words(self.states, self.inputs)
@@ -129,7 +126,7 @@ class Problem(Frozen):
 
     @property
     def curve_names(self) -> tuple[list[str], list[str]]:
-        """Names of states and inputs for axes, with what they are deviations from."""
+        """Axis labels of states and inputs, with the operating point."""
         point = self.operating_point
         if point is None:
             return list(self.states), list(self.inputs)
@@ -141,18 +138,17 @@ class Problem(Frozen):
         return states, inputs
 
     def __post_init__(self) -> None:
-        if not self.states:
-            object.__setattr__(self, "states", numbered("x", self.plant.states))
-        if not self.modes:
-            names = tuple(f"mode {i}" for i in range(self.plant.modes))
-            object.__setattr__(self, "modes", names)
-        if not self.inputs:
-            object.__setattr__(self, "inputs", input_names(self.plant.inputs))
+        for key, names in (
+            ("states", numbered("x", self.plant.states)),
+            ("modes", tuple(f"mode {i}" for i in range(self.plant.modes))),
+            ("inputs", input_names(self.plant.inputs)),
+        ):
+            object.__setattr__(self, key, getattr(self, key) or names)
         super().__post_init__()
 
     @property
     def given_signal(self) -> SwitchingSignal:
-        """The switching signal, for what needs one before the run; an error for a rule."""
+        """The switching signal, if it is known before the run; an error for a rule."""
         if not isinstance(self.signal, SwitchingSignal):
             raise ArgumentError(
                 f"signal of the problem {self.name!r} is not known in advance: its state decides "
@@ -172,13 +168,11 @@ class Problem(Frozen):
         >>> problem.imperfections_in_words
         ['noise (std 0.1)']
         """
-        return [
-            with_names(_repr_in_words(in_words(each)), self.modes) for each in self.imperfections
-        ]
+        return [with_names(each.in_words, self.modes) for each in self.imperfections]
 
     @property
     def observer_alone_reads_mode(self) -> tuple[str, ...]:
-        """Names of the laws on outputs whose observer needs the mode, which their rows do not."""
+        """Names of the laws whose observer reads the mode, while their tables do not."""
         return tuple(name for name, law in self.laws.items() if law.observer_alone_reads_mode)
 
     def simulate(self, law: str | Law, signal: SwitchingSignal | None = None) -> Trajectory:
@@ -205,11 +199,11 @@ class Problem(Frozen):
         return self.laws[name]
 
     def _of_kind(self, kind: str) -> str:
-        """A hint if somebody names a law by its kind in problem files, as exact for the oracle."""
+        """A hint if the name is a kind of law in problem files, as exact for the oracle."""
         from deadtime.problems.law_registry import LAWS, name_of
 
-        usual = {name for name, known in LAWS.items() if known.kind == kind}
-        called = [name for name, law in self.laws.items() if name_of(law) in usual]
+        names = {name for name, known in LAWS.items() if known.kind == kind}
+        called = [name for name, law in self.laws.items() if name_of(law) in names]
         return f" The law of kind {kind!r} has the name {called[0]!r}." if called else ""
 
     def run(self, law: Law, signal: SwitchingSignal | None = None) -> Trajectory:
@@ -228,10 +222,10 @@ class Problem(Frozen):
         )
 
     def hold(self, mode: int, horizon: float) -> Trajectory:
-        """Run the first law in one constant mode, nothing else imperfect, on [0, horizon] s."""
+        """Run the first law in a constant mode without imperfections, on [0, horizon] s."""
         law = next(iter(self.laws.values()))
         if self.step is None and not law.is_linear and law.observer is None:
-            # Its ideal loop follows the rule; in a constant mode it predicts what an oracle would.
+            # Its ideal loop needs the rule; in a constant mode it predicts as the oracle does.
             assert law.gains is not None
             law = ExactPredictor(law.plant, law.gains, allow_unstable=True)
         signal = SwitchingSignal.constant(mode)
@@ -240,13 +234,3 @@ class Problem(Frozen):
     def _history(self) -> np.ndarray:
         """u0 as (m,)."""
         return np.broadcast_to(np.asarray(self.u0, dtype=np.float64), (self.plant.inputs,))
-
-
-def _repr_in_words(text: str) -> str:
-    """`LateSamples(periods=2)` as "late samples (periods 2)"; any other text as it is."""
-    match = re.fullmatch(r"([A-Z]\w*)\((.*)\)", text, re.DOTALL)
-    if match is None:
-        return text
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", match[1]).lower()
-    numbers = re.sub(r"array\((\[.*?\])\)", r"\1", match[2], flags=re.DOTALL)
-    return f"{name} ({' '.join(numbers.replace('=', ' ').replace('_', ' ').split())})"

@@ -1,7 +1,6 @@
-"""The signals that a problem is asked about: the one source of dwell time and mean sojourn.
+"""Assumptions on the switching signals of a problem: dwell time and mean sojourn, with sources.
 
-Certificates, the theorem's bound, Monte Carlo and reports all ask here, so that they speak of the
-same signals, and each says where its number comes from.
+Certificates, the theorem's bound, Monte Carlo and reports all cover these signals.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from deadtime.switching.signal import mean_or_twice
 from deadtime.switching.signal_class import Instants
 
 STEP = 0.01  # for problems whose loop is ideal, seconds
-AS_ASKED = "as asked"
+AS_GIVEN = "as given"
 
 
 class SourcedTime(NamedTuple):
@@ -33,13 +32,13 @@ class SourcedTime(NamedTuple):
 
 
 class AssumedSignals(NamedTuple):
-    """The signals that a problem is asked about; `dwell` is the shortest dwell time of a mode."""
+    """The signals of a problem; `dwell` is the shortest dwell time of a mode."""
 
     dwell: SourcedTime
     signals: SignalClass
 
     def in_words(self, modes: Sequence[str], step: float) -> str:
-        """The signals, by the names of the modes, and the sampling, in a sentence.
+        """A sentence on the signals, with the names of the modes, and on the sampling.
 
         Examples
         --------
@@ -59,20 +58,19 @@ switches at any time; sampling period 0.01 s; the mode is reported 2 periods lat
         )
 
 
-def step_of(problem: Problem, wanted: float | None = None) -> float:
-    """The period wanted, or that of a problem, seconds; `STEP` where its loop is ideal."""
-    return problem.step or STEP if wanted is None else positive("step", wanted)
+def step_of(problem: Problem, given: float | None = None) -> float:
+    """The given period, or that of a problem, seconds; `STEP` where its loop is ideal."""
+    return problem.step or STEP if given is None else positive("step", given)
 
 
 def dwell_time_of(
-    problem: Problem, signal: SwitchingSignal | Rule, wanted: float | None = None
+    problem: Problem, signal: SwitchingSignal | Rule, given: float | None = None
 ) -> SourcedTime:
-    """The dwell time that a problem is about.
+    """The dwell time of a problem's signals, with its source.
 
-    What somebody wanted to know about, if anything; else the problem's own; where it states none,
-    that of the signal, down to whole periods: what holds for every signal with the shorter one
-    holds for those with the longer one. A signal that never switches is taken to dwell for the
-    problem's horizon. Where a model draws the signal, its source says that others may be shorter.
+    The given one; else the problem's; else that of its signal, rounded down to whole periods, since
+    a proof for a shorter dwell time covers longer ones. A signal that never switches dwells for the
+    horizon. Where a model draws the signal, the source warns that others may dwell shorter.
 
     Examples
     --------
@@ -80,12 +78,12 @@ def dwell_time_of(
     >>> problem = dt.problems.paper()
     >>> dwell_time_of(problem, problem.signal)
     SourcedTime(value=0.2, source="the problem's dwell time")
-    >>> unsaid = dataclasses.replace(problem, signals=dt.SignalClass())
-    >>> dwell_time_of(unsaid, problem.signal)
+    >>> unstated = dataclasses.replace(problem, signals=dt.SignalClass())
+    >>> dwell_time_of(unstated, problem.signal)
     SourcedTime(value=0.2, source='the shortest sojourn of its signal')
     """
-    if wanted is not None:
-        return SourcedTime(number("dwell_time", wanted), AS_ASKED)
+    if given is not None:
+        return SourcedTime(number("dwell_time", given), AS_GIVEN)
     if problem.dwell_time is not None:
         several = len(set(problem.limits.dwell_time)) > 1
         return SourcedTime(problem.dwell_time, "the problem's dwell time" + "s" * several)
@@ -97,7 +95,7 @@ def dwell_time_of(
     if not math.isfinite(signal.dwell_time):
         return SourcedTime(problem.horizon, "the horizon, since its signal never switches")
     step = step_of(problem)
-    periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
+    periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))  # 1e-9: round-off
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
     if problem.switching is not None or problem.signals.chatter > 1:
         return SourcedTime(
@@ -116,11 +114,11 @@ def signals_of(
     mode_lag: int = 0,
     lost_samples: int = 0,
 ) -> AssumedSignals:
-    """The signals that a problem is about: its dwell time, and what else it promises of them.
+    """The signals of a problem: dwell times, longest sojourns, transitions, and instants.
 
-    `dwell_time` and `maximum_dwell` are what somebody wanted instead, seconds: one, or one per
-    mode. With a `chatter` above 1, the problem's by default, `dwell_time` is an average one. Modes
-    change `at` the instants that the problem says, by default. Lags and losses are no part of it.
+    `dwell_time` and `maximum_dwell` replace the problem's, seconds: one, or one per mode. With a
+    `chatter` above 1, the problem's by default, `dwell_time` is an average one. `at` is by default
+    as in the problem, which states no `mode_lag` and no `lost_samples`.
 
     Examples
     --------
@@ -131,12 +129,12 @@ def signals_of(
     """
     own, limits = problem.signals, problem.limits
     if dwell_time is None and own.chatter > 1:
-        given = SourcedTime(limits.dwell_time[0], "the problem's average dwell time")
+        dwell = SourcedTime(limits.dwell_time[0], "the problem's average dwell time")
     else:
-        given = dwell_time_of(problem, signal, min(dwell_time) if dwell_time else None)
-    least = given.value if own.dwell_time is None else one_or_each(limits.dwell_time)
+        dwell = dwell_time_of(problem, signal, min(dwell_time) if dwell_time else None)
+    least = dwell.value if own.dwell_time is None else one_or_each(limits.dwell_time)
     most = one_or_each(limits.maximum_dwell)
-    asked = SignalClass(
+    signals = SignalClass(
         least if dwell_time is None else one_or_all(dwell_time),
         most if maximum_dwell is None else one_or_all(maximum_dwell),
         None if limits.is_free else limits.transitions,
@@ -145,12 +143,12 @@ def signals_of(
         lost_samples=lost_samples,
         chatter=own.chatter if chatter is None else chatter,
     )
-    asked.limits(problem.plant.modes)  # refuses what does not fit them
-    return AssumedSignals(given, asked)
+    signals.limits(problem.plant.modes)  # refuses values that do not fit the modes
+    return AssumedSignals(dwell, signals)
 
 
 def one_or_all(values: Any) -> Any:
-    """A time that was given as the only one is that of every mode."""
+    """The number if there is one alone, which is for every mode; else the list."""
     return values[0] if values is not None and len(values) == 1 else values
 
 
@@ -191,11 +189,10 @@ def random_model(allowed: SwitchingConstraint, mean_sojourn: float | None = None
     return SemiMarkov(sojourns, table, maximum_dwell=allowed.maximum_dwell if limited else None)
 
 
-def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None) -> SourcedTime:
-    """The mean sojourn that a problem is about, for signals with a dwell time.
+def mean_sojourn_of(problem: Problem, dwell: float, given: float | None = None) -> SourcedTime:
+    """The mean sojourn of a problem's signals with a dwell time, with its source.
 
-    What somebody wanted; else the problem's. Twice the dwell time where the problem states none, or
-    one that leaves no room above it.
+    The given one; else the problem's; twice the dwell time where the problem states no longer one.
 
     Examples
     --------
@@ -203,8 +200,8 @@ def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None)
     >>> mean_sojourn_of(dt.problems.paper(), 0.5)
     SourcedTime(value=1.0, source="twice the dwell time; the problem's, 0.4 s, is too short")
     """
-    if wanted is not None:
-        return SourcedTime(number("mean_sojourn", wanted), AS_ASKED)
+    if given is not None:
+        return SourcedTime(number("mean_sojourn", given), AS_GIVEN)
     mean, twice = problem.mean_sojourn, mean_or_twice(dwell)
     if mean is None:
         return SourcedTime(twice, "twice the dwell time")

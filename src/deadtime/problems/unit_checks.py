@@ -1,6 +1,6 @@
-"""Numbers of a problem that do not fit each other, as where a unit was mistaken.
+"""Checks for wrong units: numbers of a problem that do not fit each other.
 
-Nothing here is wrong by itself, so nothing is refused: a sentence says what to look at.
+No number is wrong by itself, so nothing is refused; a sentence says what to check.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def unit_checks_of(problem: Problem, step: float | None = None) -> list[str]:
     problem : Problem
         The setting.
     step : float, optional
-        A sampling period to ask about instead of the problem's own, seconds.
+        A sampling period instead of the problem's own, seconds.
 
     Examples
     --------
@@ -38,34 +38,34 @@ def unit_checks_of(problem: Problem, step: float | None = None) -> list[str]:
 and the law does not see them. Is it in seconds? Shorten it.
     """
     step = problem.step if step is None else step
-    delay, horizon, found = problem.plant.delays.min(), problem.horizon, []
+    delay, horizon, sentences = problem.plant.delays.min(), problem.horizon, []
     if delay >= horizon:
-        found.append(
-            f"The delay, {delay:g} s, is not shorter than the horizon, {horizon:g} s: nothing that "
-            "a law does reaches the plant in this run. Are both in seconds? Lengthen the horizon."
+        sentences.append(
+            f"The delay, {delay:g} s, is not shorter than the horizon, {horizon:g} s: no "
+            "computed input reaches the plant. Are both in seconds? Lengthen the horizon."
         )
     if step is not None and step >= horizon:
-        found.append(
+        sentences.append(
             f"The step, {step:g} s, is not shorter than the horizon, {horizon:g} s: the law acts "
             "once. Are both in seconds? Shorten the step."
         )
-    stay, what = _stay(problem)
-    if step is not None and step > stay:
-        found.append(
-            f"The step, {step:g} s, is longer than {what}, {stay:.4g} s: modes come and go "
+    sojourn, name = _sojourn(problem)
+    if step is not None and step > sojourn:
+        sentences.append(
+            f"The step, {step:g} s, is longer than {name}, {sojourn:.4g} s: modes come and go "
             "between two samples, and the law does not see them. Is it in seconds? Shorten it."
         )
-    return found
+    return sentences
 
 
 def disagreement_of(result: Comparison) -> list[str]:
-    """That the spectrum and the runs in one mode tell growth rates that do not agree.
+    """A sentence if the growth rates of the spectrum and of a run in one mode disagree.
 
-    Only where one of them says that the loop grows: a run that decays ends in round-off. A rate of
-    0 is no figure to be near to.
+    Only if one of them is positive: a decaying run ends in round-off. Rates of 0 are left out, to
+    which no rate is close relatively.
     """
     names, lead = result.problem.modes, result.problem.laws[result.lead]
-    if is_pushed(lead, ()):  # towards a reference: |x| says nothing of growth
+    if is_pushed(lead, ()):  # with a reference |x| says nothing about growth
         return []
     for name, exact, seen in zip(names, result.growth, result.measured, strict=True):
         size = max(abs(exact), abs(seen))
@@ -84,11 +84,11 @@ def disagreement_of(result: Comparison) -> list[str]:
     return []
 
 
-def _stay(problem: Problem) -> tuple[float, str]:
-    """How long modes are expected to last, infinite where nothing says it, and what that is.
+def _sojourn(problem: Problem) -> tuple[float, str]:
+    """The expected sojourn, seconds, infinite if unknown, and its name.
 
-    The dwell time stated, else that of the signal. A signal drawn from a model may have sojourns
-    as short as they come: there it is the median.
+    The dwell time stated, else that of the signal; of a signal drawn from a model, whose shortest
+    sojourn may be any, the median sojourn.
     """
     signal = problem.signal
     if problem.dwell_time is not None:

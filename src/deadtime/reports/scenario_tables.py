@@ -123,44 +123,44 @@ class Summary:
     measure: str = "cost"
 
     @property
+    def compares(self) -> bool:
+        """Whether there are several laws; the tables of one law have no wins and no ratios."""
+        return len(self.laws) > 1
+
+    @property
     def headings(self) -> list[str]:
         """Headings of the columns of `rows`."""
-        return ["law", "5 %", "median", "95 %", "wins", f"/ {self.reference}", "growing runs"]
+        against = ["wins", f"/ {self.reference}"] if self.compares else []
+        return ["law", "5 %", "median", "95 %", *against, "growing runs"]
 
     def rows(self) -> list[list[str]]:
         """A row for each law: the metric that ranks them, for a terminal."""
-        return [
-            [
-                one.law,
-                *map(compact, getattr(one, self.measure)),
-                f"{100.0 * one.best:.1f} %",
-                compact(one.relative),
-                f"{one.grew:,}",
-            ]
-            for one in self.laws
-        ]
+        rows = []
+        for row, one in zip(self.rows_of(self.measure), self.laws, strict=True):
+            against = [f"{100.0 * one.best:.1f} %", compact(one.relative)] if self.compares else []
+            rows.append([*row, *against, f"{one.grew:,}"])
+        return rows
 
     def rows_of(self, metric: str) -> list[list[str]]:
-        """Another metric for a terminal: law and quantiles, under the first of the headings."""
+        """Any metric for a terminal: law and quantiles, under `headings[:4]`."""
         return [[one.law, *map(compact, getattr(one, metric))] for one in self.laws]
 
     @property
     def interval_headings(self) -> list[str]:
         """Headings of the columns of `interval_rows`."""
-        return ["law", "median", _INTERVAL, f"/ {self.reference}", _INTERVAL]
+        against = [f"/ {self.reference}", _INTERVAL] if self.compares else []
+        return ["law", "median", _INTERVAL, *against]
 
     def interval_rows(self) -> list[list[str]]:
-        """Medians of what ranks the laws, and of its ratio, with their intervals."""
-        return [
-            [
-                one.law,
-                compact(getattr(one, self.measure).median),
-                interval_text(*one.interval),
-                compact(one.relative),
-                interval_text(*one.relative_interval),
-            ]
-            for one in self.laws
-        ]
+        """Medians of the metric that ranks the laws, and of its ratio, with their intervals."""
+        rows = []
+        for one in self.laws:
+            median = compact(getattr(one, self.measure).median)
+            ratio = [compact(one.relative), interval_text(*one.relative_interval)]
+            rows.append(
+                [one.law, median, interval_text(*one.interval), *(ratio if self.compares else [])]
+            )
+        return rows
 
     @property
     def answer(self) -> str:
@@ -169,7 +169,7 @@ class Summary:
         best = min(rivals, key=lambda one: getattr(one, self.measure).median)
         what = "∫|r − y|" if self.measure == "iae" else "cost"
         median = compact(getattr(best, self.measure).median)
-        if len(self.laws) == 1:
+        if not self.compares:
             text = f"Median {what} of {best.law}: {median}"
         else:
             aside = ", the oracle aside" if len(rivals) < len(self.laws) else ""
@@ -188,21 +188,23 @@ class Summary:
 
     def to_latex(self) -> str:
         """The laws as a LaTeX table of the package booktabs: what ranks them, with intervals."""
-        both = zip(self.rows(), self.interval_rows(), strict=True)
         rows = []
-        for (row, more), one in zip(both, self.laws, strict=True):
-            low, high = (100.0 * end for end in one.best_interval)
-            shares = f"{low:.1f} to {high:.1f} %"
-            rows.append([*row[:3], more[2], *row[3:5], shares, row[5], more[4], row[6]])
-        low, median, high = self.headings[1:4]
-        headings = ["law", low, median, _INTERVAL, high, "wins", _INTERVAL]
+        for (law, low, median, high), one in zip(
+            self.rows_of(self.measure), self.laws, strict=True
+        ):
+            wins = f"{100.0 * one.best:.1f} %"
+            shares = "{:.1f} to {:.1f} %".format(*(100.0 * end for end in one.best_interval))
+            ratio = compact(one.relative), interval_text(*one.relative_interval)
+            median = median, interval_text(*one.interval)
+            rows.append([law, low, *median, high, wins, shares, *ratio, f"{one.grew:,}"])
+        headings = ["law", "5 %", "median", _INTERVAL, "95 %", "wins", _INTERVAL]
         measure = "∫|r - y|" if self.measure == "iae" else "the cost"
         said = [
             f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
             *self.notes,
             "Those of shares are Wilson's.",
         ]
-        return booktabs([*headings, *self.interval_headings[3:], "diverged"], rows, said)
+        return booktabs([*headings, f"/ {self.reference}", _INTERVAL, "growing runs"], rows, said)
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""

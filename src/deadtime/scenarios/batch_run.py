@@ -30,7 +30,6 @@ from deadtime.imperfections import (
     TimingImperfection,
     streams,
 )
-from deadtime.imperfections.disturbances import in_words
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.batch_loop import Loop
@@ -317,7 +316,7 @@ def compare(
         "inputs": plant.inputs,
         "delay": plant.delay_data if plant.has_one_delay else plant.delays.ravel().tolist(),
         "backend": backend,
-        "imperfections": [in_words(one) for one in imperfections],
+        "imperfections": [repr(one) for one in imperfections],
         "grows_above": grows_above,
         "one_by_one": list(one_by_one),
         "interrupted": int(interrupted),

@@ -26,39 +26,39 @@ from deadtime.problems.file.gains_and_laws import (
     change_plant,
     servo_gains,
 )
+from deadtime.problems.file.mode_names import with_mode_numbers
 from deadtime.problems.file.servo import FileServo
 from deadtime.problems.file.switching import build_rule, build_signal, promise_of
 from deadtime.problems.imperfection_registry import ImperfectionSection, build_imperfection
-from deadtime.problems.law_registry.entry import mode_number
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
 from deadtime.switching import SignalClass
 
 
 def require_units(units: Mapping[str, str], names: Sequence[str]) -> None:
-    """Refuse a unit of something that has no such name, that is empty, or that the name has.
+    """Refuse an empty unit, one of an unknown name, and one that the name already has.
 
     Examples
     --------
     >>> require_units({"speed": "m/s"}, ["position (m)", "speed"])
     >>> require_units({"sped": "m/s"}, ["position (m)", "speed"])
     Traceback (most recent call last):
-    deadtime.ArgumentError: units must be of states, inputs or outputs, 'position (m)', 'speed', \
-got 'sped': give that a name first, or correct it.
+    deadtime.ArgumentError: units must belong to states, inputs or outputs, 'position (m)', \
+'speed', got 'sped': give that a name first, or correct it.
     """
     for name, unit in units.items():
         if name not in names:
             known = ", ".join(map(repr, dict.fromkeys(names))) or "of which none has a name"
             raise ArgumentError(
-                f"units must be of states, inputs or outputs, {known}, got {name!r}: give that a "
-                "name first, or correct it."
+                f"units must belong to states, inputs or outputs, {known}, got {name!r}: give "
+                "that a name first, or correct it."
             )
         if not unit.strip():
             raise ArgumentError(f"units of {name!r} must not be empty: leave it out, or say 1.")
         if name.endswith(")"):
             raise ArgumentError(
-                f"units of {name!r} must not be given twice, got {unit!r}, too: take what is in "
-                "brackets out of the name."
+                f"units of {name!r} must not be given twice, got {unit!r}, too: remove the "
+                "brackets from the name."
             )
 
 
@@ -78,7 +78,7 @@ def build_imperfections(
 ) -> tuple[Imperfection, ...]:
     """The imperfections of a file, each checked against the sizes of its loop.
 
-    `measured` is how many outputs a sensor gives, where it does not give the state.
+    `measured` is the number of measured outputs, where the state is not measured.
     """
     sensors = sizes if measured is None else sizes._replace(states=measured)
     built = []
@@ -91,13 +91,13 @@ def build_imperfections(
 
 
 def offsets_of(
-    sections: Sequence[schema.OffsetSection], plant: SwitchedSystem, modes: Sequence[str] = ()
+    sections: Sequence[schema.OffsetSection], plant: SwitchedSystem
 ) -> Float[np.ndarray, "mode n"]:
     """The constant force of every mode, 0 where there is no section."""
     force, named = np.zeros((plant.modes, plant.states)), set()
     for i, one in enumerate(sections):
         with _section("offset", i):
-            mode = index("mode", mode_number(one.mode, modes), plant.modes)
+            mode = index("mode", one.mode, plant.modes)
             if mode in named:
                 raise ArgumentError(f"mode {mode} has an offset already: give one for each mode.")
             named.add(mode)
@@ -108,6 +108,7 @@ def offsets_of(
 
 def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     """The problem that a checked file describes; relative paths start at the file's folder."""
+    file = with_mode_numbers(file)
     with _section("plant"):
         plant = SwitchedSystem(file.plant.A, file.plant.B, file.plant.delay)
         states = _names("states", file.plant.states, plant.states)
@@ -150,7 +151,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     signal, promise = rule, SignalClass()
     if signal is None:
         longest = max(truth.longest_delay, *(law.plant.longest_delay for law in laws.values()))
-        end = horizon + longest + min(step or 0.0, horizon)
+        end = horizon + longest + min(step or 0.0, horizon)  # of the oracle's last prediction
         with _section("signal"):
             signal = build_signal(file.signal, plant, end, source.parent, model, step)
             signal.require_modes(plant.modes)
@@ -213,7 +214,7 @@ def _imperfections(
     outputs = next(iter(laws.values())).outputs
     measured = None if outputs is None else outputs.shape[1]
     sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
-    force = offsets_of(file.offset, plant, file.plant.modes)
+    force = offsets_of(file.offset, plant)
     imperfections = build_imperfections(file.imperfection, sizes, measured)
     if following is not None:
         with _section("servo"):
@@ -234,7 +235,7 @@ def _measured(
     step: float | None,
     folder: Path,
 ) -> tuple[tuple[str, ...], FileServo | None]:
-    """Names of what is measured, where there is an observer or a servo; and the servo."""
+    """Names of the measured outputs with an observer or a servo; and the servo."""
     if file.observer is None and file.servo is None:
         return (), None
     states = states or numbered("x", plant.states)
@@ -253,7 +254,7 @@ def _measured(
         if file.observer is None and file.servo.disturbance is not None:
             raise ArgumentError(
                 "disturbance is estimated by an observer: give an [observer] for the states and "
-                "the disturbance, or leave it out, for the sum of errors takes it up, too."
+                "the disturbance, or leave it out, since the sum of errors compensates it, too."
             )
         return outputs, FileServo.of(file.servo, C, outputs, folder)
 

@@ -1,4 +1,4 @@
-"""The [observer] and the [mode_filter] of a problem file: what stands for states and modes."""
+"""The [observer] and the [mode_filter] of a problem file: estimates of states and modes."""
 
 from __future__ import annotations
 
@@ -30,6 +30,8 @@ from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import (
     Matrices,
     Matrix,
+    Mode,
+    ModeKey,
     Poles,
     PolesPerMode,
     Section,
@@ -49,16 +51,16 @@ class _Measured(Section):
         [], description="Names of the outputs, for figures; that of the state where one is output."
     )
     estimate: Annotated[Vector | None, Shape("(n,)", [1.0, 0.0])] = Field(
-        None, description="First estimate of the state; 0 by default."
+        None, description="Initial estimate of the state; 0 by default."
     )
     covariance: Annotated[Matrix | None, Shape("(n, n)", [[0.1, 0.0], [0.0, 0.1]])] = Field(
-        None, description="Covariance of the first estimate: every run draws its own."
+        None, description="Covariance of the initial estimate; every run draws its own."
     )
-    model: Literal["modes", "mean"] | int = Field(
+    model: Annotated[Literal["modes", "mean"] | Mode, ModeKey(("modes", "mean"))] = Field(
         "modes",
         description='The plant that it predicts with: "modes" the mode that is measured at each '
-        'sample; "mean" the mean of all modes, or the number of one of them, and then it reads no '
-        "mode.",
+        'sample; "mean" the mean of all modes; or one mode, by its number or its name. The last '
+        "two need no measured mode.",
     )
 
 
@@ -96,8 +98,8 @@ def add_observers(
 ) -> dict[str, Law]:
     """The laws on the estimates of observers, each designed for its law's own model.
 
-    A law that measures outputs by itself, on a belief, stays as it is. A law of a servo without an
-    observer is told the whole state.
+    A law on a mode belief that measures outputs itself is unchanged. A servo's law without an
+    observer receives the whole state.
     """
     if section is None and not servos:
         return laws
@@ -105,29 +107,29 @@ def add_observers(
         raise ArgumentError(
             'an observer runs at samples: give [run] a step in seconds, not "ideal".'
         )
-    found = {}
+    observed = {}
     for name, law in laws.items():
         if law.outputs is not None:
-            found[name] = law
+            observed[name] = law
             continue
         servo, options = servos.get(name), {}
         if servo is not None and following is not None:
             options = {"servo": servo, "reference": following.reference}
         if section is None:
             assert servo is not None
-            found[name] = OutputFeedback(law, watching(servo, step), **options)
+            observed[name] = OutputFeedback(law, watching(servo, step), **options)
             continue
         if servo is None:
             observer = observer_of(law.plant, section, step, numbers)
         else:
             observer = observer_of(servo.model, section, step, numbers, servo.C)
         first = {"estimate": section.estimate, "covariance": section.covariance}
-        found[name] = OutputFeedback(law, observer, **first, **options)
-    return found
+        observed[name] = OutputFeedback(law, observer, **first, **options)
+    return observed
 
 
 def names_of(C: Float[np.ndarray, "mode p n"], states: Sequence[str]) -> tuple[str, ...]:
-    """Names of outputs: that of a state where they are it in every mode, else numbered."""
+    """Names of outputs: that of a state where they equal it in every mode, else numbered."""
     names = list(numbered("y", C.shape[1]))
     for i in range(len(names)):
         rows = np.unique(C[:, i], axis=0)
@@ -174,18 +176,15 @@ class ModeFilterSection(Section):
     )
     covariance: Annotated[
         float | Vector | Matrix | None, Shape("a number, (n,) or (n, n)", [1.0, 1.0])
-    ] = Field(
-        None, description="Of the first state about the estimate of [observer], which needs it; x²."
-    )
+    ] = Field(None, description="Of the initial state about the estimate of [observer]; x².")
     gains: Literal["kalman", "observer"] = Field(
         "kalman",
-        description="What corrects estimates: Kalman's gains, sample by sample, or those of "
-        "[observer].",
+        description="Gains of the correction: Kalman's, sample by sample, or those of [observer].",
     )
     switches: Literal["anywhere", "samples"] | None = Field(
         None,
-        description="Whether the mode may change within periods, or at samples only; as the model "
-        "of [switching] does by default.",
+        description="Whether the mode may change within periods, or at samples only; by default as "
+        "in the model of [switching].",
     )
     forgetting: float = Field(
         1e-9, description="Part of the belief, in (0, 1), that all modes share after every sample."
@@ -194,9 +193,9 @@ class ModeFilterSection(Section):
         None, description="Probability of each mode at time 0; that of [switching] by default."
     )
     ages: int | None = Field(
-        None, description="Most ages (samples) that are told apart where age matters."
+        None, description="Largest age (samples) that is distinguished where age matters."
     )
-    allow_alike: bool = Field(False, description="Accept modes that nothing tells apart.")
+    allow_alike: bool = Field(False, description="Accept modes that are indistinguishable.")
 
 
 def build_mode_filter(
@@ -208,7 +207,7 @@ def build_mode_filter(
 ) -> Callable[[SwitchedSystem], BeliefFilter] | None:
     """A function from the plant of a law to its mode filter; tried on the file's own first.
 
-    `observed` is the [observer] of the file and what makes it for a plant, where it has one.
+    `observed` is a function from a plant to its observer and the [observer] of the file, if any.
     """
     if section is None:
         return None
@@ -250,8 +249,8 @@ def _filter_of(
         return ModeFilter(plant, model, step, **options)
     if section.covariance is None:
         raise ArgumentError(
-            "covariance must be given beside an [observer]: how well its estimate of the first "
-            "state is known, x²."
+            "covariance must be given beside an [observer]: that of the initial state about its "
+            "estimate, x²."
         )
     observer, own_section = observed
     if isinstance(own_section, KalmanObserver):

@@ -1,4 +1,4 @@
-"""The [gains] and the laws of a problem file, each law with the plant that it believes in."""
+"""The [gains] and the laws of a problem file, each law with its own model of the plant."""
 
 from __future__ import annotations
 
@@ -94,6 +94,7 @@ def _pole(given: float | str) -> complex:
     except ValueError:
         hint = ""
         with suppress(ValueError):
+            # As MATLAB writes it.
             meant = str(given).replace(" ", "").replace("i", "j").replace("I", "j")
             complex(meant)
             hint = f': write "{meant}"'
@@ -127,7 +128,7 @@ class Laws:
         for i, section in enumerate(self.file.law):
             with _section("law", i):
                 self._require_fit(section)
-                own, servo = self._extended(self._on_belief(setting, section.model))
+                own, servo = self._extended(self._with_model(setting, section.model))
                 law = build_law(section, own)
                 if section.low_pass is not None:
                     law = LowPassPredictor(law, section.low_pass)
@@ -153,7 +154,6 @@ class Laws:
             weight=weight,
             mode_filter=self._mode_filter(),
             allow_unstable=file.gains.allow_unstable,
-            modes=file.plant.modes,
         )
 
     def _mode_filter(self) -> Callable[[SwitchedSystem], BeliefFilter] | None:
@@ -168,14 +168,14 @@ class Laws:
                 observed = observer, file.observer
             return build_mode_filter(file.mode_filter, self.plant, self.model, step, observed)
 
-    def _on_belief(self, setting: LawSetting, own: ModelSection) -> LawSetting:
-        """The setting with the plant that a law believes in."""
+    def _with_model(self, setting: LawSetting, own: ModelSection) -> LawSetting:
+        """The setting with a law's own model of the plant."""
         plant = change_plant(setting.plant, own)
         allow = setting.allow_unstable or own.A is not None or own.B is not None
         return replace(setting, plant=plant, period=_period(self.file, plant), allow_unstable=allow)
 
     def _extended(self, setting: LawSetting) -> tuple[LawSetting, Servo | None]:
-        """The setting of the servo's plant, which a law that follows is made for."""
+        """The setting with the plant extended by the servo, for laws that follow a reference."""
         following = self.following
         if following is None or self.step is None:
             return setting, None
@@ -200,10 +200,9 @@ class Laws:
             )
 
     def _usual(self, setting: LawSetting) -> tuple[dict[str, Law], dict[str, Servo]]:
-        """The paper's laws, and those that use what the file says about the switching.
+        """The default laws: the paper's, and those that use the file's [switching].
 
-        Where a rule switches the loop the law that knows it comes first, and an ideal loop can
-        have no other.
+        With a rule the law that predicts by it comes first, and is the only one of an ideal loop.
         """
         modes = setting.plant.modes
         usual = [known for known in LAWS.values() if self._applies(known, setting)]
@@ -229,7 +228,7 @@ class Laws:
 
 
 def change_plant(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:
-    """The plant with what a section says otherwise, of the same sizes."""
+    """The plant with the parts that a section replaces, of the same sizes."""
     parts = {}
     for name, given in (("A", own.A), ("B", own.B)):
         mine = getattr(plant, name)
@@ -239,5 +238,5 @@ def change_plant(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:
 
 
 def _period(file: schema.ProblemFile, plant: SwitchedSystem) -> float:
-    """The sampling period of the run; a fine one where the law is updated continuously."""
+    """The sampling period of the run; a short one where the law is updated continuously."""
     return plant.delays.min() / 100.0 if file.run.step == "ideal" else file.run.step

@@ -1,6 +1,6 @@
 """Read a problem file; every error names the file, the line and the key.
 
-`build_what_can` is for a page or a study: the laws that can be built run without the others.
+A page or a study uses `build_what_can`, which leaves out laws that cannot be built.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 from deadtime.base.errors import ArgumentError, ProblemFileError
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import build_problem
+from deadtime.problems.file.mode_names import with_mode_numbers
 from deadtime.problems.file.schema import ProblemFile
 from deadtime.problems.literature import is_named, template
 from deadtime.problems.problem import Problem
@@ -27,9 +28,9 @@ def build_what_can(
 ) -> tuple[schema.ProblemFile, Problem, dict[int, str]]:
     """The checked file, a problem with those of its laws that can be built, and why others cannot.
 
-    `draft` is what the file says, as nested dictionaries and lists; relative paths start at the
-    folder of `source`; `prepare` changes the checked file before the problem is built. Why a law
-    failed stands by its number among the file's laws.
+    `draft` is the content of the file, as nested dictionaries and lists; relative paths start at
+    the folder of `source`; `prepare` changes the checked file before the problem is built. The
+    reasons are listed by the numbers of the laws in the file.
 
     Raises
     ------
@@ -44,6 +45,7 @@ def build_what_can(
             schema.ProblemFile, {**draft, "law": laws} if "law" in draft else dict(draft)
         )
         try:
+            file = with_mode_numbers(file)
             return file, build_problem(prepare(file), source), reasons
         except SectionError as error:
             if error.path[:1] != ("law",) or len(left) == 1:
@@ -82,7 +84,7 @@ def problem_with_run(place: Path, run: Mapping[str, Any]) -> Problem:
     Raises
     ------
     ArgumentError
-        If an entry does not fit; else what `load_problem` raises.
+        If an entry does not fit; other errors as in `load_problem`.
 
     Examples
     --------
@@ -95,10 +97,11 @@ def problem_with_run(place: Path, run: Mapping[str, Any]) -> Problem:
     else:
         file, text = read_toml(place, ProblemFile, ProblemFileError, _HINT)
         source = place
+    # Copies are not validated; `build_problem` checks the numbers of [run].
     file = file.model_copy(update={"run": file.run.model_copy(update=dict(run))})
     try:
         return build_problem(file, source)
     except SectionError as error:
-        if text is None or error.path == ("run",):  # not what a line of the file says
+        if text is None or error.path == ("run",):  # no line of the file is wrong
             raise ArgumentError(str(error)) from None
         raise text.complaint(error) from None

@@ -1,6 +1,6 @@
 """The schema of problem files: pydantic models, and their JSON Schema.
 
-Only names and types are checked here; what the numbers mean is checked by the package itself.
+Only names and types are checked here; the package itself checks the numbers.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from deadtime.problems.switching_registry import ENTRIES as MODELS, SwitchingSec
 from deadtime.problems.switching_registry.entry import Times
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.sections import (
-    Integers,
+    First,
     Matrices,
     Matrix,
+    Mode,
     Poles,
     PolesPerMode,
     Section,
@@ -40,7 +41,7 @@ from deadtime.problems.toml.sections import (
     Vector,
 )
 
-# What keys are called that are lists of numbers: their shape, and a value that fits.
+# Keys that are lists: their shape, and an example.
 Gains = Annotated[Matrices | None, Shape("(modes, m, n)", [[[-1.0, -2.0]], [[-1.0, -2.0]]])]
 State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
 Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
@@ -48,8 +49,9 @@ Allowed = Annotated[Matrix | None, Shape("(modes, modes)", [[0, 1], [1, 0]])]
 Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
 NESTED: Any = float, Vector, Matrix, Matrices
 Instants = Literal["anywhere", "samples"]
-AT = "When modes may change: anywhere, or at the samples of the run."
-Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
+AT = "Where modes may change: anywhere, or at the samples of the run."
+Modes = Annotated[list[Mode], First(), Shape("a list of modes, by number or by name", [0, 1])]
+MODE = "Its number, or its name in [plant]."
 
 
 class PlantSection(Section):
@@ -74,16 +76,16 @@ def uncertainty_section(kind: type[PlantUncertainty]) -> type[Section]:
         name: (Annotated[NESTED[np.ndim(value)], Shape(form, value)], Field(description=words))
         for name, (form, value, words) in kind.file_keys.items()
     }
-    about = "How well [plant] is known, as `deadtime identify` writes it."
+    about = "Uncertainty of [plant], as `deadtime identify` writes it."
     return create_model(f"{kind.__name__}Section", __base__=Section, __doc__=about, **keys)
 
 
-# What the keys of a section make of the plant.
+# The class of each section.
 UNCERTAINTIES = {uncertainty_section(kind): kind for kind in KINDS}
 
 
 class OperatingPointSection(Section):
-    """Where the plant rests: all states and inputs of the file are deviations from it."""
+    """An equilibrium of the plant; all states and inputs of the file are deviations from it."""
 
     x: Annotated[Vector, Shape("(n,)", [0.0, 0.0])] = Field(description="In units of the states.")
     u: Annotated[Vector, Shape("(m,)", [0.0])] = Field(description="In units of the inputs.")
@@ -97,7 +99,7 @@ class LqrSection(Section):
 
 
 class GainsSection(Section):
-    """Gains of u = +K x: given, or how to design them. Exactly one of K, poles, lqr."""
+    """Gains of u = +K x, given or designed: exactly one of K, poles, lqr."""
 
     K: Gains = Field(None, description="One m × n matrix per mode.")
     poles: Annotated[
@@ -118,7 +120,7 @@ class GainsSection(Section):
 
 
 class CostSection(Section):
-    """Weights of the cost ∫ xᵀQx + uᵀRu by which laws are compared; ∫|x|² + |u|² without."""
+    """Weights of the cost ∫ xᵀQx + uᵀRu that compares laws; ∫|x|² + |u|² by default."""
 
     Q: Annotated[float | Vector | Matrix, Shape("a number, (n,) or (n, n)", [1.0, 1.0])] = Field(
         1.0, description="Of the states: a number, a diagonal or an n × n matrix."
@@ -132,7 +134,7 @@ class ConstantSignal(Section):
     """A constant switching signal."""
 
     kind: Literal["constant"]
-    mode: int
+    mode: Mode = Field(description=MODE)
 
 
 class PeriodicSignal(Section):
@@ -140,9 +142,9 @@ class PeriodicSignal(Section):
 
     kind: Literal["periodic"]
     sojourns: Seconds = Field(description="Seconds in each mode.")
-    modes: Modes
+    modes: Modes = Field(description="Numbers, or names in [plant].")
     at: Instants = Field("anywhere", description=AT)
-    dwell_time: float | None = Field(None, description="Checked, seconds.")
+    dwell_time: float | None = Field(None, description="Dwell time to check, seconds.")
 
 
 class RandomSignal(Section):
@@ -170,10 +172,10 @@ class SwitchesSignal(Section):
 
     kind: Literal["switches"]
     times: Seconds = Field(description="Starts of the sojourns, the first 0, seconds.")
-    modes: Modes
+    modes: Modes = Field(description="Numbers, or names in [plant].")
     at: Instants = Field("anywhere", description=AT)
-    end: float | None = Field(None, description="Up to when the signal is known, seconds.")
-    dwell_time: float | None = Field(None, description="Checked, seconds.")
+    end: float | None = Field(None, description="End of the known signal, seconds.")
+    dwell_time: float | None = Field(None, description="Dwell time to check, seconds.")
 
 
 class LogSignal(Section):
@@ -181,13 +183,13 @@ class LogSignal(Section):
 
     kind: Literal["log"]
     file: str = Field(description="Path, relative to the problem file.")
-    labels: dict[str, int] | None = Field(None, description="Mode of each text in the log.")
+    labels: dict[str, Mode] | None = Field(None, description="Mode of each text in the log.")
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="Of the log's times; seconds by default."
+        None, description="Unit of the log's times; seconds by default."
     )
     at: Instants = Field("anywhere", description=AT)
-    end: float | None = Field(None, description="Up to when the log is known, on its own clock.")
-    dwell_time: float | None = Field(None, description="Checked, seconds.")
+    end: float | None = Field(None, description="End of the known log, on its own clock.")
+    dwell_time: float | None = Field(None, description="Dwell time to check, seconds.")
 
 
 class ModelSignal(Section):
@@ -210,11 +212,11 @@ class Region(Section):
 
     H: Annotated[Matrix, Shape("(rows, n)", [[1.0, 0.0]])]
     h: Annotated[Vector, Shape("(rows,)", [0.0])]
-    mode: int
+    mode: Mode = Field(description=MODE)
 
 
 class PolyhedraSignal(Section):
-    """Switching by the state: the mode of the region that holds it."""
+    """Switching by the state: the mode of the region that contains it."""
 
     kind: Literal["polyhedra"]
     regions: list[Region] = Field(description="Together they must fill the space.")
@@ -235,7 +237,7 @@ RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the sta
 class OffsetSection(Section):
     """A constant force in one mode: dx/dt = A_σ x + B_σ u(t − D) + force, as of a load."""
 
-    mode: int | str = Field(description="Its number, or its name in [plant].")
+    mode: Mode = Field(description=MODE)
     force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
         description="Units of x per second."
     )
@@ -252,9 +254,9 @@ class RunSection(Section):
     u0: Annotated[float | Vector, Shape("a number or (m,)", [0.0])] = Field(
         0.0, description="Constant input before time 0."
     )
-    seed: int = Field(0, description="Of all that is random in the imperfections.")
+    seed: int = Field(0, description="Seed of the imperfections.")
     predict: Literal["applied", "commanded"] = Field(
-        "applied", description="Which past inputs laws are told of where the actuator changes them."
+        "applied", description="Past inputs that laws receive where the actuator changes them."
     )
 
 
@@ -289,14 +291,14 @@ class ProblemFile(Section):
     source: str = Field("", description="Where the numbers come from.")
     plant: PlantSection
     uncertainty: UncertaintySection | None = Field(
-        None, description="How well the plant is known, for `deadtime robustness`."
+        None, description="Uncertainty of the plant, for `deadtime robustness`."
     )
     operating_point: OperatingPointSection | None = Field(
-        None, description="Where the plant rests; states and inputs are deviations from it."
+        None, description="Equilibrium; states and inputs are deviations from it."
     )
     gains: GainsSection
     cost: CostSection | None = Field(
-        None, description="What laws are compared by; ∫|x|² + |u|² by default."
+        None, description="Cost that compares laws; ∫|x|² + |u|² by default."
     )
     law: list[LawEntry] = Field(
         [], description="Laws to run, in order; all of the paper's by default."
@@ -305,10 +307,10 @@ class ProblemFile(Section):
         None, description="A stochastic model of the switching, for laws and signals that use one."
     )
     mode_filter: ModeFilterSection | None = Field(
-        None, description="How laws on a belief tell the modes, where nobody measures them."
+        None, description="Mode belief of laws, where the mode is not measured."
     )
     observer: ObserverSection | None = Field(
-        None, description="Run every law on what an observer makes of measured outputs."
+        None, description="Run every law on the estimates of an observer."
     )
     servo: ServoSection | None = Field(
         None, description="Let outputs follow a reference; [gains] are then those of (x, q)."

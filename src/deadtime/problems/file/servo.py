@@ -44,7 +44,7 @@ class ScheduleSection(Section):
 
 
 class RecordedSection(Section):
-    """Values from a CSV file with the columns time and one for each tracked output."""
+    """Values from a CSV file with a column time and one for each tracked output."""
 
     file: str = Field(description="A path, relative to the problem file.")
 
@@ -59,8 +59,8 @@ class ServoSection(Section):
         Texts | Matrix | None, Shape("names of outputs, or (tracked, p)", ["position"])
     ] = Field(
         None,
-        description="What follows: names of outputs (of states, without [observer]), or rows of "
-        "their combinations; all outputs by default.",
+        description="Tracked outputs: names (of states, without [observer]), or rows of "
+        "combinations; all outputs by default.",
     )
     reference: Annotated[
         float | Vector | ScheduleSection | RecordedSection | DistributionSection,
@@ -84,8 +84,8 @@ class ServoSection(Section):
 class FileServo:
     """The servos of plants, as a [servo] describes them.
 
-    C, (p, n) or (modes, p, n), is measured, by the names `outputs`; H, (tracked, p), picks what of
-    it follows the reference.
+    C, (p, n) or (modes, p, n), gives the measured `outputs`; H, (tracked, p), selects those that
+    follow the reference.
     """
 
     section: ServoSection
@@ -98,14 +98,14 @@ class FileServo:
     def of(
         cls, section: ServoSection, C: Float[np.ndarray, ...], outputs: Sequence[str], folder: Path
     ) -> FileServo:
-        """From what the file measures; relative paths start at `folder`."""
+        """The servos for the outputs of a file; relative paths start at `folder`."""
         H = _tracked(section.tracked, outputs)
         names = [outputs[int(np.argmax(row))] if _is_one(row) else "" for row in H]
         return cls(section, C, outputs, H, _reference(section.reference, len(H), names, folder))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of what is tracked."""
+        """Names of the tracked outputs."""
         return tuple(
             self.outputs[int(np.argmax(row))] if _is_one(row) else _combination(row, self.outputs)
             for row in self.H
@@ -125,9 +125,9 @@ class FileServo:
         step: float,
         force: Float[np.ndarray, "mode n"],
     ) -> None:
-        """Refuse a reference that no input within the limits holds, in some mode.
+        """Refuse a reference that some mode cannot hold within the input limits.
 
-        `force` is what acts on dx/dt in every mode.
+        `force` is the constant force on dx/dt in every mode.
         """
         servo = self.of_plant(plant)
         for low, high in absolute_limits(imperfections, Sizes.of(plant, step)):
@@ -137,13 +137,13 @@ class FileServo:
                 if beyond.any():
                     mode = int(np.argmax(beyond))
                     raise ArgumentError(
-                        f"reference {_text_of(r)} is out of reach: in mode {mode} it takes the "
+                        f"reference {_text_of(r)} is out of reach: in mode {mode} it needs the "
                         f"steady input {_text_of(steady[mode])}, and the saturation allows "
-                        f"{_text_of(low)} to {_text_of(high)}. Ask for less, or allow more."
+                        f"{_text_of(low)} to {_text_of(high)}: change one of them."
                     )
 
     def of_mean(self, mean: SwitchedSystem) -> Servo:
-        """The servo whose extended plant is the mean of such, as far as x and d go."""
+        """The servo of the mean of extended plants, in x and d."""
         n, C = np.shape(self.C)[-1], np.asarray(self.C)
         base = SwitchedSystem(mean.A[:, :n, :n], mean.B[:, :n], mean.delays)
         k = 0 if self.section.disturbance is None else np.shape(self.section.disturbance)[-1]
@@ -155,7 +155,7 @@ class FileServo:
 def absolute_limits(
     imperfections: Sequence[Imperfection], sizes: Sizes
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Bounds (m,) that saturations set, one after the other."""
+    """Bounds (m,) of every saturation."""
     clips = [one.limits(sizes) for one in imperfections if isinstance(one, Limiting)]
     return [(clip.low, clip.high) for clip in clips if not clip.relative]
 
@@ -167,7 +167,7 @@ def _text_of(values: Float[np.ndarray, " size"]) -> str:
 
 
 def watching(servo: Servo, step: float) -> Observer:
-    """The observer of a state that is measured whole: x̂ = y."""
+    """The observer of a measured state: x̂ = y."""
     return Observer(servo.model, servo.C, np.eye(servo.base.states), step)
 
 
@@ -192,7 +192,7 @@ def _tracked(given: Any, outputs: Sequence[str]) -> Float[np.ndarray, "tracked p
     unknown = [name for name in given if name not in outputs]
     if unknown:
         raise ArgumentError(
-            f"tracked must be names of what is measured, {', '.join(map(repr, outputs))}, got "
+            f"tracked must be names of measured outputs, {', '.join(map(repr, outputs))}, got "
             f"{unknown[0]!r}."
         )
     return np.eye(len(outputs))[[list(outputs).index(name) for name in given]]
@@ -218,6 +218,7 @@ def _recorded(path: Path, size: int, names: Sequence[str]) -> tuple[np.ndarray, 
         raise ArgumentError(f"{path} is no CSV: {error}.") from None
     header = [cell.strip() for cell in rows[0]] if rows else []
     others = [name for name in header if name != "time"]
+    # Combinations of outputs have no name: their columns are in the order of the file.
     columns = list(names) if all(name in others for name in names) else others
     if "time" not in header or len(columns) != size:
         raise ArgumentError(

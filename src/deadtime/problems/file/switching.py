@@ -1,4 +1,4 @@
-"""From the sections of a problem file that say how the mode switches: promises, rules, signals."""
+"""Signals, classes of signals and rules from the sections of a problem file."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from deadtime.switching.signal_class import Instants
 def promise_of(
     file: schema.ProblemFile, model: SwitchingModel | None, modes: int, step: float | None = None
 ) -> SignalClass:
-    """The class of signals that a file states: in [signal] where it does, else in [switching].
+    """The class of signals that a file states: in [signal] or else in [switching].
 
-    Modes change as [signal] says, or at samples of a step where it is drawn from a chain of them.
+    Modes change as in [signal], or at samples if a Markov chain of that period draws it.
     """
     signal, chatter = file.signal, 1
     stated: Promise = getattr(signal, "dwell_time", None), None, None
@@ -43,7 +43,7 @@ def promise_of(
     if isinstance(signal, schema.ModelSignal) and model is not None and step is not None:
         at = "samples" if model.at_samples(step) else "anywhere"
     signals = SignalClass(*stated, at, chatter=chatter)
-    signals.limits(modes)  # refuses what does not fit them
+    signals.limits(modes)  # refuses values that do not fit the modes
     return signals
 
 
@@ -69,7 +69,7 @@ def build_signal(
     model: SwitchingModel | None,
     step: float | None,
 ) -> SwitchingSignal:
-    """The switching signal; made ones are long enough for the oracle's last prediction."""
+    """The switching signal; generated ones reach the end of the oracle's last prediction."""
     if getattr(section, "at", "anywhere") == "samples":
         if step is None:
             raise ArgumentError('at = "samples" must come with a step, got run.step = "ideal".')
@@ -110,7 +110,7 @@ def _random(section: schema.RandomSignal, modes: int, end: float) -> SwitchingSi
 def _at_samples(
     section: schema.Signal, plant: SwitchedSystem, end: float, folder: Path, step: float
 ) -> SwitchingSignal:
-    """A signal that switches at samples: drawn sojourns last whole periods, given ones have to."""
+    """A signal that switches at samples: drawn sojourns are rounded up, given ones are checked."""
     if not isinstance(section, schema.RandomSignal):
         anywhere = section.model_copy(update={"at": "anywhere"})
         signal = build_signal(anywhere, plant, end, folder, None, step)
@@ -122,10 +122,10 @@ def _at_samples(
             )
         return signal
     least = section.average_dwell_time if section.dwell_time is None else section.dwell_time
-    asked = SignalClass(
+    sampled = SignalClass(
         step if least is None else least, section.maximum_dwell, section.transitions, "samples"
     )
-    limits = asked.at_period(plant.modes, step)
+    limits = sampled.at_period(plant.modes, step)
     return whole_periods(
         lambda reach: _random(section, plant.modes, reach), limits.maximum_dwell, step, end
     )
@@ -134,13 +134,13 @@ def _at_samples(
 def whole_periods(
     draw: Callable[[float], SwitchingSignal], longest: Sequence[float], step: float, end: float
 ) -> SwitchingSignal:
-    """A drawn signal, its sojourns rounded up to whole periods, but to none beyond the longest.
+    """A drawn signal, its sojourns rounded up to whole periods, at most to the longest allowed.
 
-    `draw` takes how far the signal must reach, seconds; `longest` is that of every mode.
+    `draw` takes the end of the signal, seconds; `longest` has an entry per mode.
     """
     drawn = draw(2.0 * end)  # no sojourn is cut to less than half
     most = np.floor(np.array(longest) / step + 1e-9)[drawn.modes[:-1]]
-    counts = np.minimum(np.ceil(np.diff(drawn.times) / step - 1e-9), most)
+    counts = np.minimum(np.ceil(np.diff(drawn.times) / step - 1e-9), most)  # 1e-9: round-off
     times = step * np.append(0.0, np.cumsum(counts))
     return SwitchingSignal(times[times < end], drawn.modes[times < end], end)
 
@@ -162,7 +162,7 @@ class WholePeriods:
 def drawn_as(
     model: SwitchingModel, signals: SignalClass, step: float
 ) -> SwitchingModel | WholePeriods:
-    """The source of a model's signals for runs at a period: at samples only, where these are so.
+    """The source of a model's signals for runs at a period, at samples only if `signals` are.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""The registry of imperfections: what problem files, sweeps and the page know of each.
+"""The registry of imperfections for problem files, sweeps and the page.
 
-An imperfection is known everywhere once it has an entry: a file in
+An imperfection is available everywhere once it has an entry: a module in
 `deadtime.problems.imperfection_registry.entries`.
 """
 
@@ -29,7 +29,7 @@ _refuse = partial(refuse, "imperfection")
 
 
 class Swept(NamedTuple):
-    """An imperfection that sweeps have an axis of, and the page perhaps a slider."""
+    """An imperfection with an axis in sweeps, and perhaps a slider on the page."""
 
     kind: str
     axis: ImperfectionAxis
@@ -41,7 +41,7 @@ class Swept(NamedTuple):
 
 
 def build_imperfection(section: ImperfectionSection) -> Imperfection:
-    """The imperfection that a section asks for."""
+    """The imperfection of a section."""
     assert section.made is not None
     return section.made(**section.model_dump(exclude={"kind"}))
 
@@ -65,12 +65,12 @@ def in_comments() -> str:
 
 
 def collect(modules: Iterable[ModuleType]) -> tuple[Entry, ...]:
-    """The entries of some modules, in their order there; refused if one is not whole."""
+    """The entries of some modules, in their order there; refused if one is incomplete."""
     return entries_in("imperfection", ImperfectionSection, modules, _require_whole, _names)
 
 
 def _names(entry: Entry) -> list[str]:
-    """Names that no two entries share: of what they make, which keys its stream, of their axis."""
+    """Unique names: of the class, which keys its random stream, and of the axis."""
     assert entry.made is not None
     own = [entry.made.__name__]
     return own if entry.axis is None else [*own, entry.axis.name]
@@ -81,9 +81,9 @@ def _require_whole(entry: Entry) -> None:
     if made is None:
         _refuse(entry, "lacks made: give made = the class of the imperfection.")
     keys = [key for key in entry.model_fields if key != "kind"]
-    asked = [field.name for field in fields(made)]  # pyright: ignore[reportArgumentType]
-    if sorted(keys) != sorted(asked):
-        _refuse(entry, f"has the keys {keys}, {made.__name__} takes {asked}: make them the same.")
+    names = [field.name for field in fields(made)]  # pyright: ignore[reportArgumentType]
+    if sorted(keys) != sorted(names):
+        _refuse(entry, f"has the keys {keys}, {made.__name__} takes {names}: make them the same.")
     unknown = [] if axis is None else [key for key in axis.keys(1.0) if key not in keys]
     if unknown:
         _refuse(entry, f"sets {unknown[0]} by its axis, which is no key of the section.")
@@ -97,17 +97,16 @@ def require_all(known: Iterable[Entry], public: ModuleType = imperfections) -> N
     for name in public.__all__:
         one = getattr(public, name)
         is_kind = isinstance(one, type) and issubclass(one, Imperfection) and not isabstract(one)
-        # The base of all has nothing abstract of its own.
+        # The base of all has no abstract method.
         if is_kind and one is not Imperfection and one not in made:
             raise ArgumentError(
-                f"imperfection {name} has no entry: add one to {entries.__name__}, so that "
-                "problem files know it."
+                f"imperfection {name} has no entry: add one to {entries.__name__}, for "
+                "problem files."
             )
 
 
 ENTRIES: tuple[Entry, ...] = collect(modules_of(entries))
 require_all(ENTRIES)
-# By the names of their axes.
 SWEPT: Mapping[str, Swept] = {
     entry.axis.name: Swept(kinds_of(entry)[0], entry.axis, entry.slider)
     for entry in ENTRIES

@@ -1,7 +1,7 @@
-"""An entry of the registry: the section of a problem file that asks for an imperfection.
+"""An entry of the registry: the section of a problem file for an imperfection.
 
 class BacklashSection(ImperfectionSection):
-    "What editors show beside the kind."
+    "The description in editors."
 
     made: ClassVar = Backlash
 
@@ -24,20 +24,20 @@ PerSignal = Annotated[float | Vector, Shape("a number, or one for each", [0.1, 0
 
 @dataclass(frozen=True, kw_only=True)
 class ImperfectionAxis:
-    """An imperfection as an axis of sweeps, none of it for the value 0 (immutable).
+    """An imperfection as an axis of sweeps, where 0 is none (immutable).
 
     Attributes
     ----------
     name : str
-        In study files, data and on the command line.
+        Name in study files, data and on the command line.
     label, unit : str
         For readers.
     description : str
-        What editors show.
+        The text in editors.
     keys : callable
         From a value to the keys of the section.
     values : type
-        What its values may be.
+        Type of its values.
     """
 
     name: str
@@ -50,17 +50,17 @@ class ImperfectionAxis:
 
 @dataclass(frozen=True)
 class Slider:
-    """How the page moves an imperfection along its axis (immutable).
+    """The slider of an imperfection on the page (immutable).
 
     Attributes
     ----------
     label : str
     key : str
-        The key of the section that holds the value where the file has one.
+        The key of the section with its value.
     reach : float
-        How far it goes, times the largest |x_i(0)|.
+        End of its range, times the largest |x_i(0)|.
     steps : int
-        In how many steps.
+        Number of steps.
     """
 
     label: str

@@ -1,6 +1,6 @@
-"""The registry of laws: what problem files, studies, the page, figures and sentences know of each.
+"""The registry of laws for problem files, studies, the page, figures and sentences.
 
-A law is known everywhere once it has an entry: a file in `deadtime.problems.law_registry.entries`.
+A law is available everywhere once it has an entry in `deadtime.problems.law_registry.entries`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _refuse = partial(refuse, "law")
 
 
 class NamedLaw(NamedTuple):
-    """A law that is known by a name: its entry, and what the entry says of the name."""
+    """A law with a name: its entry, and the entry's data on the name."""
 
     entry: Entry
     named: Named
@@ -32,7 +32,7 @@ class NamedLaw(NamedTuple):
 
     @property
     def usual(self) -> bool:
-        """Whether it is what the kind alone makes, not a variant of it."""
+        """Whether the kind alone makes it, without further keys."""
         return self.named is self.entry.names[0]
 
     @property
@@ -41,11 +41,11 @@ class NamedLaw(NamedTuple):
 
     @property
     def takes_dwell_time(self) -> bool:
-        """Whether the law is told the dwell time."""
+        """Whether the law uses the dwell time."""
         return self.named.knows == "the dwell time"
 
     def modes(self, count: int) -> tuple[int | None, ...]:
-        """The modes that there is one such law for, or (None,)."""
+        """The modes with one such law each, or (None,)."""
         return tuple(range(count)) if self.per_mode else (None,)
 
     def keys(self, mode: int | None = None, dwell_time: float | None = None) -> dict[str, Any]:
@@ -62,14 +62,14 @@ class NamedLaw(NamedTuple):
 
 
 def build_law(section: LawSection, setting: LawSetting) -> Law:
-    """The law that a section asks for, its filter aside; refused where something is lacking."""
+    """The law of a section without its low-pass filter; refused if a need is not met."""
     for need in section.needs:
         setting.require(need, kinds_of(type(section))[0])
     return section.law(setting)
 
 
 def collect(modules: Iterable[ModuleType]) -> tuple[Entry, ...]:
-    """The entries of some modules, in their order there; refused if one is not whole."""
+    """The entries of some modules, in their order there; refused if one is incomplete."""
     return entries_in("law", LawSection, modules, _require_whole, _names)
 
 
@@ -79,7 +79,7 @@ def _names(entry: Entry) -> list[str]:
 
 def _require_whole(entry: Entry) -> None:
     if not entry.names:
-        _refuse(entry, "lacks names: give names = (Named(…),), by which studies and figures go.")
+        _refuse(entry, "lacks names: give names = (Named(…),), which studies and figures use.")
     unknown = [need for need in entry.needs if need not in NEEDS]
     if unknown:
         _refuse(entry, f"needs {unknown[0]!r}: it must be one of {', '.join(NEEDS)}.")
@@ -90,7 +90,7 @@ def _require_whole(entry: Entry) -> None:
 
 
 def _require_fit(entry: Entry, named: Named) -> None:
-    """Refuse a name of which no section can be made."""
+    """Refuse a name without a valid section."""
     name, known = named.name, NamedLaw(entry, named)
     if named.knows not in LEVELS:
         _refuse(entry, f"{name!r} knows {named.knows!r}: it must be one of {', '.join(LEVELS)}.")
@@ -104,7 +104,7 @@ def _require_fit(entry: Entry, named: Named) -> None:
 
 
 ENTRIES: tuple[Entry, ...] = collect(modules_of(entries))
-# Laws by name: those that need no model, those that do, and variants of both.
+# Laws by name: those without a model of the switching, those with one, and variants of both.
 LAWS: Mapping[str, NamedLaw] = {
     known.named.name: known
     for known in sorted(
@@ -113,16 +113,16 @@ LAWS: Mapping[str, NamedLaw] = {
     )
 }
 MODEL_KINDS = frozenset(kinds_of(entry)[0] for entry in ENTRIES if "model" in entry.needs)
-# Periods of the delay up to which laws are tabulated in a moment, by kind; others always are.
+# Longest delays, in periods, for which a table takes a moment, by kind; others have no limit.
 QUICK: Mapping[str, int] = {
     kinds_of(entry)[0]: cast(int, entry.quick) for entry in ENTRIES if entry.quick is not None
 }
 
 
 def name_of(law: Law, modes: Sequence[str] = ()) -> str:
-    """The name of a law that is given none: its label, with the names of modes, if all differ.
+    """The default name of a law: its label, with the names of modes if these are unique.
 
-    All laws of a file are observed or none is, so that this is no part of a name.
+    A file observes all laws or none, so that the name leaves out "observed".
 
     Examples
     --------
@@ -153,7 +153,7 @@ def the_law(name: str) -> str:
 def the_problem_law(name: str) -> str:
     """A law's name in a sentence about a problem, whose file may give a law any name.
 
-    A noun, as `the_law` has it, is for what runs where files name no laws and needs no future.
+    Default laws of files without knowledge of the future have the noun of `the_law`.
 
     Examples
     --------

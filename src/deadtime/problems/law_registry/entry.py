@@ -1,7 +1,7 @@
-"""The section of a problem file that asks for a law, and the setting that the law is made from.
+"""The section of a problem file for a law, and the setting that the law is built from.
 
 class CurrentModeLaw(LawSection):
-    "What editors show beside the kind."
+    "The description in editors."
 
     names = (Named("current mode", knows="nothing"),)
     kind: Literal["current-mode"]
@@ -13,7 +13,7 @@ class CurrentModeLaw(LawSection):
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -34,7 +34,7 @@ Need = Literal["model", "rule", "signal", "mode_filter"]
 
 @dataclass(frozen=True, eq=False)
 class LawSetting:
-    """The plant that a law believes in, gains, and what there is to know of the switching.
+    """A law's model of the plant, gains, and information on the switching.
 
     Attributes
     ----------
@@ -43,20 +43,17 @@ class LawSetting:
     mean_gain : callable
         The gain (m, n) of a plant of one mode, designed as the others were.
     period : float
-        At which laws that are tuned are tuned, seconds.
+        Sampling period for laws that are tuned, seconds.
     model : switching model or None
         A model of the switching, for laws that need one.
     rule : Rule or None
-        By which the state decides the mode; None where a signal does.
+        The rule by which the state decides the mode; None where a signal does.
     weight : Weight or None
-        Of the cost, for laws that minimise it; None: the identity.
+        Weights of the cost, for laws that minimise it; None: the identity.
     mode_filter : callable or None
-        What makes the filter of a law that believes in a plant, for laws that are not told the
-        mode.
+        From a law's plant to its mode filter, for laws on a mode belief.
     allow_unstable : bool
         Whether gains may leave a mode unstable.
-    modes : sequence of str
-        Names of the modes, where they have some.
     """
 
     plant: SwitchedSystem
@@ -68,46 +65,29 @@ class LawSetting:
     weight: Weight | None = None
     mode_filter: Callable[[SwitchedSystem], BeliefFilter] | None = None
     allow_unstable: bool = False
-    modes: Sequence[str] = ()
 
     def has(self, need: Need) -> bool:
-        """Whether something that a law may need is there."""
+        """Whether a need of a law is met."""
         if need == "signal":
             return self.rule is None
         return getattr(self, need) is not None
 
     def require(self, need: Need, kind: str) -> None:
-        """Refuse a law of some kind that needs what is not there."""
+        """Refuse a law of some kind if its need is not met."""
         if not self.has(need):
             raise ArgumentError(NEEDS[need].format(kind=kind))
 
 
-def mode_number(mode: int | str, names: Sequence[str]) -> int:
-    """The number of a mode that a file gives by its number or by its name.
-
-    Examples
-    --------
-    >>> mode_number("brake", ["throttle", "brake"]), mode_number(0, [])
-    (1, 0)
-    """
-    if isinstance(mode, int):
-        return mode
-    if mode not in names:
-        known = f" or one of {', '.join(map(repr, names))}" if names else ""
-        raise ArgumentError(f"mode must be the number of a mode{known}, got {mode!r}.")
-    return list(names).index(mode)
-
-
-# What a law may need, and what a file is told that lacks it.
+# Needs of laws, with the message for a file that lacks one.
 NEEDS: Mapping[Need, str] = {
-    "model": "kind = '{kind}' needs a [switching] section: a model to rely on.",
+    "model": "kind = '{kind}' needs a [switching] section: a model of the switching.",
     "mode_filter": (
-        'kind = "{kind}" needs a [mode_filter] section, by which it tells the modes: '
-        "disturbance and noise say what to expect of the states."
+        'kind = "{kind}" needs a [mode_filter] section, which estimates the mode: give '
+        "its disturbance and noise."
     ),
     "rule": (
-        'kind = "{kind}" needs a [signal] of kind "half-space", "polyhedra" or "quadratic": that '
-        "is the rule it runs forward."
+        'kind = "{kind}" needs a [signal] of kind "half-space", "polyhedra" or "quadratic": the '
+        "rule of its prediction."
     ),
     "signal": (
         'kind = "{kind}" needs a signal that is known in advance, but the state decides the '
@@ -120,19 +100,19 @@ SQUARE = [[0.0, 1.0], [-1.0, -0.5]]
 COLUMN = [[0.0], [1.0]]
 UNIT = [[1.0, 0.0], [0.0, 1.0]]
 
-# Lists of numbers: their shape, and a value that fits.
+# Lists of numbers: their shape, and an example.
 Plants = Annotated[Matrices, Shape("(modes, n, n)", [SQUARE, SQUARE])]
 InputMatrices = Annotated[Matrices, Shape("(modes, n, m)", [COLUMN, COLUMN])]
 Square = Annotated[Matrix, Shape("(n, n)", UNIT)]
 InputWeight = Annotated[Matrix, Shape("(m, m)", [[1.0]])]
 
-# What a law may know of the switching, each level including those before it.
+# Information on the switching that a law uses; each level includes those before it.
 LEVELS = ("nothing", "the dwell time", "the distribution", "the future")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Named:
-    """A law by the name that studies, the page, figures and sentences know (immutable).
+    """The name of a law in studies, on the page, in figures and sentences (immutable).
 
     Attributes
     ----------
@@ -142,14 +122,14 @@ class Named:
     keys : mapping
         Keys of the section that make it, beside the kind, the mode and the dwell time.
     knows : str
-        What it knows of the switching, one of `LEVELS`; one that knows the dwell time is told it
-        by the key `dwell_time`.
+        Information on the switching that it uses, one of `LEVELS`; the key `dwell_time` gives the
+        dwell time.
     colour : str
-        As "#rrggbb", the same everywhere; empty: one that is left over.
+        As "#rrggbb", the same everywhere; empty: an unused one.
     noun : str
-        What it is called after "the" in a sentence; empty: by its name in quotation marks.
+        The noun after "the" in a sentence; empty: its name in quotation marks.
     several : bool
-        Whether it is of use for several modes only.
+        Whether it is useful for several modes only.
     in_files, in_studies : bool
         Whether it runs where a file, or a study, names no laws.
     on_page : bool
@@ -174,7 +154,7 @@ Delays = Annotated[
 
 
 class ModelSection(Section):
-    """A plant that differs from [plant] in what is given here: the truth, or a law's own model."""
+    """A plant that differs from [plant] in the keys given: the true one, or a law's own model."""
 
     delay: Delays | None = None
     A: Plants | None = None
@@ -186,9 +166,9 @@ class LawSection(Section):
 
     names: ClassVar[tuple[Named, ...]] = ()
     needs: ClassVar[tuple[Need, ...]] = ()
-    # Periods of the delay up to which the law is tabulated in a moment; None: always.
+    # Longest delay, in periods, for which its table takes a moment; None: any.
     quick: ClassVar[int | None] = None
-    # Whether it may be the law of a servo, whose plant has constants among its states.
+    # Whether it may be the law of a servo, whose extended plant has constant states.
     follows: ClassVar[bool] = True
 
     name: str | None = Field(None, description="Name in tables and figures.")
@@ -201,4 +181,4 @@ class LawSection(Section):
 
     @abstractmethod
     def law(self, setting: LawSetting) -> Law:
-        """The law that the section asks for; what the entry `needs` is there."""
+        """The law of the section; the entry's `needs` are met."""

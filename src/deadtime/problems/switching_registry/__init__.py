@@ -1,6 +1,6 @@
-"""The registry of switching models: one file of entries for each family, found and checked.
+"""The registry of switching models in problem files.
 
-A model is known to files once it has an entry in `deadtime.problems.switching_registry.entries`.
+Files know a model once it has an entry in `deadtime.problems.switching_registry.entries`.
 """
 
 from deadtime.problems.switching_registry import entries

@@ -1,7 +1,7 @@
-"""An entry of the registry: the [switching] section that asks for a model.
+"""An entry of the registry: the [switching] section for a model.
 
 class RenewalSwitching(SwitchingSection):
-    "What editors show beside the kind."
+    "The description in editors."
 
     kind: Literal["renewal"]
     sojourn: float = Field(description="Seconds in a mode.")
@@ -35,11 +35,11 @@ class SwitchingSection(Section):
 
     @abstractmethod
     def build(self, modes: int, folder: Path) -> SwitchingModel:
-        """The model that the section asks for; relative paths start at `folder`."""
+        """The model of the section; relative paths start at `folder`."""
 
     @final
     def model(self, modes: int, folder: Path) -> SwitchingModel:
-        """The model of `build`; refused where it is for another number of modes."""
+        """The model of `build`; refused if it has another number of modes."""
         model = self.build(modes, folder)
         if model.modes != modes:
             kind = kinds_of(type(self))[0]

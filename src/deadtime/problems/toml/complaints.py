@@ -1,6 +1,6 @@
-"""Everything wrong with a TOML file in one line: file, lines, keys, what to do.
+"""All faults of a TOML file in one line: file, lines, keys, and remedies.
 
-Where a key stands is found here, too, since the standard parser does not tell.
+The lines of keys are found here, too, since the standard parser does not give them.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.toml.sections import Shape, kinds_of
+from deadtime.problems.toml.sections import Shape, kinds_of, note_of
 
-# What follows a repetition may be missing, so that none is gone back on and no text costs more than
-# its length. (To forbid it, `*+`, is wrong for groups before Python 3.11.5.)
+# The end of a token is optional, so that nothing backtracks and the time is linear in the text.
+# (Possessive groups, `*+`, are faulty before Python 3.11.5.)
 _TOKEN = re.compile(
     r"""
     (?P<long>  "{3} (?:[^"\\] | \\. | "(?!""))* (?:"{3,5})?
@@ -41,7 +41,7 @@ Keys = tuple[str | int, ...]
 
 
 def excess(text: str) -> str:
-    """Why a text is more than any file of ours says, if it is; before it is parsed.
+    """The reason to refuse a text before it is parsed: nesting or size; empty if there is none.
 
     Examples
     --------
@@ -90,7 +90,7 @@ def key_lines(text: str) -> dict[Keys, int]:
 
 
 def _without_long(token: re.Match[str]) -> str:
-    """Of a string over several lines its lines alone."""
+    """The line ends of a string over several lines; other tokens as they are."""
     return '""' + "\n" * token[0].count("\n") if token["long"] else token[0]
 
 
@@ -125,17 +125,17 @@ class Place:
     path : tuple
         Keys, and numbers of tables in lists of tables.
     field : FieldInfo or None
-        What the model says of the key; None of one that it does not know.
+        The field of the model; None for an unknown key.
     siblings : tuple of str
-        The keys that are known beside it.
+        The known keys of the same table.
     tables : bool
         Whether the key holds tables.
     listed : bool
-        Whether it holds a list of them, and the path does not say which.
+        Whether it holds a list of them, and the path is without a number.
     item : tuple of int
         The number of an item, in a list of anything but tables.
     elsewhere : tuple of str
-        The other kinds of the same section that know the key.
+        The other kinds of the same section that have the key.
     """
 
     path: Keys
@@ -148,11 +148,10 @@ class Place:
 
 
 def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: bool = True) -> Place:
-    """The key that a location of pydantic is about.
+    """The key of a location in pydantic's errors.
 
-    Its names of types and of members of unions go, and so do numbers of items in a list of
-    anything but tables: the key is what a reader looks for. Where the last part is a key that is
-    not `known`, it stays, whatever it looks like.
+    Names of types and of members of unions are dropped, and numbers of items in a list of anything
+    but tables. Where the last part is a key that is not `known`, it is kept.
     """
     path: list[str | int] = []
     models: Models = [model]
@@ -203,7 +202,7 @@ def _models_in(annotation: Any) -> Models:
     return [m for part in getattr(annotation, "__args__", ()) for m in _models_in(part)]
 
 
-MOST = 50  # faults that a line tells
+MOST = 50  # faults in a message
 _TABLE = ("model_type", "model_attributes_type", "dict_type")
 _ASIDE = re.compile(r", (unable to parse string as|got a number with) .*")
 _DICTIONARY = re.compile(r"a valid dictionary( or instance of \w+)?")
@@ -220,11 +219,11 @@ class Fault(NamedTuple):
 def complaint(
     source: Path, text: str, error: ValidationError, model: type[BaseModel], data: Any
 ) -> str:
-    """All that is wrong, each with the line of its key."""
+    """All faults, each with the line of its key."""
     lines = key_lines(text)
     sentences = ""
-    found, more = faults(error, model, data, lines)
-    for fault in found:
+    listed, more = faults(error, model, data, lines)
+    for fault in listed:
         line = line_of(lines, fault.path)
         where = (
             f"{at_line(source, line)}: " if not sentences else f" Line {line}: " if line else " "
@@ -239,12 +238,12 @@ def faults(
     data: Any,
     lines: Mapping[Keys, int] | None = None,
 ) -> tuple[list[Fault], str]:
-    """One for each key with something wrong, in the order of the file; and what is left out."""
+    """A fault for each wrong key, in the order of the file; and a note on more of them."""
     groups: dict[Keys, list[tuple[Any, Place]]] = {}
     for item in error.errors(include_url=False):
         place = place_of(item["loc"], model, known=item["type"] != "extra_forbidden")
         groups.setdefault(place.path, []).append((item, place))
-    # Of a value that may be one thing or another, the fault inside what it is says more.
+    # Of a union the fault inside the chosen member says more.
     outer = {path[:end] for path in groups for end in range(1, len(path))}
 
     def order(path: Keys) -> tuple[bool, int]:
@@ -258,7 +257,7 @@ def faults(
 
 
 def key_in_words(path: Keys) -> str:
-    """A key as its reader finds it: the tables of a list are counted from 1.
+    """A key in a message: the tables of a list are counted from 1.
 
     Examples
     --------
@@ -272,12 +271,12 @@ def key_in_words(path: Keys) -> str:
 
 
 def _kind_of(name: str) -> str:
-    """The `kind` that a table lacks, or has wrong."""
+    """The key `kind` of a table, in a message."""
     return f"{name}, kind" if name.startswith("[[") else f"{name}.kind"
 
 
 def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
-    """The fault of a key, and what to do about it."""
+    """The fault of a key, and its remedy."""
     (item, place), kind = group[0], group[0][0]["type"]
     name = key_in_words(place.path) or "file"
     if kind == "missing":
@@ -294,9 +293,9 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
         expected, tag = context["expected_tags"], _short(context["tag"])
         return f"{_kind_of(name)} must be one of {expected}, got {tag}."
     given = _at(data, place.path)
-    shape = _shape(place.field)
-    if shape is not None and (found := _misshapen(name, str(place.path[-1]), given, shape)):
-        return found
+    shape = None if place.field is None else note_of(place.field, Shape)
+    if shape is not None and (sentence := _misshapen(name, str(place.path[-1]), given, shape)):
+        return sentence
     if place.tables and kind in (*_TABLE, "list_type"):
         return _no_table(name, given, place)
     whole = ".".join(map(str, (name, *place.item)))
@@ -305,21 +304,13 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
 
 def _advice(key: str, known: Sequence[str]) -> str:
     """The known key that is meant, if one is near, or all of them."""
-    # A slip of the fingers seldom hits the first letter, and other words begin otherwise.
+    # Typing errors seldom hit the first letter.
     near = difflib.get_close_matches(key, [name for name in known if name[:1] == key[:1]], 1)
     return f"did you mean {near[0]}?" if near else f"it can be one of {', '.join(known)}."
 
 
-def _shape(field: FieldInfo | None) -> Shape | None:
-    """The note on a field, or on what it holds where it may hold nothing, too."""
-    if field is None:
-        return None
-    inner = [m for part in get_args(field.annotation) for m in getattr(part, "__metadata__", ())]
-    return next((mark for mark in (*field.metadata, *inner) if isinstance(mark, Shape)), None)
-
-
 def _misshapen(name: str, key: str, given: Any, shape: Shape) -> str:
-    """The sentence that Python has for such an array, with an example of what it should be."""
+    """The sentence on an array of the wrong shape, with an example."""
     example = f"such as {key} = {json.dumps(shape.example, ensure_ascii=False)}"
     if not shape.is_array:
         return f"{name} must be {shape.form}, {example}, got {_short(given)}."
@@ -331,7 +322,7 @@ def _misshapen(name: str, key: str, given: Any, shape: Shape) -> str:
 
 
 def _no_table(name: str, given: Any, place: Place) -> str:
-    """Of something that stands where a table, or a list of tables, should."""
+    """The sentence on a value in place of a table, or of a list of tables."""
     kind = _WORDS.get(type(given), "a value")
     header = ".".join(part for part in place.path if isinstance(part, str))
     if place.listed:
@@ -342,7 +333,7 @@ def _no_table(name: str, given: Any, place: Place) -> str:
 
 
 def _in_words_of_pydantic(name: str, items: Sequence[Any]) -> str:
-    """The message of pydantic on a value, or on each kind that it could have had."""
+    """Pydantic's message on a value, or on each type that it may have."""
     messages: list[str] = []
     for item in items:
         message = _ASIDE.sub("", item["msg"].removeprefix("Value error, "))

@@ -8,16 +8,17 @@ from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from types import ModuleType
-from typing import Annotated, Any, NoReturn, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, FailFast, Field
+from pydantic.fields import FieldInfo
 
 from deadtime.base.errors import ArgumentError
 
 
 class First(FailFast):
-    """Of a list with thousands of faults the first is enough; this one can stand in a union."""
+    """Stops at the first fault of a list; unlike `FailFast`, it may be inside a union."""
 
     __hash__ = object.__hash__  # pyright: ignore[reportAssignmentType]
 
@@ -27,11 +28,23 @@ Matrix = Annotated[list[Vector], First()]
 Matrices = Annotated[list[Matrix], First()]
 Poles = Annotated[list[float | str], First()]
 PolesPerMode = Annotated[list[Poles], First()]
-Integers = Annotated[list[int], First()]
 Texts = Annotated[list[str], First()]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
 Count = Annotated[int, Field(strict=True, ge=0)]
+
+
+@dataclass(frozen=True)
+class ModeKey:
+    """A note on a key that takes modes by number or by name; `words` are names of no mode."""
+
+    words: tuple[str, ...] = ()
+
+
+if TYPE_CHECKING:
+    Mode = int  # a number once `with_mode_numbers` has been applied
+else:
+    Mode = Annotated[int | str, ModeKey()]
 
 
 class Section(BaseModel):
@@ -47,7 +60,7 @@ class Shape:
     Attributes
     ----------
     form : str
-        The shape as messages write it, such as ``(modes, n, n)``; or what it is in words.
+        The shape in messages, such as ``(modes, n, n)``; or a description.
     example : list
         A value that fits.
 
@@ -62,12 +75,12 @@ class Shape:
 
     @property
     def is_array(self) -> bool:
-        """Whether nothing but an array of numbers will do."""
+        """Whether the value must be an array of numbers."""
         return self.form.startswith("(") and self.form.endswith(")") and " or " not in self.form
 
     @property
     def axes(self) -> int:
-        """How deep its lists go."""
+        """Depth of its lists."""
         return np.ndim(self.example)
 
 
@@ -102,6 +115,19 @@ def frozen(name: str, given: DistributionSection) -> Any:
         ) from None
 
 
+N = TypeVar("N")
+
+
+def note_of(field: FieldInfo, kind: type[N]) -> N | None:
+    """The outermost note of a kind on a field, or on what its type contains."""
+    parts: list[Any] = [*field.metadata, field.annotation]
+    for part in parts:  # which grows: outer parts come first
+        if isinstance(part, kind):
+            return part
+        parts += [*getattr(part, "__metadata__", ()), *get_args(part)]
+    return None
+
+
 S = TypeVar("S", bound=Section)
 
 
@@ -112,7 +138,7 @@ def modules_of(package: ModuleType) -> Iterator[ModuleType]:
 
 
 def kinds_of(entry: type[BaseModel]) -> tuple[str, ...]:
-    """The texts that an entry's `kind` may be: one, if it is whole."""
+    """The allowed texts of an entry's `kind`: one, if it is complete."""
     kind = entry.model_fields.get("kind")
     return () if kind is None else get_args(kind.annotation)
 
@@ -134,9 +160,9 @@ def collect(
     Parameters
     ----------
     what : str
-        What they are entries of, for messages.
+        Noun of the entries, for messages.
     base : type
-        A section; `kind`, a docstring and what is abstract in it are asked of all its entries.
+        A section; its entries need a `kind`, a docstring and its abstract methods.
     modules : iterable of modules
     require_whole : callable, optional
         Refuses an entry that lacks something else.
@@ -146,9 +172,9 @@ def collect(
     Raises
     ------
     ArgumentError
-        If a module holds no entry, or an entry lacks something or takes what another one has.
+        If a module has no entry, or an entry is incomplete or repeats a name of another.
     """
-    found: list[type[S]] = []
+    entries: list[type[S]] = []
     for module in modules:
         own = [one for one in vars(module).values() if _is_entry(one, base, module)]
         if not own:
@@ -161,10 +187,10 @@ def collect(
                 call = f"{lacking}({', '.join(signature(getattr(entry, lacking)).parameters)})"
                 refuse(what, entry, f"lacks {call}: define it, as {base.__name__} says.")
             require_whole(entry)
-            for other in found:
+            for other in entries:
                 _require_apart(what, entry, other, names_of)
-            found.append(entry)
-    return tuple(found)
+            entries.append(entry)
+    return tuple(entries)
 
 
 def _is_entry(one: object, base: type[Section], module: ModuleType) -> bool:
@@ -173,7 +199,7 @@ def _is_entry(one: object, base: type[Section], module: ModuleType) -> bool:
 
 
 def _require_kind(what: str, entry: type[Section]) -> None:
-    """Refuse an entry that problem files could not name, or editors not explain."""
+    """Refuse an entry without a kind for files, or a docstring for editors."""
     kinds = kinds_of(entry)
     if len(kinds) != 1 or not isinstance(kinds[0], str):
         refuse(what, entry, 'lacks its kind: write kind: Literal["…"], what problem files call it.')
@@ -184,13 +210,13 @@ def _require_kind(what: str, entry: type[Section]) -> None:
 def _require_apart(
     what: str, entry: type[S], other: type[S], names_of: Callable[[type[S]], Iterable[str]]
 ) -> None:
-    """Refuse an entry that takes what another one has."""
-    kind, taken = kinds_of(entry)[0], set(names_of(other))
+    """Refuse an entry with the kind or a name of another."""
+    kind, names = kinds_of(entry)[0], set(names_of(other))
     theirs = f"which {other.__name__} has: choose another."
     if kind == kinds_of(other)[0]:
         refuse(what, entry, f"takes the kind {kind!r}, {theirs}")
     if entry.__name__ == other.__name__:
         refuse(what, entry, f"takes the class name of that in {other.__module__}: choose another.")
     for name in names_of(entry):
-        if name in taken:
+        if name in names:
             refuse(what, entry, f"takes the name {name!r}, {theirs}")

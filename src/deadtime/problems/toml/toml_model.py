@@ -1,6 +1,6 @@
 """Read a TOML file into a pydantic model; every error names the file, the line and the key.
 
-Errors about the meaning of a file, found while something is built from it, say in which section.
+Errors that arise while something is built from a file name its section.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from deadtime.problems.toml.complaints import (
 
 
 class SectionError(ArgumentError):
-    """Something is wrong in one section of the file; `path` says where."""
+    """A fault in one section of the file, at `path`."""
 
     def __init__(self, message: str, path: tuple) -> None:
         super().__init__(message)
@@ -39,9 +39,9 @@ class SectionError(ArgumentError):
 
 @contextmanager
 def section(*path: str | int) -> Iterator[None]:
-    """Say of any `ArgumentError` inside that it arose in this table of the file.
+    """Attribute any `ArgumentError` inside to this table of the file.
 
-    Numbers that cannot be computed with, such as 1e308, are such an error, too.
+    Overflow, as with numbers such as 1e308, becomes such an error, too.
 
     Examples
     --------
@@ -69,7 +69,7 @@ MOST_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class TomlText:
-    """A file as read: where it is, what it says, and what is raised for anything wrong in it."""
+    """The path and the text of a file, and the class of its errors."""
 
     source: Path
     text: str
@@ -78,7 +78,7 @@ class TomlText:
     def complaint(self, error: SectionError) -> ArgumentError:
         """The error with its line: that of the key it starts with, or of the section."""
         lines = key_lines(self.text)
-        key = re.split(r"[ \[:]", str(error), maxsplit=1)[0]
+        key = re.split(r"[ \[:]", str(error), maxsplit=1)[0]  # messages begin with their key
         path = (*error.path, key) if (*error.path, key) in lines else error.path
         table = key_in_words(error.path)
         where = f", {table if table.startswith('[[') else f'[{table}]'}" if table else ""
@@ -90,12 +90,12 @@ def read_toml(
 ) -> tuple[Model, TomlText]:
     """The checked contents of a TOML file, and its text for later complaints.
 
-    A `kind` of error is raised if it is missing, is no TOML or says what the `model` does not know;
-    `hint` says how to come by such a file.
+    A `kind` of error is raised if it is missing, is not TOML or does not fit the `model`; `hint`
+    says how to create such a file.
     """
     text = read_text(source, MOST_BYTES, kind, hint=hint)
-    if found := excess(text):
-        raise kind(f"{source} {found}.")
+    if reason := excess(text):
+        raise kind(f"{source} {reason}.")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -109,10 +109,10 @@ def read_toml(
 
 
 def require_valid(model: type[Model], data: Any) -> Model:
-    """The checked model of what a file would say; `SectionError` with the path of keys if not."""
+    """The checked model of a file's content; else a `SectionError` with the path of keys."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found, more = faults(error, model, data)
-        sentences = " ".join(fault.sentence for fault in found)
-        raise SectionError(sentences + more, found[0].path) from None
+        listed, more = faults(error, model, data)
+        sentences = " ".join(fault.sentence for fault in listed)
+        raise SectionError(sentences + more, listed[0].path) from None

@@ -1,1 +1,1 @@
-"""Imperfections that problem files know: every file is found, in the order of its name."""
+"""The imperfections of problem files: every module here is loaded, in the order of its name."""

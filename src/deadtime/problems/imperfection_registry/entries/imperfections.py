@@ -115,7 +115,7 @@ class ModeDelaySection(ImperfectionSection):
         name="mode_delay",
         label="late modes",
         unit="periods",
-        description="Periods by which modes are known late.",
+        description="Periods by which modes are reported late.",
         keys=lambda value: {"periods": value},
         values=Count,
     )

@@ -1,1 +1,1 @@
-"""Laws that problem files know: every file here is found and taken in the order of its name."""
+"""The laws of problem files: every module here is loaded, in the order of its name."""

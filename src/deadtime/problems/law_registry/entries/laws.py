@@ -43,12 +43,11 @@ from deadtime.problems.law_registry.entry import (
     LawSetting,
     Named,
     Square,
-    mode_number,
 )
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.sections import Matrix, Vector
+from deadtime.problems.toml.sections import Matrix, Mode, Vector
 
-_DWELL_TIME = "Trust the current mode for the rest of this dwell time, seconds."
+_DWELL_TIME = "Predict the current mode for the rest of this dwell time, seconds."
 
 
 class AveragedLaw(LawSection):
@@ -117,7 +116,7 @@ class AveragedLaw(LawSection):
 
 
 def _hashable(array: np.ndarray) -> tuple:
-    """An array of three dimensions as something that can be looked up."""
+    """A three-dimensional array as nested tuples."""
     return tuple(tuple(map(tuple, matrix)) for matrix in array.tolist())
 
 
@@ -132,7 +131,7 @@ def _minimax(
     dwell_time: float | None,
     allow_unstable: bool,
 ) -> Law:
-    """The law of minimax weights, one for all cells of a study: it depends on no switching."""
+    """The law of minimax weights, cached since cells of a study differ in the switching only."""
     return AveragedPredictor.minimax(
         SwitchedSystem(np.array(A), np.array(B), np.array(delays)),
         np.array(gains),
@@ -151,12 +150,11 @@ class SingleLaw(LawSection):
     )
 
     kind: Literal["single"]
-    mode: int | str = Field(description="Its number, or its name in [plant].")
+    mode: Mode = Field(description="Its number, or its name in [plant].")
 
     def law(self, setting: LawSetting) -> Law:
-        mode = mode_number(self.mode, setting.modes)
         return SingleModePredictor(
-            setting.plant, setting.gains, mode, allow_unstable=setting.allow_unstable
+            setting.plant, setting.gains, self.mode, allow_unstable=setting.allow_unstable
         )
 
 
@@ -229,7 +227,7 @@ class ExpectedLaw(LawSection):
     needs: ClassVar = ("model",)
 
     kind: Literal["expected"]
-    ages: int | None = Field(None, description="Most ages (samples) that the table tells apart.")
+    ages: int | None = Field(None, description="Largest number of ages (samples) in the table.")
 
     def law(self, setting: LawSetting) -> Law:
         assert setting.model is not None
@@ -331,7 +329,7 @@ class BeliefLaw(LawSection):
 
     kind: Literal["belief"]
     of: Literal["expected", "optimal"] = Field(
-        "expected", description="The law whose rows are weighed by the belief."
+        "expected", description="The law whose rows the belief weights."
     )
 
     def law(self, setting: LawSetting) -> Law:

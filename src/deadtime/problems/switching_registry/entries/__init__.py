@@ -1,1 +1,1 @@
-"""The switching models that problem files know: every file here is found."""
+"""The switching models of problem files: every module here is loaded."""

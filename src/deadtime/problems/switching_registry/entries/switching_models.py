@@ -15,7 +15,7 @@ from deadtime.problems.switching_registry.entry import (
     Times,
 )
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.sections import DistributionSection, Matrix, Texts, frozen
+from deadtime.problems.toml.sections import DistributionSection, Matrix, Mode, Texts, frozen
 from deadtime.switching import SwitchingModel, SwitchingSignal
 from deadtime.switching.models.markov import Markov
 from deadtime.switching.models.markov_chain import MarkovChain
@@ -100,9 +100,9 @@ class FittedSwitching(SwitchingSection):
     first: Literal["whole", "drop"] = Field(
         "whole", description='"drop" if the logs begin in mid-sojourn.'
     )
-    labels: dict[str, int] | None = Field(None, description="Mode of each text in the logs.")
+    labels: dict[str, Mode] | None = Field(None, description="Mode of each text in the logs.")
     unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="Of the logs' times; seconds by default."
+        None, description="Unit of the logs' times; seconds by default."
     )
 
     def build(self, modes: int, folder: Path) -> SwitchingModel:
@@ -113,7 +113,7 @@ class FittedSwitching(SwitchingSection):
         return SemiMarkov.fit(signals, family=self.family, modes=modes, first=self.first)
 
     def promise(self, model: SwitchingModel) -> Promise:
-        """Nothing: a switch that logs do not show is not thereby excluded."""
+        """Nothing: a transition that the logs lack is still possible."""
         return None, None, None
 
 
