@@ -207,13 +207,13 @@ def largest_maximum(
     for begin in begins:
         scan = scanned(grid, begin)
         found.append(_climbed(log, scan.moved(begin)))
-    best = max(found, key=lambda one: one.found.value)
+    best = max(found, key=lambda one: one.value)
     for _ in range(_ROUNDS):
         scan = scanned(grid, best.theta)
         beside = [of_sensors(log, best.theta), *others(best.theta), *_elsewhere(log, best, scan)]
         tried = [_climbed(log, one) for one in beside]
-        top = max(tried, key=lambda one: one.found.value, default=best)
-        if top.found.value < best.found.value + _BETTER:
+        top = max(tried, key=lambda one: one.value, default=best)
+        if top.value < best.value + _BETTER:
             break
         best = top
     assert scan is not None

@@ -33,7 +33,7 @@ def estimate_exactly(
     nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)
-    log, kept = without_level(log, best.theta, best.found.information, np.eye(layout.n))
+    log, kept = without_level(log, best.theta, best.information, np.eye(layout.n))
     if kept.size < layout.size:
         layout, recording = log.layout, log.recording
         best, window = maximise(log, best.theta[kept])

@@ -78,7 +78,7 @@ class Identification(Findings):
             states,
             recording.inputs,
             recording.modes,
-            found.best.found.value,
+            found.best.value,
             recording.samples,
             sentences_of(found, recording, why, rest, states, odd),
             found,

@@ -70,7 +70,7 @@ def draw_likelihood(axes: Axes, fit: Findings) -> None:
     """The profile over every delay, about its estimate."""
     from scipy.interpolate import PchipInterpolator
 
-    found, layout = fit._found, fit._found.log.layout
+    found, layout = fit._estimate, fit._estimate.log.layout
     places = layout.delay_places.tolist()
     names = delay_names(fit._recording, found)
     for row, (place, name) in enumerate(zip(places, names, strict=True)):
@@ -101,7 +101,7 @@ def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
         x = logged[:, i]
         middle, span = np.nanmean(x), max(float(np.nanmax(x) - np.nanmin(x)), 1e-300)
         far = np.where(np.abs(free[:, i] - middle) < _FAR * span, free[:, i], np.nan)
-        measured = fit._found.of_outputs is None or bool(fit.C[:, i].any())
+        measured = fit._estimate.of_outputs is None or bool(fit.C[:, i].any())
         if measured:
             own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
         else:
@@ -129,13 +129,13 @@ def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
 
 def _about_level(fit: Findings, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States about the level of the recording; smoothed where they were not logged."""
-    if (log := fit._found.of_outputs) is None:
-        logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
+    if (log := fit._estimate.of_outputs) is None:
+        logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._estimate
         layout = found.log.layout
         constant = layout.constant_of(found.best.theta[: layout.size])
         model = FittedModel(fit.plant, constant, found.log.nodes)
         return logged, *model.forecast(part, fit.C)
-    found = following(log, fit._found.best.theta, part, fit._found.window)
+    found = following(log, fit._estimate.best.theta, part, fit._estimate.window)
     measured = fit.C.any(axis=0)
     logged = np.where(measured, part.output @ fit.C, found.states)
     return logged, found.ahead, found.free
@@ -143,7 +143,7 @@ def _about_level(fit: Findings, part: Part) -> tuple[np.ndarray, np.ndarray, np.
 
 def draw_residuals(axes: Axes, fit: Findings) -> None:
     """The residuals' correlation with themselves, and where it would be by chance."""
-    r, count = autocorrelation(list(fit._found.white))
+    r, count = autocorrelation(list(fit._estimate.white))
     lags = np.arange(1, LAGS + 1)
     for i in range(r.shape[1]):
         shift = 0.15 * (i - 0.5 * (r.shape[1] - 1))
@@ -219,7 +219,7 @@ def _figure(rows: int, height: float, wide: float = 1.0) -> Iterator[tuple[Figur
 
 def _draw_inputs(axes: Axes, fit: Findings) -> None:
     """Of each input the largest of all states, over the time in between."""
-    r, count = with_inputs(list(fit._found.white), fit._recording, float(fit.delays.max()))
+    r, count = with_inputs(list(fit._estimate.white), fit._recording, float(fit.delays.max()))
     time = fit.step * np.arange(1, len(count) + 1)
     largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)[:, 0]
     wide = 0.25 * fit.step

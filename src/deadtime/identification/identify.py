@@ -16,7 +16,7 @@ from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
-from deadtime.identification.identify_hidden import Sensed, identify_hidden, numbers_of
+from deadtime.identification.identify_hidden import identify_hidden, numbers_of
 from deadtime.identification.identify_outputs import identify_outputs, is_states, require_logged
 from deadtime.identification.levels import level_of
 from deadtime.identification.log.logged_states import (
@@ -160,45 +160,44 @@ def identify(
             order = None
     within = switches == "anywhere"
 
-    def identified(recording: Recording) -> Identification:
+    def from_recording(recording: Recording) -> Identification:
         bounds = max(low, _SHORTEST * recording.step), high
         about = recording.about(level_of(recording))
         if order is not None:
             of = about, order, zeros, per_mode, bounds, within, progress
             return Identification.of(identify_outputs(*of))
         sensors = sensors_of(C, recording)
-        count = sensors.shape[1]
-        named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
+        exact_states, n = as_states(about, sensors), sensors.shape[1]
+        named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(n))
         require_sizes(recording)
         require_states(as_states(recording, sensors), named)
-        layout = Layout(len(recording.modes), count, len(recording.inputs), per_mode, constant=True)
-        direct = as_states(about, sensors)
-        said: tuple[str, ...] = ()
+        layout = Layout(len(recording.modes), n, len(recording.inputs), per_mode, constant=True)
+        sentences: tuple[str, ...] = ()
         if numbers is not None:
-            noisy = True if C is not None else noise
-            sensed = Sensed(direct, about, sensors, named, noisy)
-            hidden, said = identify_hidden(sensed, numbers, layout, bounds, within, progress)
+            of = about, sensors, named, noise if C is None else True
+            how = numbers, layout, bounds, within, progress
+            hidden, sentences = identify_hidden(*of, *how)
             if hidden is not None:
                 return Identification.of(hidden)
         progress(f"looking for the delay between {low:g} and {high:g} s")
-        found = estimate_exactly(direct, layout, bounds, within)
-        sure = C is not None or bool(noise)
+        estimate = estimate_exactly(exact_states, layout, bounds, within)
+        sure, white = C is not None or bool(noise), list(estimate.white)
         if noise is not False and fed_back(recording).any():
             progress("taking sensors for noisy, as inputs follow them")
-            found = estimate_in_loop(about, sensors, found, sure)
-        elif sure or (noise is None and (not found.tests.white or alternates(list(found.white)))):
+            estimate = estimate_in_loop(about, sensors, estimate, sure)
+        elif sure or (noise is None and (not estimate.tests.white or alternates(white))):
             progress("taking sensors for noisy")
-            noisy = estimate_with_noise(about, sensors, found)
-            found = found if not sure and exact_holds(found, noisy) else noisy
+            noisy = estimate_with_noise(about, sensors, estimate)
+            estimate = estimate if not sure and exact_holds(estimate, noisy) else noisy
         model, why = fit_switching(recording)
-        answer = IdentifiedLog(found, found.log.recording, model, why, sensors, named)
-        fit = Identification.of(answer)
-        return replace(fit, sentences=(*said, *fit.sentences))
+        given = estimate, estimate.log.recording, model, why, sensors, named
+        fit = Identification.of(IdentifiedLog(*given))
+        return replace(fit, sentences=(*sentences, *fit.sentences))
 
-    fit = identified(resting(recording, rest))
-    if rest is None and disproved(fit._recording, fit._found.white, fit.plant.longest_delay):
+    fit = from_recording(resting(recording, rest))
+    if rest is None and disproved(fit._recording, fit._estimate.white, fit.plant.longest_delay):
         progress("looking again, as inputs before the log were others than its first")
-        fit = identified(resting(recording, False))
+        fit = from_recording(resting(recording, False))
     return fit
 
 

@@ -88,7 +88,7 @@ class Chosen(NamedTuple):
         from scipy.stats import chi2
 
         chance = sum(float(chi2.isf(CHANCE, count)) for count in self.added)
-        return 2.0 * self.best.found.value - chance
+        return 2.0 * self.best.value - chance
 
     def adding(self, wider: Chosen) -> Chosen:
         """A wider plant with its number of additional unknowns recorded."""
@@ -98,7 +98,7 @@ class Chosen(NamedTuple):
     def bic(self) -> float:
         """−2 log L + q log N, of q unknowns and N measurements."""
         count = self.log.measured(self.log.starts(*self.log.bounds))
-        return self.log.free.size * float(np.log(count)) - 2.0 * self.best.found.value
+        return self.log.free.size * float(np.log(count)) - 2.0 * self.best.value
 
 
 def chosen_of(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> Chosen:
@@ -141,7 +141,7 @@ def _with_zeros(simple: Chosen, guess: Guess) -> Chosen:
     log = replace(simple.log, embedding=replace(simple.shape, zeros=True))
     wider = simple.adding(Chosen(log, *_begun(log, guess, simple.best.theta)))
     own = worthier(simple, wider)
-    rise = 2.0 * (wider.best.found.value - simple.best.found.value)
+    rise = 2.0 * (wider.best.value - simple.best.value)
     other = (simple if own is wider else wider).best
     return own._replace(other=other, rise=rise, more=wider.added[-1])
 

@@ -147,7 +147,7 @@ class Peak(Frozen):
         theta, fixed = self.best.theta.copy(), np.zeros(self.best.theta.size, bool)
         theta[place], fixed[place] = delay, True
         held, _ = maximise(self.log, theta, fixed, self.window, _WORTH)
-        return held.found.value - self.best.found.value
+        return held.value - self.best.value
 
     def _profile_end(self, place: int, step: float) -> float:
         """The end of the interval on one side, where the profile crosses its level, or the bound.
@@ -239,9 +239,9 @@ class Peak(Frozen):
             own[row], theta[place[row]] = cell, (cell - 0.5) * h
             theta = theta if begins is None else begins[k]
             found = climb_within(log, evaluate_in(own), theta, own, _CELL_GAIN)
-            if not np.isfinite(found.found.value):
+            if not np.isfinite(found.value):
                 continue
-            F = found.found.information.copy()
+            F = found.information.copy()
             F[place[row], place[row]] += 12.0 / h**2
             identified = log.identified(found.theta, F)
             try:
@@ -253,7 +253,7 @@ class Peak(Frozen):
                 continue
             centre.append(found.theta[:size])
             width.append(np.sqrt(variance))
-            value = found.found.value / float(inflation[place[row]])
+            value = found.value / float(inflation[place[row]])
             weight.append(value + 0.5 * np.linalg.slogdet(covariance)[1])
         weight = np.exp(np.array(weight) - np.max(weight))
         return mixture_ends(np.array(centre), np.array(width), weight / weight.sum(), spare)

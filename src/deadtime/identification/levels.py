@@ -152,7 +152,7 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
     layout, level = log.layout, recording.level
     if level is None or not layout.constant:
         return None
-    theta, information = found.best.theta[: layout.size], found.best.found.information
+    theta, information = found.best.theta[: layout.size], found.best.information
     A, B, _ = layout.split(theta)
     scale = _deviations(recording, back)
     M = np.vstack([np.hstack((A[i], B[i][:, : layout.m])) for i in range(layout.modes)])

@@ -76,7 +76,7 @@ def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) 
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
     top, scan = largest_maximum(some, begins)
     best, window = maximise(log, top.theta)
-    smaller, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
+    smaller, kept = without_level(log, best.theta, best.information, np.linalg.pinv(C))
     if kept.size < best.theta.size:
         log, (best, window) = smaller, maximise(smaller, best.theta[kept])
     elif log.layout.constant and near_zero(recording):
@@ -172,7 +172,7 @@ def _spread(
 
     Known entries have variance 0, unidentified noise a very large one.
     """
-    F, names, size, free = best.found.information, log.layout.names(), log.layout.size, log.free
+    F, names, size, free = best.information, log.layout.names(), log.layout.size, log.free
     known = log.identified(best.theta, F)
     own, named = np.ix_(known, known), [names[a] for a in known if a < size]
     require_identified(F[own], named)
@@ -231,11 +231,11 @@ def restricted(
     cells, size = log.cells(best.theta), log.layout.size
     evaluate, own = log.evaluate_in(*window)(cells), some.evaluate_in(*window)(cells)
     noise, unit = np.arange(size, log.size), log.unit(best.theta)[size:]
-    identified = np.diagonal(best.found.information)[size:] * unit**2 > _IDENTIFIED
+    identified = np.diagonal(best.information)[size:] * unit**2 > _IDENTIFIED
     moves = _moves(own, best.theta, noise[identified], unit[identified])[:, :size, :size]
     moves *= log.recording.samples / some.recording.samples
     free, C = log.free[log.free < size], np.zeros((size, size))
-    C[np.ix_(free, free)] = inverse(best.found.information[np.ix_(free, free)])
+    C[np.ix_(free, free)] = inverse(best.information[np.ix_(free, free)])
     gradient = np.zeros(log.size)
     gradient[noise[identified]] = -0.5 * np.einsum("ab,cba->c", C, moves)
 
@@ -248,11 +248,11 @@ def restricted(
     still = np.concatenate((log.layout.delay_places, noise[~identified]))
     low[still], high[still] = best.theta[still], best.theta[still]
     after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
-    value = after.found.value - float(gradient @ (after.theta - best.theta))
-    if not value > best.found.value - free.size:  # too much less likely to be a correction
-        return Restricted(best.theta, best.found.information, np.full(log.size, most))
+    value = after.value - float(gradient @ (after.theta - best.theta))
+    if not value > best.value - free.size:  # too much less likely to be a correction
+        return Restricted(best.theta, best.information, np.full(log.size, most))
     fewer = np.sqrt(np.append(np.ones(size), _noise_shares(log, best.theta, after.theta)))
-    F = after.found.information * fewer[:, None] * fewer
+    F = after.information * fewer[:, None] * fewer
     slopes = np.zeros((size, moves.shape[0]))
     slopes[free] = -np.einsum("ab,cbd,da->ac", C, moves, C)[free] / np.diagonal(C)[free, None]
     error = np.linalg.pinv(F[np.ix_(noise[identified], noise[identified])])
@@ -343,13 +343,13 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
         tops = _in_cells(some, begins, row, every)
         if some.recording is not recording:
             tops = _anew(log, tops, row, every)
-        values = np.array([top.found.value for top in tops])
+        values = np.array([top.value for top in tops])
         theta = tops[int(values.argmax())].theta
         begins = [theta, *begins]
         curves.append(values)
         vectors.append([top.theta for top in tops])
     best, window = maximise(log, theta, gain=_CELL_GAIN)
-    log, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(log.C))
+    log, kept = without_level(log, best.theta, best.information, np.linalg.pinv(log.C))
     if kept.size < best.theta.size:
         best, window = maximise(log, best.theta[kept], gain=_CELL_GAIN)
         vectors = [[vector[kept] for vector in each] for each in vectors]
@@ -374,7 +374,7 @@ def _in_cells(
         own = near if place % often else [*near, *begins]
         tops.append(_highest([_top(log, evaluate_in, theta, row, cell) for theta in own]))
     for place in range(every.size - 2, -1, -1):
-        if tops[place + 1].found.value > tops[place].found.value + _SAME:
+        if tops[place + 1].value > tops[place].value + _SAME:
             again = _top(log, evaluate_in, tops[place + 1].theta, row, int(every[place]))
             tops[place] = _highest([tops[place], again])
     return tops
@@ -384,11 +384,11 @@ def _anew(
     log: NoisyLog, tops: list[Maximum], row: int, every: Int[np.ndarray, " cell"]
 ) -> list[Maximum]:
     """The maxima over the whole log in the cells that a part of it shows to be plausible."""
-    evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
+    evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.value for one in tops])
     fall = values.max() - values
     near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
     found = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
-    most = max(one.found.value for one in found.values())
+    most = max(one.value for one in found.values())
     return [
         found.get(i, one._replace(found=one.found._replace(value=most - float(fall[i]))))
         for i, one in enumerate(tops)
@@ -411,7 +411,7 @@ def _top(
 
 
 def _highest(found: list[Maximum]) -> Maximum:
-    return max(found, key=lambda one: one.found.value)
+    return max(found, key=lambda one: one.value)
 
 
 def estimate_in_loop(

@@ -141,7 +141,7 @@ def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
         one = maximise(log, vector, window=found.window)[0]
         known = np.array([each.theta[place] for each in (top, *others)])
         apart = np.abs(one.theta[place] - known) > _SAME * error[place]
-        if one.found.value > top.found.value - fall and apart.any(axis=1).all():
+        if one.value > top.value - fall and apart.any(axis=1).all():
             others.append(one)
     if not others:
         return found, []

@@ -198,7 +198,7 @@ def filter_noise(fit: Findings) -> tuple[Square, str]:
     smallest power of 4 for which the observer's error decays, in every constant mode, at least as
     fast as the loop with the file's gains.
     """
-    W, shape = fit.disturbance[0], fit._found.of_outputs and fit._found.of_outputs.embedding
+    W, shape = fit.disturbance[0], fit._estimate.of_outputs and fit._estimate.of_outputs.embedding
     if shape is None or not fit.noise.all():
         return W, ""
     ends = np.array([fit.interval(f"disturbance[0][{a},{a}]") for a in shape.last])

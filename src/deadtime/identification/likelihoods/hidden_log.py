@@ -90,9 +90,9 @@ class HiddenLog(PlantLikelihood):
         """The modes that the log tells."""
         return self.periods.posterior(self.densities(theta, cells), self.jumps)
 
-    def path(self, theta: Vector, cells: Cells) -> list[Int[np.ndarray, " sample"]]:
+    def path(self, theta: Vector, _: Window) -> list[Int[np.ndarray, " sample"]]:
         """The likeliest modes of the samples of every part."""
-        return self.periods.path(self.densities(theta, cells), self.jumps)
+        return self.periods.path(self.densities(theta, self.cells(theta)), self.jumps)
 
     def _rows(self, theta: Vector, cells: Cells) -> list[np.ndarray]:
         """The rows of every mode's regression: all usable periods, as if they were of it."""
@@ -235,9 +235,10 @@ class HiddenNoisyLog(SensorLikelihood):
         found = posterior_of(parts, by_part, self.jumps, every, self.within)
         return found._replace(value=float(gained.sum()))
 
-    def path(self, vector: Vector, starts: Starts) -> list[Int[np.ndarray, " sample"]]:
-        """The likeliest modes of the samples of every part."""
-        return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
+    def path(self, vector: Vector, window: Window) -> list[Int[np.ndarray, " sample"]]:
+        """The likeliest modes of the samples of every part, for delays in a window."""
+        densities, _ = self.filtered(vector, self.starts(*window))
+        return path_of(self.recording.parts, densities, self.jumps)
 
     def value(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> float:
         return float(self.filtered(vector, starts, cells)[1].sum())
