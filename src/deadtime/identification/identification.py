@@ -12,7 +12,7 @@ from deadtime.base.checks import positive
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
-from deadtime.identification.sentences import doubts_of, odd_readings, sentences_of, verdict_of
+from deadtime.identification.sentences import sentences_of, verdict_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,37 +60,39 @@ class Identification(Findings):
     """
 
     @classmethod
-    def of(cls, answer: IdentifiedLog) -> Identification:
+    def of(cls, log: IdentifiedLog) -> Identification:
         """The result of an estimate with its log."""
         from deadtime.identification.problem_text import filter_noise
 
-        found, recording, model, why, C, states, said, doubts, modes = answer
-        found.require_inside()
-        rest, odd = rest_of(found, np.linalg.pinv(C)), odd_readings(found, recording, C)
+        estimate, recording, C, states = log.estimate, log.recording, log.C, log.states
+        estimate.require_inside()
+        rest = rest_of(estimate, np.linalg.pinv(C))
+        sentences, doubts = sentences_of(estimate, recording, C, log.why, rest, states)
         fit = cls(
-            found.plant,
-            found.log.layout.spread(found.intervals),
-            recording.step,
-            found.disturbance,
-            found.noise,
-            model,
-            found.tests,
-            states,
-            recording.inputs,
-            recording.modes,
-            found.best.value,
-            recording.samples,
-            sentences_of(found, recording, why, rest, states, odd),
-            found,
-            recording,
-            C,
-            hidden=modes,
-            doubts=(*doubts_of(found, recording, odd), *doubts),
+            plant=estimate.plant,
+            delay_interval=estimate.log.layout.spread(estimate.intervals),
+            step=recording.step,
+            disturbance=estimate.disturbance,
+            noise=estimate.noise,
+            model=log.model,
+            tests=estimate.tests,
+            states=states,
+            inputs=recording.inputs,
+            modes=recording.modes,
+            log_likelihood=estimate.best.value,
+            samples=recording.samples,
+            sentences=sentences,
+            hidden=log.modes,
+            doubts=(*doubts, *log.doubts),
+            _estimate=estimate,
+            _recording=recording,
+            _C=C,
             _rest=rest,
         )
         _, raised = filter_noise(fit)
-        own = (*fit.sentences, raised) if raised else fit.sentences
-        return replace(fit, sentences=(*own, *said) if modes is None else (*said, *own))
+        own = (*sentences, raised) if raised else sentences
+        joined = (*own, *log.sentences) if log.modes is None else (*log.sentences, *own)
+        return replace(fit, sentences=joined)
 
     def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
         """Whether a law tolerates every delay in the intervals, as a sentence.
