@@ -197,7 +197,7 @@ def scan_cells(
 ) -> tuple[ModeCells, Float[np.ndarray, "delay cell"]]:
     """The likeliest cells with given weights of modes, and the log likelihood of all cells.
 
-    Delays are scan_cells in turn, with the others in their cells.
+    Delays are scanned in turn, with the others in their cells.
     """
     options, count = periods.cells, weight.sum(axis=0)
     groups = [[i] for i in range(layout.modes)] if layout.per_mode else [list(range(layout.modes))]

@@ -33,7 +33,7 @@ from deadtime.identification.log.unit_changes import require_same_units, require
 from deadtime.identification.noisy_estimate import (
     estimate_in_loop,
     estimate_with_noise,
-    exact_holds,
+    may_be_exact,
 )
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
@@ -188,7 +188,7 @@ def identify(
         elif sure or (noise is None and (not estimate.tests.white or alternates(white))):
             progress("taking sensors for noisy")
             noisy = estimate_with_noise(about, sensors, estimate)
-            estimate = estimate if not sure and exact_holds(estimate, noisy) else noisy
+            estimate = estimate if not sure and may_be_exact(estimate, noisy) else noisy
         model, why = fit_switching(recording)
         given = estimate, estimate.log.recording, model, why, sensors, named
         fit = Identification.of(IdentifiedLog(*given))

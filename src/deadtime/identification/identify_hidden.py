@@ -31,7 +31,7 @@ from deadtime.identification.hidden_fit import (
 )
 from deadtime.identification.log.logged_states import as_states, fit_switching
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy_estimate import estimate_with_noise, exact_holds
+from deadtime.identification.noisy_estimate import estimate_with_noise, may_be_exact
 from deadtime.identification.parameters import Layout, SensorMatrix, Window
 from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls
@@ -125,7 +125,7 @@ def _holds(chosen: IdentifiedLog) -> bool:
     exact = chosen.estimate
     if not alternates(list(exact.white)):
         return True
-    return exact_holds(exact, estimate_with_noise(chosen.recording, chosen.C, exact))
+    return may_be_exact(exact, estimate_with_noise(chosen.recording, chosen.C, exact))
 
 
 def _try_numbers(

@@ -186,7 +186,7 @@ class Peak(Frozen):
     def _over_other_peaks(self, interval: np.ndarray, row: int, inflation: float) -> np.ndarray:
         """An interval extended to the last plausible cell of another peak."""
         log, start = self.log, self.start
-        h, curve = log.recording.step, start.scanned[row]
+        h, curve = log.recording.step, start.curves[row]
         fall = plausible_fall(log.layout, start.weights, curve.size, inflation)
         ends = interval.copy()
         first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
@@ -214,7 +214,7 @@ class Peak(Frozen):
         cells, and intervals are joined.
         """
         layout, start, found = self.log.layout, self.start, []
-        for row, (place, curve) in enumerate(zip(layout.delay_places, start.scanned, strict=True)):
+        for row, (place, curve) in enumerate(zip(layout.delay_places, start.curves, strict=True)):
             inflation = float(self.spread.inflation[place])
             level = curve.max() - plausible_fall(layout, start.weights, curve.size, inflation)
             top = int(curve.argmax())

@@ -72,7 +72,7 @@ _FEWEST = 3.0  # degrees of freedom: with 2 or less Student's distribution has n
 
 def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
-    log, begins = begun_with_noise(recording, C, exact)
+    log, begins = noisy_starts(recording, C, exact)
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
     top, scan = largest_maximum(some, begins)
     best, window = maximise(log, top.theta)
@@ -91,10 +91,12 @@ def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) 
         if not likelier_than_chance(rise, best.theta.size - other.theta.size):
             log, best, window, scan = plain, other, around, beside
     curves = scan.curves * (recording.samples / some.recording.samples)
-    return estimated_of(log, best, window, start_beside(log, best, scan.first, curves), exact.spare)
+    return estimate_at(
+        log, best, window, start_with_scan(log, best, scan.first, curves), exact.spare
+    )
 
 
-def start_beside(
+def start_with_scan(
     log: NoisyLog, best: Maximum, first: int, curves: Float[np.ndarray, "delay cell"]
 ) -> Start:
     """A maximum with the log likelihood of each cell of a delay from a scan."""
@@ -102,7 +104,7 @@ def start_beside(
     return Start(theta, log.cells(theta), first, curves, log.acting.size)
 
 
-def begun_with_noise(
+def noisy_starts(
     recording: Recording, C: SensorMatrix, exact: Estimate
 ) -> tuple[NoisyLog, list[Vector]]:
     """The likelihood with noisy sensors, and starts."""
@@ -116,7 +118,7 @@ def begun_with_noise(
     return log, [log.join(theta, noise) for noise in noises]
 
 
-def estimated_of(
+def estimate_at(
     log: NoisyLog,
     best: Maximum,
     window: Window,
@@ -240,9 +242,8 @@ def restricted(
     gradient[noise[identified]] = -0.5 * np.einsum("ab,cba->c", C, moves)
 
     def tilted(theta: np.ndarray) -> Evaluation:
-        found = evaluate(theta)
-        more = float(gradient @ (theta - best.theta))
-        return Evaluation(found.value + more, found.score + gradient, found.information)
+        now, more = evaluate(theta), float(gradient @ (theta - best.theta))
+        return Evaluation(now.value + more, now.score + gradient, now.information)
 
     low, high = log.limits
     still = np.concatenate((log.layout.delay_places, noise[~identified]))
@@ -310,7 +311,7 @@ def variance_errors(
     return np.concatenate((np.tile(W, log.layout.modes), R))
 
 
-def exact_holds(exact: Estimate, noisy: Estimate) -> bool:
+def may_be_exact(exact: Estimate, noisy: Estimate) -> bool:
     """Whether measurements may be taken as exact: sensor noise may be 0, and intervals overlap.
 
     Otherwise the exact estimate is biased, and its intervals are far too narrow.
@@ -360,7 +361,7 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
         vectors[row][cell - first] = best.theta
     identified = np.array(curves), log.acting.size, np.array(vectors)
     start = Start(best.theta[: log.layout.size], cells, first, *identified)
-    return estimated_of(log, best, window, start)
+    return estimate_at(log, best, window, start)
 
 
 def _in_cells(
@@ -372,11 +373,12 @@ def _in_cells(
     for place, cell in enumerate(every.tolist()):
         near = [tops[-1].theta] if tops else []
         own = near if place % often else [*near, *begins]
-        tops.append(_highest([_top(log, evaluate_in, theta, row, cell) for theta in own]))
+        tried = [_top(log, evaluate_in, theta, row, cell) for theta in own]
+        tops.append(max(tried, key=lambda one: one.value))
     for place in range(every.size - 2, -1, -1):
         if tops[place + 1].value > tops[place].value + _SAME:
             again = _top(log, evaluate_in, tops[place + 1].theta, row, int(every[place]))
-            tops[place] = _highest([tops[place], again])
+            tops[place] = max(tops[place], again, key=lambda one: one.value)
     return tops
 
 
@@ -387,12 +389,9 @@ def _anew(
     evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.value for one in tops])
     fall = values.max() - values
     near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
-    found = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
-    most = max(one.value for one in found.values())
-    return [
-        found.get(i, one._replace(found=one.found._replace(value=most - float(fall[i]))))
-        for i, one in enumerate(tops)
-    ]
+    anew = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
+    most = max(one.value for one in anew.values())
+    return [anew.get(i, one._replace(value=most - float(fall[i]))) for i, one in enumerate(tops)]
 
 
 def _top(
@@ -410,13 +409,9 @@ def _top(
     return climb_within(log, evaluate_in(cells), begin, cells, _CELL_GAIN)
 
 
-def _highest(found: list[Maximum]) -> Maximum:
-    return max(found, key=lambda one: one.value)
-
-
 def estimate_in_loop(
     recording: Recording, C: SensorMatrix, exact: Estimate, sure: bool
 ) -> Estimate:
-    """The estimate with noisy sensors, or the exact one where it holds and noise is not `sure`."""
-    found = over_all_cells(*begun_with_noise(recording, C, exact))
-    return exact if not sure and exact_holds(exact, found) else found
+    """The estimate with noisy sensors; the exact one if that may be and noise is not `sure`."""
+    noisy = over_all_cells(*noisy_starts(recording, C, exact))
+    return exact if not sure and may_be_exact(exact, noisy) else noisy

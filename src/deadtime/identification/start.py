@@ -1,4 +1,4 @@
-"""Where to begin: a linear regression at every whole number of periods, and its logarithm.
+"""Where to start: a linear regression at every whole number of periods, and its logarithm.
 
 With D in the cell [(N − 1) h, N h] only u_{k−N} and u_{k−N+1} act, so x_{k+1} is linear in x_k and
 those for every D in the cell. The N with the likeliest residuals is taken; A = log Φ / h, and the
@@ -40,7 +40,7 @@ class Start(NamedTuple):
     """A first guess, and the log likelihood of every cell of each delay.
 
     theta : of the `Layout`; cells : of each of its delays
-    scanned : (delays, cells), log likelihood with other delays in their cells, from cell `first` on
+    curves : (delays, cells), log likelihood with other delays in their cells, from cell `first` on
     weights : the number of free weights of an input in each mode
     vectors : (delays, cells, size), the maximum in each cell, if it was searched
     """
@@ -48,7 +48,7 @@ class Start(NamedTuple):
     theta: Vector
     cells: Cells
     first: int
-    scanned: Float[np.ndarray, "delay cell"]
+    curves: Float[np.ndarray, "delay cell"]
     weights: int
     vectors: Float[np.ndarray, "delay cell unknown"] | None = None
 
@@ -58,13 +58,12 @@ def start_of(recording: Recording, layout: Layout, bounds: Window, within: bool)
     h = recording.step
     first, last = cell_range(h, bounds, layout.m)
     scan = _CellScan(_sums_of(recording, layout, first, last, within), layout, first, last)
-    cells, scanned = scan.best()
-    own = [scan.own(cells, i) for i in range(layout.modes)]
-    count = np.array([scan.periods(i, one) for i, one in enumerate(own)])
-    require_enough(recording, layout, count, last * h)
-    P = [scan.weights(i, one) for i, one in enumerate(own)]
-    theta = plant_of(P, layout.spread(cells), count, layout, h, bounds)
-    return Start(theta, cells, first, scanned, 2 * layout.n)
+    cells, curves = scan.best()
+    by_mode = layout.spread(cells)
+    P, count = zip(*(scan.regression(i, own) for i, own in enumerate(by_mode)), strict=True)
+    require_enough(recording, layout, np.array(count), last * h)
+    theta = plant_of(P, by_mode, np.array(count), layout, h, bounds)
+    return Start(theta, cells, first, curves, 2 * layout.n)
 
 
 def _sums_of(
@@ -179,15 +178,11 @@ class _CellScan:
         self.sums, self.layout, self.first = sums, layout, first
         self.cells = np.arange(first, last + 1)
 
-    def own(self, cells: np.ndarray, mode: int) -> np.ndarray:
-        m = self.layout.m
-        return cells[mode * m : (mode + 1) * m] if self.layout.per_mode else cells
-
     def best(self) -> tuple[np.ndarray, np.ndarray]:
         """The likeliest cells, and the log likelihood of all cells of each delay."""
         groups = range(self.layout.modes) if self.layout.per_mode else [None]
-        found = [self._best_of(group) for group in groups]
-        return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+        cells, curves = zip(*(self._best_of(group) for group in groups), strict=True)
+        return np.concatenate(cells), np.concatenate(curves)
 
     def _best_of(self, mode: int | None) -> tuple[np.ndarray, np.ndarray]:
         m, count = self.layout.m, self.cells.size
@@ -201,11 +196,11 @@ class _CellScan:
             best = max(table, key=lambda c: table[c])
         else:
             best = best_in_turn((None,) * m, self.cells.tolist(), likelihood, _SWEEPS)
-        scanned = [
+        curves = [
             [likelihood((*best[:j], c, *best[j + 1 :]), True) for c in self.cells.tolist()]
             for j in range(m)
         ]
-        return np.array(best), np.array(scanned)
+        return np.array(best), np.array(curves)
 
     def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> tuple[np.ndarray, int]:
         n, m = self.layout.n, self.layout.m
@@ -217,9 +212,10 @@ class _CellScan:
             columns.append(2 * n + (self.cells.size + 1) * m)
         return self.sums.of(mode, columns)
 
-    def periods(self, mode: int, chosen: np.ndarray) -> int:
-        """The number of periods of a mode in the regression with these cells."""
-        return self._sums(mode, tuple(chosen.tolist()))[1]
+    def regression(self, mode: int, cells: np.ndarray) -> tuple[Float[np.ndarray, "n r"], int]:
+        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1; and over how many periods."""
+        M, count = self._sums(mode, tuple(cells.tolist()))
+        return _regressed(M, self.layout.n)[0], count
 
     def _likelihood(self, mode: int, chosen: tuple[int | None, ...], plausible: bool) -> float:
         M, count = self._sums(mode, chosen)
@@ -227,11 +223,6 @@ class _CellScan:
             return -np.inf
         each = _mean_likelihood(M, count, self.layout.n)
         return count * each + self.sums.unseen(mode, count, each, plausible)
-
-    def weights(self, mode: int, chosen: np.ndarray) -> Float[np.ndarray, "n r"]:
-        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1, by least squares."""
-        M, _ = self._sums(mode, tuple(chosen.tolist()))
-        return _regressed(M, self.layout.n)[0]
 
 
 def _mean_likelihood(M: Float[np.ndarray, "z z"], count: int, n: int) -> float:
@@ -266,8 +257,7 @@ def _logarithm(
 
 def matrix_logarithm(Phi: Square) -> Square:
     """log Φ where it is real; else of the nearest Φ that has one: eigenvalues to positive parts."""
-    found = np.linalg.eig(Phi)
-    values, vectors = np.asarray(found[0], complex), np.asarray(found[1], complex)
+    values, vectors = (np.asarray(one, complex) for one in np.linalg.eig(Phi))
     size = max(1.0, float(np.abs(values).max()))
     bad = (np.abs(np.imag(values)) < 1e-9 * size) & (np.real(values) < 1e-3 * size)
     values = np.where(bad, 1e-3 * size, values)
