@@ -127,14 +127,6 @@ _SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no
 _BLOCK = 4096  # samples whose weights of nodes are there at a time
 
 
-class SingleMode(NamedTuple):
-    """Unknowns of a plant of one mode, L of its noise, W = L Lᵀ, and the cells of its delays."""
-
-    theta: Vector
-    L: Square
-    cells: Int[np.ndarray, " m"]
-
-
 class PartPeriods(NamedTuple):
     """The periods that lead to the samples of a part, all of one mode.
 
@@ -186,13 +178,13 @@ class HiddenNoisyLog(SensorLikelihood):
         layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
         A, B, delays = layout.split(vector[: layout.size])
         L, R, by_part, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []
-        own = cells if cells is not None and cells.size else self.cells(vector)
-        own = layout.spread(own)
+        own = layout.spread(cells if cells is not None and cells.size else self.cells(vector))
+        modes = [np.s_[i : i + 1] for i in range(layout.modes)]
+        thetas = [one.join(A[i], B[i], delays[i]) for i in modes]
         for number, start in enumerate(starts):
-            each = []
-            for i in range(layout.modes):
-                theta = one.join(A[i : i + 1], B[i : i + 1], delays[i : i + 1])
-                each.append(self._along(SingleMode(theta, L, own[i]), number, start))
+            each = [
+                self._periods(number, start, theta, L, own[i]) for i, theta in enumerate(thetas)
+            ]
             Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
             part = self.recording.parts[number]
             stay = np.empty((part.time.size - 1, layout.modes))
@@ -205,27 +197,29 @@ class HiddenNoisyLog(SensorLikelihood):
             gained.append(adds)
         return by_part, np.concatenate(gained)
 
-    def _along(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
-        """The periods of a part; the last ones are kept: differences ask for few anew."""
-        key = number, start.tobytes(), *(one.tobytes() for one in mode)
-        if key not in self._kept:
-            if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
-                self._kept.clear()
-            self._kept[key] = self._periods(mode, number, start)
-        return self._kept[key]
+    def _periods(
+        self, number: int, start: np.ndarray, theta: Vector, L: Square, cells: Cells
+    ) -> PartPeriods:
+        """The periods of a part in one mode; the last ones are kept: differences ask for few anew.
 
-    def _periods(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        theta : of a plant of that mode alone
+        """
+        key = number, *(one.tobytes() for one in (start, theta, L, cells))
+        if key in self._kept:
+            return self._kept[key]
+        if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
+            self._kept.clear()
         part, layout = self.recording.parts[number], replace(self.layout, modes=1, per_mode=False)
         part = part._replace(mode=np.zeros(part.time.size, np.int64))
-        leading = self.sampling.periods_of(layout, *mode, slopes=False)
-        rows, each, tables = np.arange(start.size), [], 0
-        for first in range(0, start.size, _BLOCK):
-            own = rows[first : first + _BLOCK]
-            found = leading(part, own, start[own])
-            each.append((tables + found.kind, found.Phi, found.Q, found.added))
-            tables += len(found.Phi)
-        kind, Phi, Q, added = zip(*each, strict=True)
-        return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
+        periods_of = self.sampling.periods_of(layout, theta, L, cells, slopes=False)
+        each, tables = [], 0
+        for rows in np.split(np.arange(start.size), range(_BLOCK, start.size, _BLOCK)):
+            block = periods_of(part, rows, start[rows])
+            each.append((tables + block.kind, block.Phi, block.added, block.Q))
+            tables += len(block.Phi)
+        kind, *others = zip(*each, strict=True)
+        self._kept[key] = PartPeriods(np.concatenate(kind), *map(np.vstack, others))
+        return self._kept[key]
 
     def posterior(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Posterior:
         """The modes that the log tells; weights are of all periods."""

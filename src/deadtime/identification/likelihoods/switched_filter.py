@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from deadtime.identification.likelihoods.kalman_kernel import tangents
 from deadtime.identification.log.recording import Part
@@ -149,10 +149,36 @@ class SwitchedKalmanFilter(NamedTuple):
         return Evaluation(value, score, F)
 
     def states(self, number: int) -> StatesOfPart:
-        part, start = self.parts[number], self.starts[number]
+        """The states of a part: Kalman's filter forwards, then de Jong's recursion backwards."""
+        part, start, (C, R, P0) = self.parts[number], self.starts[number], self.sensors
         periods = self.periods_of(part, np.arange(start.size), start)
-        found = _predicted(part.output, start, periods, self.sensors)
-        return StatesOfPart(found.state, _smoothed(found, start, periods, self.sensors), periods)
+        (count, p), n, unit = part.output.shape, C.shape[1], np.eye(C.shape[1])
+        ahead, covariance = np.empty((count, n)), np.empty((count, n, n))
+        # e = 0, s = 1 and g = 0 where nothing was measured.
+        error, variance, gain = np.zeros((count, p)), np.ones((count, p)), np.zeros((count, p, n))
+        x, P = np.zeros(n), P0
+        for k in range(count):
+            if start[k]:
+                x, P = np.zeros(n), P0
+            else:
+                Phi = periods.Phi[periods.kind[k]]
+                x, P = Phi @ x + periods.added[k], Phi @ P @ Phi.T + periods.Q[periods.kind[k]]
+            ahead[k], covariance[k] = x, P
+            for j in np.flatnonzero(np.isfinite(part.output[k])):
+                c = C[j]
+                g = P @ c
+                s = c @ g + R[j]
+                e, own = part.output[k, j] - c @ x, g / s
+                rest = unit - np.outer(own, c)  # Joseph's form: a vague P stays positive
+                x, P = x + own * e, rest @ P @ rest.T + R[j] * np.outer(own, own)
+                error[k, j], variance[k, j], gain[k, j] = e, s, own
+        smoothed, r = np.empty((count, n)), np.zeros(n)
+        for k in range(count - 1, -1, -1):
+            for j in range(p - 1, -1, -1):
+                r = r + C[j] * (error[k, j] / variance[k, j] - gain[k, j] @ r)
+            smoothed[k] = ahead[k] + covariance[k] @ r
+            r = np.zeros(n) if start[k] else periods.Phi[periods.kind[k]].T @ r
+        return StatesOfPart(ahead, smoothed, periods)
 
 
 class StatesOfPart(NamedTuple):
@@ -161,61 +187,3 @@ class StatesOfPart(NamedTuple):
     ahead: Float[np.ndarray, "sample n"]
     smoothed: Float[np.ndarray, "sample n"]
     periods: FilterPeriods
-
-
-class _Predicted(NamedTuple):
-    """States and covariances before each sample, then of each sensor e, s and g/s."""
-
-    state: Float[np.ndarray, "sample n"]
-    covariance: Float[np.ndarray, "sample n n"]
-    error: Float[np.ndarray, "sample p"]
-    variance: Float[np.ndarray, "sample p"]
-    gain: Float[np.ndarray, "sample p n"]
-
-
-def _predicted(
-    output: Float[np.ndarray, "sample p"],
-    start: Bool[np.ndarray, " sample"],
-    periods: FilterPeriods,
-    sensors: Sensors,
-) -> _Predicted:
-    """The filter over a log.
-
-    e = 0, s = 1 and g = 0 where nothing was measured.
-    """
-    (count, p), n = output.shape, sensors.C.shape[1]
-    state, covariance = np.empty((count, n)), np.empty((count, n, n))
-    error, variance, gain = np.zeros((count, p)), np.ones((count, p)), np.zeros((count, p, n))
-    x, P, unit = np.zeros(n), sensors.P0, np.eye(n)
-    for k in range(count):
-        if start[k]:
-            x, P = np.zeros(n), sensors.P0
-        else:
-            Phi = periods.Phi[periods.kind[k]]
-            x, P = Phi @ x + periods.added[k], Phi @ P @ Phi.T + periods.Q[periods.kind[k]]
-        state[k], covariance[k] = x, P
-        for j in range(p):
-            if np.isfinite(output[k, j]):
-                c = sensors.C[j]
-                g = P @ c
-                s = c @ g + sensors.R[j]
-                e, own = output[k, j] - c @ x, g / s
-                rest = unit - np.outer(own, c)  # Joseph's form: a vague P stays positive
-                x, P = x + own * e, rest @ P @ rest.T + sensors.R[j] * np.outer(own, own)
-                error[k, j], variance[k, j], gain[k, j] = e, s, g / s
-    return _Predicted(state, covariance, error, variance, gain)
-
-
-def _smoothed(
-    found: _Predicted, start: Bool[np.ndarray, " sample"], periods: FilterPeriods, sensors: Sensors
-) -> Float[np.ndarray, "sample n"]:
-    """The states given all of the log."""
-    count, n = found.state.shape
-    states, r = np.empty((count, n)), np.zeros(n)
-    for k in range(count - 1, -1, -1):
-        for j in range(len(sensors.C) - 1, -1, -1):
-            c = sensors.C[j]
-            r = r + c * (found.error[k, j] / found.variance[k, j] - found.gain[k, j] @ r)
-        states[k] = found.state[k] + found.covariance[k] @ r
-        r = np.zeros(n) if start[k] else periods.Phi[periods.kind[k]].T @ r
-    return states
