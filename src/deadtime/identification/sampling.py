@@ -328,9 +328,9 @@ class UnevenSampling(Sampling):
         one = part._replace(mode=np.zeros(part.time.size, np.int64))
         acts = acting_in(one, k, reads[None], self.nodes)
         over = interpolation(self.nodes, length)[:, :, None]
-        held = np.concatenate((acts.held, over), axis=2) if constant else acts.held
+        u = np.concatenate((acts.value, over), axis=2) if constant else acts.value
         x = over * part.output[k][:, None]
-        flat = (one.reshape(k.size, -1) for one in (x, held, acts.moved))
+        flat = (one.reshape(k.size, -1) for one in (x, u, acts.change))
         return np.hstack((part.output[k + 1], *flat)) / np.sqrt(length / self.step)[:, None]
 
     def maps(
@@ -372,19 +372,19 @@ class UnevenSampling(Sampling):
                 weight = interpolation(self.nodes, part.time[k + 1] - part.time[k])
                 for result, table in zip(found, tables[i], strict=True):
                     result[own] = np.tensordot(weight, table, (1, 0))
-                held, moved = acting_in(part, k, delays, self.nodes)
+                u, change = acting_in(part, k, delays, self.nodes)
                 if layout.constant:
-                    held = np.concatenate((held, weight[:, :, None]), axis=2)
+                    u = np.concatenate((u, weight[:, :, None]), axis=2)
                 steady, by_A, pushed = forced[i]
-                added[own] = np.tensordot(held, steady, ((1, 2), (0, 2)))
+                added[own] = np.tensordot(u, steady, ((1, 2), (0, 2)))
                 if not slopes:
                     continue
-                by_added[own, : n * n] = np.tensordot(held, by_A, ((1, 2), (0, 3)))
+                by_added[own, : n * n] = np.tensordot(u, by_A, ((1, 2), (0, 3)))
                 for j in range(acting):  # places as in `Layout.of_mode`: A, B by rows, then D
-                    by_B = np.tensordot(held[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
+                    by_B = np.tensordot(u[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
                     by_added[own[:, None], n * n + np.arange(n) * acting + j] = by_B
                 for j in range(m):
-                    by_D = -np.tensordot(moved[:, :, j], pushed[:, :, j], (1, 0))
+                    by_D = -np.tensordot(change[:, :, j], pushed[:, :, j], (1, 0))
                     by_added[own, n * (n + acting) + j] = by_D
             Phi, by_Phi, Q, by_Q = found
             kind = np.arange(rows.size)
@@ -469,10 +469,10 @@ def acting_evenly(
 
 
 class ActingInputs(NamedTuple):
-    """Weights of what acts in periods: `held` (periods, nodes, m), of W; `moved`, of −∂/∂D."""
+    """Inputs that act in periods, weighted over nodes: `value` times W, `change` times −∂W/∂D."""
 
-    held: Float[np.ndarray, "period node m"]
-    moved: Float[np.ndarray, "period node m"]
+    value: Float[np.ndarray, "period node m"]
+    change: Float[np.ndarray, "period node m"]
 
 
 def acting_in(
@@ -483,25 +483,24 @@ def acting_in(
     Before the part's first row its first inputs act: such periods are used where it rests there.
     """
     t, m = part.time, part.input.shape[1]
-    held = np.zeros((k.size, nodes.size, m))
-    moved = np.zeros(held.shape)
+    value, change = np.zeros((2, k.size, nodes.size, m))
     if k.size == 0:
-        return ActingInputs(held, moved)
+        return ActingInputs(value, change)
     slack = _ROUND_OFF * float(np.median(t[k + 1] - t[k]))
     over = interpolation(nodes, t[k + 1] - t[k])
     for j in range(m):
         u, D = part.input[:, j], delays[part.mode[k], j]
         first = np.maximum(np.searchsorted(t, t[k] - D + slack, side="right") - 1, 0)
         last = np.searchsorted(t, t[k + 1] - D - slack, side="left") - 1
-        held[:, :, j] = over * u[first][:, None]
+        value[:, :, j] = over * u[first][:, None]
         for later in range(1, int((last - first).max(initial=0)) + 1):
             has = np.flatnonzero(first + later <= last)
             index = first[has] + later
-            change = (u[index] - u[index - 1])[:, None]
-            weight = interpolation(nodes, t[k[has] + 1] - t[index] - D[has]) * change
-            held[has, :, j] += weight
-            moved[has, :, j] += weight
-    return ActingInputs(held, moved)
+            weight = interpolation(nodes, t[k[has] + 1] - t[index] - D[has])
+            weight *= (u[index] - u[index - 1])[:, None]
+            value[has, :, j] += weight
+            change[has, :, j] += weight
+    return ActingInputs(value, change)
 
 
 def nodes_for(parts: tuple[Part, ...], A: Squares) -> np.ndarray:
