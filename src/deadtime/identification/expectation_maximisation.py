@@ -37,7 +37,7 @@ from deadtime.identification.scoring import STEPS, best_in_turn
 _MOST = 150  # stretches
 _PURE = (0.4, 0.8)  # shares of the best fitting stretches, one of which is drawn from
 _FAR = 25.0  # squared deviation per state beyond which weights of the draw are equal
-_WIDE = 4.0  # factor of the covariance of a stretch, whose regression has few periods
+_WIDE = 4.0  # factor of the covariance of a stretch, since its regression has few periods
 _LEAST = 1e-6  # share of the covariance of all rows added to a start: without noise it is regular
 _SWEEPS = 3  # over the delays, in a scan
 

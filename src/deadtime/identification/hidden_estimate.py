@@ -196,13 +196,7 @@ class ModesEstimate(NamedTuple):
 
 
 def decode(fit: HiddenFit[Log]) -> DecodedFit[Log]:
-    """The likeliest path of a fit, with modes in the order of their first visit.
-
-    Raises
-    ------
-    ArgumentError
-        If the path does not visit all modes.
-    """
+    """The likeliest path of a fit, modes numbered by first visit; refused if it misses a mode."""
     layout, recording = fit.layout, fit.log.recording
     paths = fit.log.path(fit.theta, fit.window)
     visited, first = np.unique(np.concatenate(paths), return_index=True)

@@ -187,12 +187,8 @@ def _too_many(layout: Layout, draws: int) -> ArgumentError:
 def fit_starts(search: HiddenSearch, layout: Layout, common: bool = False) -> list[FitStart]:
     """The plants nearest to the likeliest regressions, likeliest first.
 
-    common : whether all modes have one covariance
-
-    Raises
-    ------
-    ArgumentError
-        If the log is too short for so many modes, or each start leaves one with next to no period.
+    Refused if the log is too short for so many modes, or each draw leaves one with next to no
+    period. common : whether all modes have one covariance
     """
     _require_periods(search.grid_periods, layout)
     regressions, agreed, draws = _best_regressions(search.grid_periods, layout, common)
@@ -259,12 +255,9 @@ def _in_best_cells(
 
 
 def fit_exact(search: HiddenSearch, layout: Layout) -> HiddenFit[HiddenLog]:
-    """The likeliest plant of as many modes as the layout has, states being exact.
+    """The likeliest plant of as many modes as the layout has, from exact states.
 
-    Raises
-    ------
-    ArgumentError
-        As of `fit_starts`, or if a mode is left with next to no period on the way up.
+    Refused as by `fit_starts`, or if a mode is left with next to no period on the way up.
     """
     starts = fit_starts(search, layout)
     for start in starts:
@@ -355,10 +348,7 @@ def fit_noisy(
 ) -> HiddenFit[HiddenNoisyLog]:
     """The likeliest plant and noise of a recording of y = C x, of a number of modes.
 
-    Raises
-    ------
-    ArgumentError
-        If the log is too short for so many, or a mode is left with next to no row.
+    Refused if the log is too short for so many, or a mode is left with next to no row.
     """
     if search.plain is not None and not _seems_to_need_level(search, layout):
         plain = replace(layout, constant=False)
@@ -395,13 +385,7 @@ def _noisy_at_zero(
 def _noisy_fit_from(
     search: HiddenSearch, start: NoisyStart
 ) -> tuple[HiddenFit[HiddenNoisyLog], Maximum]:
-    """The maximum that a start leads to.
-
-    Raises
-    ------
-    ArgumentError
-        If it leaves a mode with next to no row.
-    """
+    """The maximum that a start leads to, refused if it leaves a mode with next to no row."""
     log, best, values = _climb_in_rounds(start.log, start.vector, start.window, _LATE)
     best, window = maximise(log, best.theta, gain=_LATE)
     layout = log.layout

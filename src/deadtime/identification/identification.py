@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.checks import positive
+from deadtime.base.files import replacing
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(Findings):
-    """A plant that `identify` found, with intervals at 95 % (immutable).
+    """A plant identified from a log, with intervals at 95 % (immutable).
 
     Attributes
     ----------
@@ -152,9 +153,11 @@ class Identification(Findings):
             Length of its run, seconds; by default 20 times the longest delay, and at least 5 mean
             sojourns of the mode that lasts longest.
         """
-        from deadtime.identification.problem_text import problem_text, write_problem
+        from deadtime.identification.problem_text import problem_text
 
-        write_problem(problem_text(self, title, horizon), path)
+        text = problem_text(self, title, horizon)
+        with replacing(path) as place:
+            place.write_text(text, encoding="utf-8")
 
     def plot(self) -> Figure:
         """The likelihood over the delays, predictions against the log, residuals, and modes."""

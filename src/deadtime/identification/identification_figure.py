@@ -1,4 +1,8 @@
-"""The figure of an identification: how sure the delay is, and how the model follows the log."""
+"""Figures of an identification: likelihood of the delays, predictions of the log, residuals.
+
+The likelihood of a delay is its profile, maximised over all other unknowns; predictions are one
+sample ahead, and simulated from the first row.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,7 @@ if TYPE_CHECKING:
 
 _SHOWN = 400  # samples of the log, at most
 _POINTS = 13  # of a likelihood, where each takes a filter over the log
-_MANY = 41  # where it does not
+_MANY = 41  # of a likelihood without a filter
 _FAR = 3.0  # of a log's range: a free run that leaves it is cut there
 
 
@@ -55,7 +59,7 @@ def shown(fit: Findings) -> Part:
 
 
 def rows_shown(fit: Findings, part: Part) -> str:
-    """Which rows of the log those are."""
+    """The rows of the log that figures show, in words."""
     first = f"the first {part.time.size:,} of {fit.samples:,} rows"
     return first if part.time.size < fit.samples else "all rows"
 

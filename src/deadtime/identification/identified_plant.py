@@ -1,4 +1,8 @@
-"""The plant that an identification found, its intervals, and the sentences on them."""
+"""An identified plant: its operating point, errors, intervals by name, and covariance.
+
+The operating point's error and the covariance follow from the information at the maximum of the
+likelihood, by linear propagation of errors.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ _SINGULAR = 1e9  # condition number of A beyond which the rest is not unique
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Findings(Frozen):
-    """A plant found in a log, with intervals at 95 %: see `Identification`."""
+    """An identified plant with intervals at 95 %: see `Identification`."""
 
     plant: SwitchedSystem
     delay_interval: Float[np.ndarray, "mode m 2"]

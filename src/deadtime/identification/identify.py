@@ -1,4 +1,8 @@
-"""`identify`: from a log to a plant."""
+"""`identify`: the maximum-likelihood plant of a log, and which model of the log that needs.
+
+States may be exact or noisy, in open or in closed loop, modes logged or hidden, and outputs fewer
+than states; each case has a module of its own.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,7 @@ from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
 from deadtime.identification.identify_hidden import identify_hidden, numbers_of
-from deadtime.identification.identify_outputs import identify_outputs, is_states, require_logged
+from deadtime.identification.identify_outputs import identify_outputs, order_of, require_logged
 from deadtime.identification.levels import level_of
 from deadtime.identification.log.logged_states import (
     as_states,
@@ -156,7 +160,7 @@ def identify(
         require_order_for(zeros, outputs, C)
     else:
         require_logged(C, noise, numbers is not None)
-        if is_states(order, recording.outputs):  # the same model as of states that are logged
+        if set(order_of(order, recording.outputs)) == {1}:  # then outputs are the states
             order = None
     within = switches == "anywhere"
 
@@ -182,13 +186,12 @@ def identify(
         progress(f"looking for the delay between {low:g} and {high:g} s")
         estimate = estimate_exactly(exact_states, layout, bounds, within)
         sure, white = C is not None or bool(noise), list(estimate.white)
-        if noise is not False and fed_back(recording).any():
-            progress("taking sensors for noisy, as inputs follow them")
-            estimate = estimate_in_loop(about, sensors, estimate, sure)
-        elif sure or (noise is None and (not estimate.tests.white or alternates(white))):
-            progress("taking sensors for noisy")
-            noisy = estimate_with_noise(about, sensors, estimate)
-            estimate = estimate if not sure and may_be_exact(estimate, noisy) else noisy
+        loop = noise is not False and bool(fed_back(recording).any())
+        if loop or sure or (noise is None and (not estimate.tests.white or alternates(white))):
+            progress(f"taking sensors for noisy{', as inputs follow them' if loop else ''}")
+            noisy_estimate = estimate_in_loop if loop else estimate_with_noise
+            noisy = noisy_estimate(about, sensors, estimate)
+            estimate = noisy if sure or not may_be_exact(estimate, noisy) else estimate
         model, why = fit_switching(recording)
         given = estimate, estimate.log.recording, model, why, sensors, named
         fit = Identification.of(IdentifiedLog(*given))

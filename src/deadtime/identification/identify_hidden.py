@@ -1,4 +1,8 @@
-"""`identify` where modes were not logged: their number, their plant, how they switch, in words."""
+"""`identify` where modes were not logged: their number, their plant, and how they switch.
+
+Plants of every number of modes are fitted by maximum likelihood, and BIC selects one (Schwarz,
+Annals of Statistics 6(2), 1978). Noisy sensors are tried if residuals of exact states suggest them.
+"""
 
 from __future__ import annotations
 
@@ -133,10 +137,7 @@ def _try_numbers(
 ) -> TriedNumbers[Log]:
     """Fits of numbers of modes until one is refused; for a single number also of the next smaller.
 
-    Raises
-    ------
-    ArgumentError
-        If the first number is refused.
+    An error of the first number is raised.
     """
     fits, refused = [], None
     for number in numbers:
@@ -160,12 +161,8 @@ def best_of(
 ) -> tuple[HiddenFit[Log], DecodedFit[Log] | None, list[int]]:
     """The fit of least BIC whose likeliest path visits all modes, decoded if it has several.
 
-    And the numbers of modes with lower BIC whose path does not visit all modes.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no such fit.
+    And the numbers of modes with lower BIC whose path does not visit all modes. An error of the
+    last is raised.
     """
     requested = [fit for fit in tried.fits if fit.layout.modes in tried.numbers]
     *order, last = sorted(requested, key=lambda one: one.bic)

@@ -1,7 +1,8 @@
-"""`identify` from outputs alone: the likeliest plant, and the states it has.
+"""`identify` from outputs alone: the likeliest plant, and the order and zeros that the log shows.
 
-The search begins at scans of the delays, for a long log on stretches of it, which suffice to locate
-the maximum. Uneven logs are scan_delays on a grid.
+Extensions of the model are kept if they are significant by likelihood ratio, and a smaller order is
+proposed where BIC prefers it. The search begins at scans of the delays, for a long log on stretches
+of it, which suffice to locate the maximum. Uneven logs are scanned on a grid.
 """
 
 from __future__ import annotations
@@ -317,11 +318,6 @@ def order_of(order: Any, outputs: tuple[str, ...]) -> tuple[int, ...]:
             f"got {len(given)}: {brief(order)}."
         )
     return tuple(int(one) for one in given)
-
-
-def is_states(order: Any, outputs: tuple[str, ...]) -> bool:
-    """Whether outputs are the states: the order is 1 for each."""
-    return set(order_of(order, outputs)) == {1}
 
 
 def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:

@@ -329,12 +329,10 @@ _CELL_GAIN = 1e-3  # rise of log likelihood that ends a climb in a cell
 _SAME = 0.1  # a neighbour likelier by more than this is tried as a start
 
 
-def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
-    """The estimate from maxima of the likelihood in every cell of each delay.
-
-    begins : starts in each cell
-    """
-    recording, bounds = log.recording, log.bounds
+def estimate_in_loop(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
+    """The estimate if sensors are noisy, from maxima of the likelihood in every cell of a delay."""
+    log, begins = noisy_starts(recording, C, exact)
+    bounds = log.bounds
     lag = recording.lag(bounds[1])
     some = replace(log, recording=recording.stretches(_LOOK, lag))
     theta, curves, vectors = begins[0], [], []
@@ -407,11 +405,3 @@ def _top(
         begin, cells[row] = theta.copy(), cell
         begin[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
     return climb_within(log, evaluate_in(cells), begin, cells, _CELL_GAIN)
-
-
-def estimate_in_loop(
-    recording: Recording, C: SensorMatrix, exact: Estimate, sure: bool
-) -> Estimate:
-    """The estimate with noisy sensors; the exact one if that may be and noise is not `sure`."""
-    noisy = over_all_cells(*noisy_starts(recording, C, exact))
-    return exact if not sure and may_be_exact(exact, noisy) else noisy

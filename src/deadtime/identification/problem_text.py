@@ -1,4 +1,4 @@
-"""An identified plant as a problem file, and the process noise that its observer is designed on.
+"""The text of a problem file of an identified plant, and the process noise of its observer.
 
 If a disturbance is not significant, its likeliest intensity may be nearly 0. A Kalman filter
 designed on it trusts its model alone: its error decays at the rate of the plant, or not at all.
@@ -11,14 +11,12 @@ q, like q^(1/2k) in a chain of k states, up to the limit of sampling.
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.base.files import replacing
 from deadtime.base.wording import amount, one_line
 from deadtime.estimation import kalman
 from deadtime.gains import lqr
@@ -39,8 +37,13 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
     """The problem file of an identification, with its intervals as comments."""
     plant, n, m = fit.plant, fit.plant.states, fit.plant.inputs
     filtered = filter_noise(fit) if _alone(fit) else (fit.disturbance[0], "")
-    length = _length(fit) if horizon is None else positive("horizon", horizon)
+    if horizon is None:  # many delays, and several sojourns of every mode
+        sojourn = 0.0 if fit.model is None else float(fit.model.mean.max())
+        length = max(_DELAYS * plant.longest_delay, _SOJOURNS * sojourn)
+    else:
+        length = positive("horizon", horizon)
     length = round(fit.step * float(np.ceil(length / fit.step - 1e-9)), 12)
+    numbers = tuple(map(str, range(plant.modes)))  # the names that a file gives modes by default
     named = _text(title or f"Identified from {fit.samples} samples")
     lines = [f"# {one_line(sentence)}" for sentence in fit.sentences]
     lines += ["", f"title = {named}", "", "[plant]", *_delay_lines(fit)]
@@ -49,7 +52,7 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
     lines += [
         f"states = {_texts(fit.states)}",
         f"inputs = {_texts(fit.inputs)}",
-        *([] if _by_number(fit) else [f"modes = {_texts(fit.modes)}"]),
+        *([] if fit.modes == numbers else [f"modes = {_texts(fit.modes)}"]),
         "",
         *_operating_point(fit),
         *_uncertainty(fit),
@@ -65,17 +68,6 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
     ]
     lines += _noise(fit)
     return "\n".join([*lines, ""])
-
-
-def _length(fit: Findings) -> float:
-    """The length of a run, seconds: many delays, and several sojourns of every mode."""
-    longest = 0.0 if fit.model is None else float(fit.model.mean.max())
-    return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * longest)
-
-
-def _by_number(fit: Findings) -> bool:
-    """Whether modes have no names but the numbers that a problem file gives them anyway."""
-    return list(fit.modes) == [str(i) for i in range(fit.plant.modes)]
 
 
 def _delay_lines(fit: Findings) -> list[str]:
@@ -184,11 +176,6 @@ def _text(text: str) -> str:
 
 def _texts(names: tuple[str, ...]) -> str:
     return f"[{', '.join(map(_text, names))}]"
-
-
-def write_problem(text: str, path: str | PathLike[str]) -> None:
-    with replacing(path) as place:
-        place.write_text(text, encoding="utf-8")
 
 
 def filter_noise(fit: Findings) -> tuple[Square, str]:

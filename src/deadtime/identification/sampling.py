@@ -12,7 +12,7 @@ For all delays of a window this depends on the log of a mode only through one tr
 x_{k+1}, x_k and the inputs of all lags. A likelihood has a kink at every whole number of periods.
 
 **Uneven.** A period is cut where each input arrives, at t_i + D. With c the arrivals within
-(t_k, t_{k+1}) and Δu what each of them changes,
+(t_k, t_{k+1}) and Δu the change of the input at each of them,
 
     x_{k+1} = Φ(τ_k) x_k + Σ_j [W(τ_k) b_j u_j(t_k − D_j) + Σ_c W(t_{k+1} − c) b_j Δu_j(c)] + w_k,
 
@@ -50,7 +50,7 @@ from deadtime.identification.transition import interpolation, nodes_of, noise_ta
 _BLOCK = 2_000_000  # numbers stacked at a time, which bounds memory
 _ROUND_OFF = 1e-9  # of a period: an arrival this close to a sample counts as at it
 
-Roots = Callable[[np.ndarray], list[np.ndarray]]  # of what modes read, a root for each
+Roots = Callable[[np.ndarray], list[np.ndarray]]  # from the reads of modes to a root of each
 
 
 class WeightMap(NamedTuple):
@@ -98,26 +98,26 @@ class FilterPeriods(NamedTuple):
     by_added: Float[np.ndarray, "T own n"]
 
 
-# Of a part's samples, and which of them nothing leads to
+# From a part, its samples, and whether the filter starts from the prior there
 PeriodsOf = Callable[[Part, Int[np.ndarray, " T"], Bool[np.ndarray, " T"]], FilterPeriods]
 
 
 class UsablePeriods(NamedTuple):
-    """The usable periods k of every part, and how likely each is in a mode; None: as logged."""
+    """The usable periods k of every part, and the probabilities of their modes; None: as logged."""
 
     parts: tuple[Part, ...]
     k: Sequence[Int[np.ndarray, " period"]]
     weight: Float[np.ndarray, "every mode"] | None = None
 
     def counts(self, modes: int) -> list[float]:
-        """How many each mode has, or the sum of their weights."""
+        """The number of periods of each mode, or the sum of their weights."""
         if self.weight is not None:
             return self.weight.sum(axis=0).tolist()
         own = [part.mode[k] for part, k in zip(self.parts, self.k, strict=True)]
         return np.bincount(np.concatenate(own), minlength=modes).tolist()
 
     def blocks(self, mode: int, most: int) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
-        """Of a mode, block by block, its periods and the roots of their weights."""
+        """The periods of a mode and the roots of their weights, block by block."""
         first = 0
         for part, every in zip(self.parts, self.k, strict=True):
             own = every if self.weight is not None else every[part.mode[every] == mode]
@@ -158,11 +158,11 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def window(self, low: float, high: float) -> Window:
-        """The widest range of delays that has the usable periods of one, seconds."""
+        """The widest range of delays with the same usable periods as a given range, seconds."""
 
     @abstractmethod
     def span(self, reads: np.ndarray) -> Window:
-        """The range of delays that have such reads, seconds."""
+        """The range of delays with given reads, seconds."""
 
     @abstractmethod
     def usable(self, part: Part, within: bool, low: float, high: float) -> Int[np.ndarray, " k"]:
@@ -203,7 +203,7 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
-        """The maximum that a start leads to with delays in a window."""
+        """The maximum near a start with delays in a window."""
 
     @abstractmethod
     def to_kink(self, delay: float) -> float:
@@ -363,14 +363,14 @@ class UnevenSampling(Sampling):
 
         def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
             mode = part.mode[np.maximum(rows - 1, 0)]
-            found = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
+            interpolated = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
             added = np.zeros((rows.size, n))
             by_added = np.zeros((rows.size, (n * (n + acting) + m) * slopes, n))
             for i in np.unique(mode):
                 own = np.flatnonzero(~fresh & (mode == i))
                 k = rows[own] - 1
                 weight = interpolation(self.nodes, part.time[k + 1] - part.time[k])
-                for result, table in zip(found, tables[i], strict=True):
+                for result, table in zip(interpolated, tables[i], strict=True):
                     result[own] = np.tensordot(weight, table, (1, 0))
                 u, change = acting_in(part, k, delays, self.nodes)
                 if layout.constant:
@@ -386,9 +386,7 @@ class UnevenSampling(Sampling):
                 for j in range(m):
                     by_D = -np.tensordot(change[:, :, j], pushed[:, :, j], (1, 0))
                     by_added[own, n * (n + acting) + j] = by_D
-            Phi, by_Phi, Q, by_Q = found
-            kind = np.arange(rows.size)
-            return FilterPeriods(mode, kind, Phi, by_Phi, Q, by_Q, added, by_added)
+            return FilterPeriods(mode, np.arange(rows.size), *interpolated, added, by_added)
 
         return periods
 

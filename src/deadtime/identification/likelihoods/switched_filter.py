@@ -1,12 +1,12 @@
-"""Kalman's filter of a plant that switches between modes, its derivatives, and back again.
+"""Kalman's filter of a plant that switches between modes, its derivatives, and its smoother.
 
     x_{k+1} = Φ x_k + a_k + w_k,    w_k ~ N(0, Q),    y_k = C x_k + v_k,    v_k ~ N(0, R)
 
-Even periods repeat: Φ, Q and their derivatives are one table for each mode. Of uneven ones each
-period has its own, interpolated between nodes to round-off (`sampling`).
+Even periods repeat: Φ, Q and their derivatives are one table for each mode. Uneven periods have
+their own, interpolated between nodes to round-off (`sampling`).
 
-The filter carries its own derivatives by what is unknown, which are exact. Blocks of samples are
-summed up as they come, so that memory is bounded. States given all of the log are
+Derivatives by the unknowns are propagated with the filter and exact. Samples are processed in
+blocks, so that memory is bounded. States given all of the log are
 
     x̂_k = x⁻_k + P⁻_k r_k,    r⁻ = c e/s + (I − c gᵀ/s) r,    r_{k−1} = Φ_kᵀ r⁻_k
 
@@ -33,12 +33,12 @@ _NUMBERS = 2_000_000  # of them
 
 
 class Places(NamedTuple):
-    """Where the unknowns of a filter lie: some of a plant's, of the triangle of L, and the sensors.
+    """Places of a filter's unknowns: some of the plant's, of the triangle of L, and the sensors.
 
-    size : of them all
-    own : those of A, B and the delays of each mode, −1 for what is known
-    wide : those that variances depend on, A and all of the noise
-    noisy : where in `wide` A and L of each mode are, −1 for what is known
+    size : of all unknowns
+    own : those of A, B and the delays of each mode, −1 for known entries
+    wide : those on which variances depend: A and all of the noise
+    noisy : the places in `wide` of A and L of each mode, −1 for known entries
     """
 
     size: int
@@ -48,7 +48,7 @@ class Places(NamedTuple):
 
     @classmethod
     def of(cls, layout: Layout, sensors: int, free: Int[np.ndarray, " free"]) -> Places:
-        """Those of a layout with so many sensors, of which some are free, the sensors among them.
+        """The places for a layout and a number of sensors; `free` includes all sensors.
 
         Examples
         --------
@@ -77,7 +77,7 @@ class Places(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """C (p, n), the variances R (p,) of the errors, and P0 (n, n) of a state that is not known."""
+    """C (p, n), the variances R (p,) of the errors, and the prior covariance P0 of a state."""
 
     C: SensorMatrix
     R: Float[np.ndarray, " p"]
@@ -85,7 +85,7 @@ class Sensors(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """Of a block's measurements the errors and variances, with their derivatives."""
+    """The errors and variances of a block's measurements, with their derivatives."""
 
     y: Float[np.ndarray, "T p"]
     e: Float[np.ndarray, "T p"]
@@ -95,9 +95,9 @@ class Filtered(NamedTuple):
 
 
 class SwitchedKalmanFilter(NamedTuple):
-    """The filter over logs; what it knows begins anew at `starts`.
+    """The filter over logs, which starts anew from the prior at `starts`.
 
-    left_out : measurements that tell where the state begins, and count for nothing else
+    left_out : measurements that determine the initial state, and are not in the likelihood
     """
 
     parts: tuple[Part, ...]

@@ -150,26 +150,11 @@ def read_recording(
 ) -> Recording:
     """The recording of a log or a list of logs: paths of CSV files, or pandas tables.
 
-    Parameters
-    ----------
-    logs : path, DataFrame, or list of them
-        With columns t (or time), x…, u…, and the mode.
-    modes : str or None
-        The column of the mode; None: one mode.
-    states, inputs : sequence of str, optional
-        Their columns; by default those that begin with `letter` or u, alone or with a number. A
-        name may follow a colon, as in "x1: position (m)".
-    letter : str
-        "x", or "y" for outputs.
-    check : callable, optional
-        Called with the logs, the columns of outputs and of inputs, the names of logs, and a
-        function that names a row of a log.
-
-    Raises
-    ------
-    ArgumentError
-        If a column is missing, an entry is not a number, times do not rise, a mode is not visited
-        or no input moves. The message names the line.
+    modes : the column of the mode; None for one mode
+    states, inputs : their columns; by default those named by `letter` (y for outputs) or u, alone
+        or with a number, after which a name may follow, as in "x1: position (m)"
+    check : called with the logs, the columns of outputs and of inputs, the names of logs, and a
+        function that names a row of a log
     """
     given = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not given:
