@@ -283,13 +283,12 @@ def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, OutputsMod
     """The estimate of the requested plant, and how it was chosen."""
     chosen, request = _about_its_rest(request)
     recording = request.recording
-    best, scan = chosen.best, chosen.scan
-    nodes = nodes_for(recording.parts, request.layout.split(best.theta[: request.layout.size])[0])
+    theta = chosen.best.theta
+    nodes = nodes_for(recording.parts, request.layout.split(theta[: request.layout.size])[0])
     log = replace(chosen.log, recording=recording, nodes=nodes)
     request.progress("finding intervals")
-    top, window = maximise(log, best.theta)
-    curves = scan.curves * (recording.samples / chosen.log.recording.samples)
-    start = start_with_scan(log, top, scan.first, curves)
+    top, window = maximise(log, theta)
+    start = start_with_scan(log, top, chosen.scan, chosen.log.recording.samples)
     try:
         return estimate_at(log, top, window, start), chosen
     except ArgumentError as error:

@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.delay_scan import largest_maximum
+from deadtime.identification.delay_scan import DelayScan, largest_maximum
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import (
     Peak,
@@ -90,18 +90,14 @@ def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) 
         rise = log.value(best.theta, starts) - plain.value(other.theta, starts)
         if not likelier_than_chance(rise, best.theta.size - other.theta.size):
             log, best, window, scan = plain, other, around, beside
-    curves = scan.curves * (recording.samples / some.recording.samples)
-    return estimate_at(
-        log, best, window, start_with_scan(log, best, scan.first, curves), exact.spare
-    )
+    start = start_with_scan(log, best, scan, some.recording.samples)
+    return estimate_at(log, best, window, start, exact.spare)
 
 
-def start_with_scan(
-    log: NoisyLog, best: Maximum, first: int, curves: Float[np.ndarray, "delay cell"]
-) -> Start:
-    """A maximum with the log likelihood of each cell of a delay from a scan."""
-    theta = best.theta[: log.layout.size]
-    return Start(theta, log.cells(theta), first, curves, log.acting.size)
+def start_with_scan(log: NoisyLog, best: Maximum, scan: DelayScan, samples: int) -> Start:
+    """A maximum with the log likelihood of each cell of a delay, from a scan of some samples."""
+    theta, share = best.theta[: log.layout.size], log.recording.samples / samples
+    return Start(theta, log.cells(theta), scan.first, scan.curves * share, log.acting.size)
 
 
 def noisy_starts(

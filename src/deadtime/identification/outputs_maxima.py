@@ -37,7 +37,6 @@ poles need a small q, slow ones a large one, which reduces the effect of noise.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import factorial
 from typing import NamedTuple
 
 import numpy as np
@@ -163,13 +162,13 @@ def with_other_delays(estimate: Estimate) -> tuple[Estimate, list[str]]:
     return replace(estimate, intervals=intervals, ends=ends), [sentence]
 
 
-_VAGUE = 1e8  # variances of a sensor that a state is not known by
-_DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends
+_VAGUE = 1e8  # prior variance of a state, in variances of a sensor
+_DECADES = 3.0  # range of the stiffness on either side, per derivative
 _ENOUGH = 2.0  # rows for each unknown
-_GROWTH = 10.0  # of a state from z_k to z_{k+q}: nobody logs a plant that grows faster
-_SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise that chains with zeros begin with
-_APART = 8, 4, 2, 1  # periods between outputs that stand for states
-_NOTHING = 1e-8  # of the plant's noise, where it is left out
+_GROWTH = 10.0  # of a state from z_k to z_{k+q}: no logged plant grows faster
+_SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise at the start of chains with zeros
+_APART = 8, 4, 2, 1  # periods between outputs that replace states
+_NOTHING = 1e-8  # of the plant's noise, where it is neglected
 _FEW = 1_000  # samples for climbs with fixed noise
 _GAIN = 1e-2  # of log likelihood that is worth a step while noise is fixed
 
@@ -226,28 +225,23 @@ def _integrators(series: list[np.ndarray], count: int, q: float) -> SwitchedKalm
 
     The first measurements, by which states begin, are left out.
     """
-    Phi, Q = np.zeros((1, count, count)), np.zeros((1, count, count))
-    for a in range(count):
-        for b in range(count):
-            if b >= a:
-                Phi[0, a, b] = 1.0 / factorial(b - a)
-            i, j = count - 1 - a, count - 1 - b
-            Q[0, a, b] = q / (factorial(i) * factorial(j) * (i + j + 1))
+    a, b = np.indices((count, count))
+    i, j, factorial = count - 1 - a, count - 1 - b, np.cumprod([1, *range(1, count)])
+    Phi = np.triu(1.0 / factorial[np.maximum(b - a, 0)])[None]
+    Q = (q / (factorial[i] * factorial[j] * (i + j + 1)))[None]
     nothing = np.zeros((1, 0, count, count))
 
     def periods(_: Part, rows: np.ndarray, __: np.ndarray) -> FilterPeriods:
-        kind, unmoved = np.zeros(rows.size, np.int64), np.zeros((rows.size, count))
-        by_nothing = np.zeros((rows.size, 0, count))
-        return FilterPeriods(kind, kind, Phi, nothing, Q, nothing, unmoved, by_nothing)
+        kind, added = np.zeros(rows.size, np.int64), np.zeros((rows.size, count))
+        by_added = np.zeros((rows.size, 0, count))
+        return FilterPeriods(kind, kind, Phi, nothing, Q, nothing, added, by_added)
 
-    times = [np.arange(len(y)) for y in series]
-    parts = [
-        Part(t.astype(float), y, np.zeros((t.size, 0)), 0 * t)
-        for t, y in zip(times, series, strict=True)
-    ]
+    rows = [np.arange(len(y)) for y in series]
+    each = zip(rows, series, strict=True)
+    parts = tuple(Part(k.astype(float), y, np.zeros((k.size, 0)), 0 * k) for k, y in each)
     initial = [np.isfinite(y) & (np.cumsum(np.isfinite(y), axis=0) <= count) for y in series]
     sensors = Sensors(np.eye(1, count), np.ones(1), (_VAGUE * (1.0 + q)) * np.eye(count))
-    return SwitchedKalmanFilter(tuple(parts), [t == 0 for t in times], initial, periods, sensors)
+    return SwitchedKalmanFilter(parts, [k == 0 for k in rows], initial, periods, sensors)
 
 
 def _likelihood(chain: SwitchedKalmanFilter) -> tuple[float, float]:
@@ -307,10 +301,10 @@ def chains_by_past(
     modes: int,
     apart: int,
 ) -> Squares | None:
-    """A of evenly sampled outputs; None if rows within a mode are too few, or tell no plant.
+    """A of evenly sampled outputs; None if a mode has too few rows, or M is not that of a plant.
 
-    deviation : about, of the sensors; step : between rows, seconds
-    lag : so many periods late inputs may act; apart : q, periods
+    deviation : of the sensors, approximately; step : between rows, seconds
+    lag : the latest period in which an input acts; apart : q, periods
 
     Examples
     --------
@@ -382,9 +376,9 @@ def _in_chains(F: Square, shape: Embedding) -> Square:
 def scan_starts(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     """Starts of a scan: of chains with zeros, from integrators, and several noises.
 
-    Derivatives of outputs that inputs make jump are no states: an A of them has poles far out, in
-    place of a zero and a part of the delay, where the likelihood has a maximum that is not its
-    largest. So it has with much noise in place of a pole that lies near a zero.
+    Derivatives of outputs that jump with inputs are not states: an A fitted to them has fast poles
+    in place of a zero and a part of the delay, at a local maximum of the likelihood. Another has
+    much noise in place of a pole near a zero.
     """
     shape, layout = log.embedding, log.layout
     assert shape is not None

@@ -71,7 +71,7 @@ def _sums_of(
 ) -> _CommonPeriods | _OwnPeriods:
     """The periods by which a scan compares cells: common ones if these are most of all.
 
-    Also if the log is shorter than twice the range of delays: it is refused later as too short.
+    A log shorter than twice the range of delays has common ones, too: it is refused later.
     """
     usable = [usable_lags(part, within, first - 1, last) for part in recording.parts]
     periods = UsablePeriods(recording.parts, usable)
@@ -103,17 +103,17 @@ class _CommonPeriods(NamedTuple):
         return self.gram[mode][np.ix_(columns, columns)], int(self.periods[mode])
 
     def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
-        """The log likelihood of all other periods: there are none."""
+        """The log likelihood of excluded periods: there are none."""
         return 0.0
 
 
 class _OwnPeriods:
-    """For each cell the periods whose inputs are known there.
+    """The periods of each cell whose inputs are known.
 
-    A delay that leaves out periods in which a state answers an input would explain the rest as well
-    as the true one explains all. The likeliest is sought with what it leaves out as likely as a
-    regression on the states alone makes it; but it stays plausible where unknown inputs may have
-    done what is left out, so that this counts as all else does.
+    A delay that excludes the periods in which a state responds to an input would explain the rest
+    as well as the true delay explains all. So in the search for the likeliest delay, excluded
+    periods count with the likelihood of a regression on the states alone. In the search for
+    plausible ones they count like the others, because unknown inputs may explain the response.
     """
 
     def __init__(self, z: list[Float[np.ndarray, "period z"]], n: int, constant: bool) -> None:
@@ -127,7 +127,7 @@ class _OwnPeriods:
         return z.T @ z, len(z)
 
     def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
-        """The log likelihood of all periods but so many, of which `each` is the others' mean."""
+        """The log likelihood of excluded periods; `each` is the mean over the `count` others."""
         M, every = self.of(mode, self._alone)
         if not plausible:
             each = _mean_likelihood(M, every, self._n)
