@@ -31,13 +31,13 @@ from deadtime.identification.transition import transitions_of
 
 _PARTS = 4  # delays tried per period
 _SWEEPS = 4  # over all delays, each in turn
-_ROUNDS = 3  # of scans, each about the likeliest plant so far
+_ROUNDS = 3  # of scans, each near the likeliest plant so far
 _BETTER = 0.1  # rise of log likelihood that is worth another round
 # Rise of log likelihood that ends a climb: of a plant with one pole too many it never converges.
 _GAIN = 1e-4
-_NEARLY = 3.0  # log likelihood below the maximum at which other delays are still tried
+_NEARLY = 3.0  # largest fall of log likelihood at which other delays are tried
 _LESS = 1e-4  # factor of W where all noise is attributed to the sensors
-# Share of the samples: if the whole range of delays makes more of them unusable, part is searched.
+# Share of samples: if the whole range of delays makes more of them unusable, a part is searched.
 _LOST = 0.5
 
 
@@ -264,5 +264,5 @@ def attributed_to_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
 
 
 def _climb(log: NoisyLog, vector: np.ndarray) -> Maximum:
-    """The maximum that a vector leads to, over the whole range of delays."""
+    """The maximum near a vector, over the whole range of delays."""
     return maximise(log, vector, window=log.bounds, gain=_GAIN)[0]

@@ -1,4 +1,8 @@
-"""`design_experiment`: inputs whose log identifies a plant's delays best, as an `Experiment`."""
+"""`design_experiment`: inputs whose log identifies a plant's delays best, as an `Experiment`.
+
+They minimise the Cramér–Rao bound of the delays (`experiment_information`) by a search over inputs
+within limits (`input_design`); the errors of a PRBS and a step are given for comparison.
+"""
 
 from __future__ import annotations
 
@@ -193,7 +197,7 @@ def _sentences(
     clock: int,
     largest: np.ndarray,
 ) -> tuple[str, ...]:
-    """Expected errors beside those of usual inputs, and where they are less reliable."""
+    """Expected errors, those of usual inputs for comparison, and warnings."""
     names = layout.names()[layout.at_delays]
     hold = "" if clock == 1 else f", each value held for {clock} periods"
     sentences = []

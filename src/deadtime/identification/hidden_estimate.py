@@ -5,7 +5,7 @@ score in all unknowns, θ, S and P, follows from Fisher's identity, and the obse
 minus its derivative, by central differences, equal to Louis' formula (J. Royal Statistical Society
 B 44(2), 1982). S and P are estimated, too, so the information on θ is the Schur complement
 
-    J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: S as L M Lᵀ about M = I, P by the logarithms of its odds.
+    J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: M of S = L M Lᵀ at M = I, and the log odds of P.
 
 With noisy sensors, of the vector θ of plant and noise and the odds η of the chain, J is minus the
 second differences of the log likelihood. The Schur complement is bounded by the information of the
@@ -60,7 +60,7 @@ class Information(NamedTuple):
 
 
 class _Noise:
-    """M and the logarithms of odds as a vector η about S and P of a likelihood."""
+    """The vector η at S and P of a likelihood: M, and the logarithms of odds."""
 
     def __init__(self, log: HiddenLog) -> None:
         self.log, n = log, log.layout.n

@@ -1,4 +1,4 @@
-"""Fits of plants with a number of hidden modes, and Bayes' information criterion of that number.
+"""Maximum-likelihood plants with a number of hidden modes, and the BIC of that number.
 
     BIC = −2 log L + q log N,    q unknowns: those of the plant, S of every mode, the chain's odds
 
@@ -68,7 +68,7 @@ _ALIKE = 5.0  # starts with log likelihoods so close after a few steps lead to t
 
 
 class HiddenSearch(NamedTuple):
-    """A recording and its periods; and both on a grid, where searches begin.
+    """A recording and its periods; and both on a grid, on which searches start.
 
     plain : the search without constant terms; None where 0 is far from the log
     """
@@ -85,7 +85,7 @@ class FitStart(NamedTuple):
     """A plant that fits a recording on a grid with hidden modes, from which a climb starts.
 
     log : the likelihood of exact states on the grid; posterior : of modes under the regressions
-    agreed : the number of `draws` of random stretches that led there
+    agreed : the number of `draws` of random stretches that led to the likeliest
     """
 
     log: HiddenLog
@@ -210,7 +210,7 @@ def fit_starts(search: HiddenSearch, layout: Layout, common: bool = False) -> li
 def _best_regressions(
     periods: Periods, layout: Layout, common: bool
 ) -> tuple[list[tuple[Regressions, Posterior]], int, int]:
-    """Those that the best draws lead to, likeliest first; how many led to the best; all draws.
+    """Regressions from the best draws, likeliest first; the number of draws to the best; of all.
 
     The first steps take modes to change at samples, with one covariance: no mode can vanish then
     in a few periods that it explains too well, nor in those that change it.
@@ -360,7 +360,7 @@ def fit_noisy(
 
 
 def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
-    """Whether constant terms lower BIC of exact states; where these cannot tell, they might."""
+    """Whether constant terms lower BIC of exact states; yes if those cannot be fitted."""
     try:
         return fit_exact(search, layout).layout.constant
     except ArgumentError:
@@ -394,7 +394,7 @@ def _noisy_fit_from(
             f"modes = {layout.modes} is too many for this log: with noise of the sensors a mode is "
             f"left with {rows:.0f} rows: ask for fewer, or log for longer."
         )
-    # Of the same samples for all numbers, and all levels: nothing but P0 is known of the first.
+    # BIC compares fits over the same samples: those after the first of each stretch.
     starts = log.starts(*search.bounds)
     value = float(log.filtered(best.theta, starts)[1][~np.concatenate(starts)].sum())
     fit = HiddenFit(
@@ -411,7 +411,7 @@ def _noisy_fit_from(
 def _best_start(
     search: HiddenSearch, layout: Layout, recording: Recording, C: SensorMatrix
 ) -> NoisyStart:
-    """The start that leads highest in coarse steps, of those that leave all modes rows, if any."""
+    """The start with the highest coarse climb, preferably one that leaves rows to all modes."""
     few, tried = recording.stretches(_ENOUGH, recording.lag(search.bounds[1])), []
     for start in _exact_starts(search, layout):
         log, noises = _noisy_log(start, search, recording, C)
@@ -464,7 +464,7 @@ def _noisy_log(
 
 
 def _least_rows(log: HiddenNoisyLog, theta: Vector, window: Window) -> float:
-    """How many rows the rarest mode is expected to have."""
+    """The expected number of rows of the rarest mode."""
     return float(np.vstack(log.posterior(theta, log.starts(*window)).node).sum(axis=0).min())
 
 

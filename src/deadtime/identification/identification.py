@@ -1,4 +1,4 @@
-"""`Identification`: a plant found in a log, with intervals, a verdict and a problem file."""
+"""`Identification`: a plant identified from a log, with intervals, a verdict and a problem file."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def draw_modes(axes: Axes, fit: Findings, part: Part) -> None:
 
 
 def draw_likelihood(axes: Axes, fit: Findings) -> None:
-    """The profile over every delay, about its estimate."""
+    """The profile likelihood of every delay near its estimate."""
     from scipy.interpolate import PchipInterpolator
 
     estimate = fit._estimate
@@ -168,7 +168,7 @@ def _draw_correlation(
     count: np.ndarray,
     columns: int,
 ) -> None:
-    """Correlations r (lags, names) of so many pairs each, side by side, and a band of chance."""
+    """Correlations r (lags, names), each of `count` pairs, side by side; and a band of chance."""
     for i, name in enumerate(names):
         shift, colour = gap * (i - 0.5 * (len(names) - 1)), COLOURS[i % len(COLOURS)]
         axes.vlines(at + shift, 0.0, r[:, i], color=colour, label=plain(name))
@@ -197,7 +197,7 @@ def likelihood_figure(fit: Findings) -> tuple[str, str, Figure]:
 
 
 def quick_figures(fit: Findings) -> Iterator[tuple[str, str, Figure]]:
-    """(name, caption, figure) of all others: predictions and modes, what is left."""
+    """(name, caption, figure) of all others: predictions and modes, residuals."""
     part, n, several = shown(fit), fit.plant.states, fit.plant.modes > 1
     with _figure(n + several, 1.1, 2.0) as (figure, axes):
         draw_log(axes[:n], fit, part)

@@ -231,7 +231,7 @@ def identify_outputs(
     within: bool,
     progress: Callable[[str], None],
 ) -> IdentifiedLog:
-    """The likeliest plant with so many states of each output."""
+    """The likeliest plant with given numbers of states of each output."""
     counts = order_of(order, recording.outputs)
     _require_moving(recording)
     constant = recording.level is not None

@@ -1,4 +1,4 @@
-"""Operating points: plants that rest elsewhere than at 0.
+"""Operating points: plants whose rest is not at 0.
 
     dx/dt = A_σ (x − x₀) + B_σ (u(t − D) − u₀) = A_σ x + B_σ u(t − D) + c_σ
 
@@ -168,7 +168,7 @@ def rest_of(estimate: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
         own = np.vstack((weighted, _RIDGE * np.eye(shift.size)))
         given = np.append(-size * terms, np.zeros(shift.size))
         shift, spare = scale * lsq_linear(own, given, ends / scale).x, 0
-    shift[np.abs(shift) < _NOTHING * scale] = 0.0  # round-off, of what is no deviation
+    shift[np.abs(shift) < _NOTHING * scale] = 0.0  # round-off of a zero
     states, inputs = shift[: layout.n], shift[layout.n :]
     left, variance = _constants_about(layout, theta, information, -states, -inputs)
     free = np.diagonal(variance) > 0.0

@@ -1,4 +1,4 @@
-"""Estimates with noisy sensors, in open and in closed loop.
+"""Maximum-likelihood estimates with noisy sensors, in open and in closed loop.
 
 The likeliest noise is too small, like a variance divided by N instead of N − p, because the p
 unknowns θ of the plant fit some of the noise. Restricted likelihood (Harville) integrates θ out by
@@ -66,7 +66,7 @@ _FEW = 4_000  # samples that locate the largest maximum
 _FLOOR = 1e-9  # of the trace of W: least noise in every direction of a start
 _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # rise of log likelihood that ends a climb
-_IDENTIFIED = 1.0  # information on a logarithm: noise known worse than by a factor of e stays fixed
+_IDENTIFIED = 1.0  # information on a logarithm: noise uncertain by a factor above e stays fixed
 _FEWEST = 3.0  # degrees of freedom: with 2 or less Student's distribution has no variance
 
 
@@ -193,7 +193,7 @@ def _spread(
 def noisy_residuals(
     log: NoisyLog, theta: Vector, window: Window
 ) -> list[Float[np.ndarray, "sample p"]]:
-    """The innovations of every part in standard deviations; NaN where there are none."""
+    """The innovations of every part in standard deviations; NaN without a measurement."""
     starts = log.starts(*window)
     e, s = log.innovations(theta, starts)
     fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
@@ -288,8 +288,8 @@ def variance_errors(
 ) -> Float[np.ndarray, " variance"]:
     """Standard errors of W_aa = Σ_b L_ab², mode by mode, and of sensors' variances.
 
-    To second order in L_ab. Near 0 the log likelihood is a parabola in w = W_aa: F, that on log √w,
-    is next to nothing there, but the error 2 w/√F is not.
+    To second order in L_ab. Near 0 the log likelihood is a parabola in w = W_aa: there F, the
+    information on log √w, nearly vanishes, but the error 2 w/√F does not.
     """
     size, (i, j), n = log.layout.size, log.places, log.layout.n
     C, L = covariance[size:, size:], log.root(vector)

@@ -223,7 +223,7 @@ def _smoothed_chain(series: list[np.ndarray], count: int) -> tuple[list[np.ndarr
 def _integrators(series: list[np.ndarray], count: int, q: float) -> SwitchedKalmanFilter:
     """The filter of a chain of integrators; variances in units of the sensor's.
 
-    The first measurements, by which states begin, are left out.
+    The first measurements, which determine the initial state, are left out.
     """
     a, b = np.indices((count, count))
     i, j, factorial = count - 1 - a, count - 1 - b, np.cumprod([1, *range(1, count)])
@@ -337,7 +337,7 @@ def chains_by_past(
 def _past_rows(
     part: Part, shape: Embedding, lag: int, apart: int
 ) -> tuple[Int[np.ndarray, " row"], np.ndarray, np.ndarray, np.ndarray]:
-    """The mode, outputs, z_k, inputs and 1, of rows that stay in a mode, all of them known."""
+    """Mode, outputs, z_k, inputs and 1, of rows that stay in a mode and are all known."""
     before = (max(shape.order) - 1) * apart
     k = np.arange(before + lag, len(part.output) - apart)
     z = [part.output[k - a * apart, j] for j, n in enumerate(shape.order) for a in range(n)]
@@ -354,7 +354,7 @@ def _past_rows(
 def _past_transition(
     now: Float[np.ndarray, "row p"], past: Float[np.ndarray, "row n"], shape: Embedding
 ) -> Square:
-    """M, by which z_k becomes z_{k+q}."""
+    """M of z_{k+q} = M z_k."""
     M = np.eye(past.shape[1], k=-1)
     for j, row in enumerate(shape.C.argmax(axis=1)):
         both = np.column_stack((past, now[:, j]))
@@ -365,7 +365,7 @@ def _past_transition(
 
 
 def _in_chains(F: Square, shape: Embedding) -> Square:
-    """F, of states that begin with outputs, in the states of the embedding."""
+    """F of the states z, transformed to the states of the embedding."""
     powers = [np.linalg.matrix_power(F, a) for a in range(max(shape.order))]
     T = np.array([shape.C[j] @ powers[a] for j, n in enumerate(shape.order) for a in range(n)])
     A = shape.shift()
@@ -393,7 +393,7 @@ def scan_starts(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
 def starts_from_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     """Starts of a climb with each A from past outputs: of chains with zeros.
 
-    The noise of the plant is next to nothing and fixed at first: otherwise it explains the error of
+    The noise of the plant is nearly 0 and fixed at first: otherwise it explains the error of
     a delay that is off by a part of a period, and a climb ends there.
     """
     shape, layout, grid = log.embedding, log.layout, log.recording.gridded()

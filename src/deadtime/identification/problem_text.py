@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 
 _LEFT_OUT = "# Noise of the sensors is left out: it is of y = C x, and the file's would be of x."
-_DELAYS = 20.0  # a run lasts so many of the longest one,
-_SOJOURNS = 5.0  # and so many mean ones of the mode that lasts longest
+_DELAYS = 20.0  # longest delays in a run, at least
+_SOJOURNS = 5.0  # mean sojourns in the mode that lasts longest, at least
 _MOST = 60  # factors of 4
 
 
@@ -81,7 +81,7 @@ def _delay_lines(fit: Findings) -> list[str]:
 
 
 def _operating_point(fit: Findings) -> list[str]:
-    """Where the plant rests, and what modes add there, where that is not 0."""
+    """The operating point, and the offsets of modes there, unless they are 0."""
     if (point := fit.operating_point) is None:
         return []
     lines = ["[operating_point]    # all states and inputs of this file are deviations from it"]
@@ -101,7 +101,7 @@ def _uncertainty(fit: Findings) -> list[str]:
 
 
 def _switching(fit: Findings, filtered: tuple[np.ndarray, str]) -> list[str]:
-    """How the mode switches: the fitted model, or a constant mode where there is none."""
+    """The switching: the fitted model, or a constant mode without one."""
     if fit.model is None:
         return ["[signal]", 'kind = "constant"', "mode = 0", ""]
     lines = [fit.model.section(), ""]
@@ -210,7 +210,7 @@ def filter_noise(fit: Findings) -> tuple[Square, str]:
 
 
 def _loop_pace(plant: SwitchedSystem) -> float | None:
-    """How fast the slowest mode decays under the file's gains, 1/s; None where there are none."""
+    """The decay rate of the slowest mode with the file's gains, 1/s; None without gains."""
     try:
         gains = lqr(plant, np.eye(plant.states), np.eye(plant.inputs))
     except ArgumentError:
@@ -219,7 +219,7 @@ def _loop_pace(plant: SwitchedSystem) -> float | None:
 
 
 def _decay(fit: Findings, W: np.ndarray) -> float:
-    """How fast the error of an observer designed on W decays in the slowest mode, 1/s; 0: none."""
+    """The decay rate of the error of an observer designed on W in the slowest mode, 1/s; or 0."""
     try:
         return -float(kalman(fit.plant, fit.C, W, np.diag(fit.noise**2), fit.step).rates.max())
     except ArgumentError:

@@ -158,7 +158,7 @@ def with_inputs(
 def _correlation(
     late: list[np.ndarray], early: list[np.ndarray], lag: int
 ) -> tuple[np.ndarray, int]:
-    """The correlation of samples with those `lag` before, where both are known; how many."""
+    """The correlation of samples with those `lag` before, and the number of known pairs."""
     total, count = np.zeros((late[0].shape[1], early[0].shape[1])), 0
     for after, before in zip(late, early, strict=True):
         if len(after) <= lag:

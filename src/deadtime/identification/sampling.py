@@ -80,7 +80,7 @@ TermsIn = Callable[[np.ndarray], Callable[[np.ndarray], list[Term]]]  # of cells
 
 
 class FilterPeriods(NamedTuple):
-    """The periods that lead to samples.
+    """The periods before samples, each from the sample before to its own.
 
     mode : (T,), and kind : (T,), the row of the next four
     Phi, Q : (kinds, n, n); by_Phi : (kinds, n², n, n) by its mode's A; by_Q : by A and then by L,
@@ -196,7 +196,7 @@ class Sampling(Frozen, ABC):
     def periods_of(
         self, layout: Layout, theta: Vector, L: Square, cells: Cells, slopes: bool = True
     ) -> PeriodsOf:
-        """The periods that lead a filter from sample to sample, W = L Lᵀ, delays in given cells.
+        """The periods between the samples of a filter, W = L Lᵀ, delays in given cells.
 
         Without `slopes` they have no derivatives, which take most of the time.
         """
@@ -502,7 +502,7 @@ def acting_in(
 
 
 def nodes_for(parts: tuple[Part, ...], A: Squares) -> np.ndarray:
-    """Nodes that serve plants about A over all periods of a recording."""
+    """Nodes accurate for plants near A over all periods of a recording."""
     longest = max(float(np.diff(part.time).max()) for part in parts)
     rate = 2.0 * float(np.abs(np.linalg.eigvals(A)).max()) + 1.0 / longest
     return nodes_of(longest * (1.0 + 1e-9), min(rate, 200.0 / longest))

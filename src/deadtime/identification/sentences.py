@@ -1,4 +1,8 @@
-"""Sentences on an estimate, and the verdict: whether a law tolerates all that a log allows."""
+"""Sentences on an estimate, and the verdict: whether a law tolerates all delays in the intervals.
+
+The verdict compares intervals with a delay margin, and tests the corners of the box of intervals by
+the growth rate of the loop in every constant mode.
+"""
 
 from __future__ import annotations
 
@@ -291,7 +295,7 @@ def _outliers(estimate: Estimate, recording: Recording, C: SensorMatrix) -> list
 
 
 def _states(estimate: Estimate, recording: Recording) -> list[str]:
-    """Sentences on states, where there are more of them than outputs."""
+    """Sentences on the states of outputs alone."""
     shape = estimate.of_outputs and estimate.of_outputs.embedding
     if shape is None:
         return []

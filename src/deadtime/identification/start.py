@@ -1,4 +1,4 @@
-"""Where to start: a linear regression at every whole number of periods, and its logarithm.
+"""A first guess of the plant: a linear regression in every cell of the delays, and its logarithm.
 
 With D in the cell [(N − 1) h, N h] only u_{k−N} and u_{k−N+1} act, so x_{k+1} is linear in x_k and
 those for every D in the cell. The N with the likeliest residuals is taken; A = log Φ / h, and the
@@ -99,7 +99,7 @@ class _CommonPeriods(NamedTuple):
     periods: Int[np.ndarray, " mode"]
 
     def of(self, mode: int, columns: list[int]) -> tuple[np.ndarray, int]:
-        """Σ z zᵀ of some columns, and over how many periods."""
+        """Σ z zᵀ of some columns, and the number of periods."""
         return self.gram[mode][np.ix_(columns, columns)], int(self.periods[mode])
 
     def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
@@ -121,7 +121,7 @@ class _OwnPeriods:
         self._alone = [*range(2 * n), *([z[0].shape[1] - 1] if constant else [])]
 
     def of(self, mode: int, columns: list[int]) -> tuple[np.ndarray, int]:
-        """Σ z zᵀ of some columns, and over how many periods."""
+        """Σ z zᵀ of some columns, and the number of periods."""
         z = self._z[mode][:, columns]
         z = z[np.isfinite(z).all(axis=1)]
         return z.T @ z, len(z)
@@ -213,7 +213,7 @@ class _CellScan:
         return self.sums.of(mode, columns)
 
     def regression(self, mode: int, cells: np.ndarray) -> tuple[Float[np.ndarray, "n r"], int]:
-        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1; and over how many periods."""
+        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1; and the number of periods."""
         M, count = self._sums(mode, tuple(cells.tolist()))
         return _regressed(M, self.layout.n)[0], count
 
@@ -226,7 +226,7 @@ class _CellScan:
 
 
 def _mean_likelihood(M: Float[np.ndarray, "z z"], count: int, n: int) -> float:
-    """The log likelihood of each of so many periods, but for a constant, from Σ z zᵀ."""
+    """The mean log likelihood of `count` periods, up to a constant, from Σ z zᵀ."""
     spare = max(count - (len(M) - n), 1)
     return -0.5 * (_regressed(M, n)[1] - n * float(np.log(spare)))
 

@@ -124,7 +124,7 @@ def noise_tables(
         return noise_covariances(A[None], L @ L.T, times), np.empty((count, 0, n, n))
     joint, noise = np.zeros((n * n, 2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     a, b = np.divmod(np.arange(n * n), n)
-    # Noise enters the second half alone, so that the corner beside it is what E_ab carries over.
+    # Noise enters the second half only, so the off-diagonal corner is its effect through E_ab.
     joint[:, :n, :n] = joint[:, n:, n:] = A
     joint[np.arange(n * n), a, n + b] = 1.0
     noise[n:, n:] = L @ L.T

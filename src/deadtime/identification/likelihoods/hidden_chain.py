@@ -44,7 +44,7 @@ _FLOOR = 1e-300  # of a probability, whose logarithm is taken
 
 
 class Counts(NamedTuple):
-    """Expected jumps N (modes, modes), and the time, or the rows, T (modes,) that led to them."""
+    """Expected jumps N (modes, modes), and the time or rows T (modes,) spent in each mode."""
 
     jumps: Float[np.ndarray, "mode mode"]
     spent: Float[np.ndarray, " mode"]

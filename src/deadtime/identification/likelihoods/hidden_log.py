@@ -130,7 +130,7 @@ _BLOCK = 4096  # samples whose weights of nodes are stored at a time
 
 
 class PartPeriods(NamedTuple):
-    """The periods that lead to the samples of a part, all of one mode.
+    """The periods before the samples of a part, all of one mode.
 
     kind : (T,), the row of Phi and Q, how a state moves, and the noise; added : (T, n), by inputs
     """
@@ -202,7 +202,7 @@ class HiddenNoisyLog(SensorLikelihood):
     def _periods(
         self, number: int, start: np.ndarray, theta: Vector, L: Square, cells: Cells
     ) -> PartPeriods:
-        """The periods of a part in one mode; the last ones are kept: differences ask for few anew.
+        """The periods of a part in one mode, cached: differences change those of few modes.
 
         theta : of a plant of that mode alone
         """

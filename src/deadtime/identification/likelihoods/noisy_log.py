@@ -165,7 +165,7 @@ class SensorLikelihood(Likelihood):
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        # Noise is within 1e-6 … 1e6 of what is measured.
+        # Noise is within 1e-6 … 1e6 of the measurements.
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         at = self.logarithms
         size = 0.5 * np.log(np.diagonal(self.P0) / _VAGUE)

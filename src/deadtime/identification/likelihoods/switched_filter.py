@@ -29,7 +29,7 @@ from deadtime.identification.sampling import FilterPeriods, PeriodsOf
 from deadtime.identification.scoring import Evaluation
 
 _BLOCK = 4096  # samples whose derivatives are kept at a time, at most
-_NUMBERS = 2_000_000  # of them
+_NUMBERS = 2_000_000  # numbers kept at a time, at most
 
 
 class Places(NamedTuple):

@@ -1,4 +1,7 @@
-"""Logs from CSV files or tables as arrays; errors name the line of the file."""
+"""Logs from CSV files or tables as arrays, split where rows are lost; errors name the line.
+
+The sampling period is the median distance of rows; rows are even if all lie on its grid to 1 %.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +77,7 @@ class Recording(NamedTuple):
     outputs, inputs, modes : names
     logged : whether the mode was logged
     absent : modes declared as categories of a table and never visited
-    level : the values subtracted from all columns; None: nothing, and plants rest at 0
+    level : the values subtracted from all columns; None if plants rest at 0
     constants : names and values of inputs that never move and are left out
     """
 
@@ -109,7 +112,7 @@ class Recording(NamedTuple):
         return sum(part.time.size for part in self.parts)
 
     def stretches(self, most: int, lag: int) -> Recording:
-        """The recording, or of a longer one evenly spread stretches with about `most` samples.
+        """The recording, or evenly spread stretches of a longer one with about `most` samples.
 
         Each has `lag` samples more: the inputs that act in its first ones lie before the stretch.
         """

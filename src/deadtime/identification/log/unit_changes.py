@@ -26,7 +26,7 @@ _CLOCKS = (
     (1e6, "microseconds", "1,000,000"),
     (1e9, "nanoseconds", "1,000,000,000"),
 )
-_SLOW = 5.0  # a period may last so many of the longest delays: plants are often sampled so slowly
+_SLOW = 5.0  # longest delays per sampling period: plants are often sampled that slowly
 _MOST_LEFT = 0.5  # share of a stretch's variance that a model in the right units leaves at most
 _WORSE = 3.0  # times so much variance is left in wrong units
 _MOST_LAGS = 60  # of inputs, in a regression
