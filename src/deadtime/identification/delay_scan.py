@@ -191,21 +191,21 @@ class _DelayRegressions:
 
 def largest_maximum(
     log: NoisyLog,
-    begins: Sequence[np.ndarray],
+    guesses: Sequence[np.ndarray],
     climbed: Sequence[np.ndarray] = (),
     others: Callable[[np.ndarray], list[np.ndarray]] = lambda _: [],
 ) -> tuple[Maximum, DelayScan]:
     """The likeliest vector that is reached, and the last scan.
 
-    begins : vectors with A and noise for scans; climbed : vectors from which to climb without a
+    guesses : vectors with A and noise for scans; climbed : vectors from which to climb without a
     scan; others : more starts near a vector
     """
-    log = replace(log, bounds=_search_range(log, (*begins, *climbed)[0]))
+    log = replace(log, bounds=_search_range(log, (*guesses, *climbed)[0]))
     scan, grid = None, replace(log, recording=log.recording.gridded())
-    maxima = [_climb(log, begin) for begin in climbed]
-    for begin in begins:
-        scan = scan_delays(grid, begin)
-        maxima.append(_climb(log, scan.with_noise_of(begin)))
+    maxima = [_climb(log, guess) for guess in climbed]
+    for guess in guesses:
+        scan = scan_delays(grid, guess)
+        maxima.append(_climb(log, scan.with_noise_of(guess)))
     best = max(maxima, key=lambda one: one.value)
     for _ in range(_ROUNDS):
         scan = scan_delays(grid, best.theta)

@@ -56,8 +56,8 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs 
     for k in periods.usable:
         runs = np.split(np.arange(k.size), np.flatnonzero(np.diff(k) != 1) + 1)
         for run in runs:
-            begins = np.arange(0, run.size - length + 1, length // 2)
-            places += [start + run[0] + begin for begin in begins]
+            firsts = np.arange(0, run.size - length + 1, length // 2)
+            places += [start + run[0] + first for first in firsts]
         start += k.size
     if len(places) < layout.modes:
         return None

@@ -433,10 +433,10 @@ def design_experiment(
     --------
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], 0.27)
-    >>> found = dt.design_experiment(plant, 10.0, 0.1, 1.0, disturbance=1e-3, effort=0)
-    >>> round(1e3 * found.standard_error("delay"), 1), found.inputs.shape
+    >>> experiment = dt.design_experiment(plant, 10.0, 0.1, 1.0, disturbance=1e-3, effort=0)
+    >>> round(1e3 * experiment.standard_error("delay"), 1), experiment.inputs.shape
     (0.7, (1, 100))
-    >>> errors = found.delay_errors
+    >>> errors = experiment.delay_errors
     >>> bool(errors["experiment"] < errors["prbs"] < errors["step"])
     True
     """

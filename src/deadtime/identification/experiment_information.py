@@ -318,11 +318,11 @@ class NoisyStates(Frozen):
         white, carried = np.zeros((2, count, n, n))
         joint = _Joint.of(chain, size, tables)
         F = np.zeros((joint.unknowns, joint.unknowns))
-        begins = np.append(True, ~used[:-1])
+        restarts = np.append(True, ~used[:-1])
         at = np.ix_(tables.wide, tables.wide)
-        filtered = _filter(chain, begins, tables)
+        filtered = _filter(chain, restarts, tables)
         for k, (now, one) in enumerate(zip(chain.covariances(), filtered, strict=True)):
-            if begins[k]:
+            if restarts[k]:
                 joint = joint.at_start(now)
             else:
                 white[k] = np.linalg.inv(np.linalg.cholesky(one.S))
@@ -359,7 +359,7 @@ class NoisyStates(Frozen):
 
 
 def _filter(
-    chain: Chain, begins: Bool[np.ndarray, " sample"], tables: NoiseTables
+    chain: Chain, restarts: Bool[np.ndarray, " sample"], tables: NoiseTables
 ) -> Iterator[FilterSample]:
     """Kalman's filter along a chain, with derivatives by the unknowns `tables.wide`."""
     n, q = chain.n, tables.wide.size
@@ -369,7 +369,7 @@ def _filter(
     place = np.full(int(tables.wide[-1]) + 1, -1)
     place[tables.wide] = np.arange(q)
     for k, i in enumerate(chain.mode.tolist()):
-        if begins[k]:
+        if restarts[k]:
             one = FilterSample(np.eye(n), none, none, np.zeros((q, n, n)), np.zeros((q, n, n)))
         else:
             S, by_S = P + V, by_P + by_V

@@ -149,10 +149,10 @@ def _with_zeros(simple: OutputsModel, guess: Guess) -> OutputsModel:
 
 
 def _model_of(
-    log: NoisyLog, begins: Sequence[np.ndarray], climbed: Sequence[np.ndarray]
+    log: NoisyLog, guesses: Sequence[np.ndarray], climbed: Sequence[np.ndarray]
 ) -> OutputsModel:
     """The likeliest plant: see `largest_maximum`."""
-    given = log, begins, climbed, lambda theta: equivalent_delays(log, theta)
+    given = log, guesses, climbed, lambda theta: equivalent_delays(log, theta)
     return OutputsModel(log, *largest_maximum(*given))
 
 

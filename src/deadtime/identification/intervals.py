@@ -215,14 +215,14 @@ class Peak(Frozen):
             top = int(curve.argmax())
             if any(fresh_rise(side, level) is not None for side in (curve[top::-1], curve[top:])):
                 near = np.flatnonzero(curve >= level)
-                begins = None if start.vectors is None else start.vectors[row][near]
-                mixed.append(self._mixed(row, start.first + near, begins))
+                vectors = None if start.vectors is None else start.vectors[row][near]
+                mixed.append(self._mixed(row, start.first + near, vectors))
         if not mixed:
             return None
         return np.column_stack((np.min(mixed, axis=0)[:, 0], np.max(mixed, axis=0)[:, 1]))
 
     def _mixed(
-        self, row: int, cells: np.ndarray, begins: np.ndarray | None
+        self, row: int, cells: np.ndarray, vectors: np.ndarray | None
     ) -> Float[np.ndarray, "size 2"]:
         """The ends of all intervals over cells of one delay, from the mixture of the module."""
         log, best, h = self.log, self.best, self.log.recording.step
@@ -232,7 +232,7 @@ class Peak(Frozen):
         for k, cell in enumerate(cells):
             own, theta = log.cells(best.theta), best.theta.copy()
             own[row], theta[place[row]] = cell, (cell - 0.5) * h
-            theta = theta if begins is None else begins[k]
+            theta = theta if vectors is None else vectors[k]
             top = climb_within(log, evaluate_in(own), theta, own, _CELL_GAIN)
             if not np.isfinite(top.value):
                 continue

@@ -72,9 +72,9 @@ _FEWEST = 3.0  # degrees of freedom: with 2 or less Student's distribution has n
 
 def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
-    log, begins = noisy_starts(recording, C, exact)
+    log, guesses = noisy_starts(recording, C, exact)
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
-    top, scan = largest_maximum(some, begins)
+    top, scan = largest_maximum(some, guesses)
     best, window = maximise(log, top.theta)
     smaller, kept = without_level(log, best.theta, best.information, np.linalg.pinv(C))
     if kept.size < best.theta.size:
@@ -84,7 +84,7 @@ def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) 
         plain, kept = at_zero(log, best.theta.size)
         climbed = [best.theta[kept]]
         few, _ = at_zero(some, best.theta.size)
-        top, beside = largest_maximum(few, [begin[kept] for begin in begins], climbed)
+        top, beside = largest_maximum(few, [guess[kept] for guess in guesses], climbed)
         other, around = maximise(plain, top.theta)
         starts = log.starts(min(window[0], around[0]), max(window[1], around[1]))
         rise = log.value(best.theta, starts) - plain.value(other.theta, starts)
@@ -327,20 +327,20 @@ _SAME = 0.1  # a neighbour likelier by more than this is tried as a start
 
 def estimate_in_loop(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
     """The estimate if sensors are noisy, from maxima of the likelihood in every cell of a delay."""
-    log, begins = noisy_starts(recording, C, exact)
+    log, guesses = noisy_starts(recording, C, exact)
     bounds = log.bounds
     lag = recording.lag(bounds[1])
     some = replace(log, recording=recording.stretches(_LOOK, lag))
-    theta, curves, vectors = begins[0], [], []
+    theta, curves, vectors = guesses[0], [], []
     first, last = cell_range(recording.step, bounds, log.layout.m)
     every = np.arange(first, last + 1)
     for row in range(log.layout.delays):
-        tops = _in_cells(some, begins, row, every)
+        tops = _in_cells(some, guesses, row, every)
         if some.recording is not recording:
             tops = _anew(log, tops, row, every)
         values = np.array([top.value for top in tops])
         theta = tops[int(values.argmax())].theta
-        begins = [theta, *begins]
+        guesses = [theta, *guesses]
         curves.append(values)
         vectors.append([top.theta for top in tops])
     best, window = maximise(log, theta, gain=_CELL_GAIN)
@@ -359,14 +359,14 @@ def estimate_in_loop(recording: Recording, C: SensorMatrix, exact: Estimate) -> 
 
 
 def _in_cells(
-    log: NoisyLog, begins: list[np.ndarray], row: int, every: Int[np.ndarray, " cell"]
+    log: NoisyLog, guesses: list[np.ndarray], row: int, every: Int[np.ndarray, " cell"]
 ) -> list[Maximum]:
     """The likeliest vector with one delay in each of its cells."""
     evaluate_in, tops = log.evaluate_in(*log.bounds), []
     often = max(1, every.size // _MANY)
     for place, cell in enumerate(every.tolist()):
         near = [tops[-1].theta] if tops else []
-        own = near if place % often else [*near, *begins]
+        own = near if place % often else [*near, *guesses]
         tried = [_top(log, evaluate_in, theta, row, cell) for theta in own]
         tops.append(max(tried, key=lambda one: one.value))
     for place in range(every.size - 2, -1, -1):
@@ -396,8 +396,8 @@ def _top(
     cell: int,
 ) -> Maximum:
     """The maximum near a vector with one delay in a given cell, the others in theirs."""
-    cells, begin = log.cells(theta), theta
+    cells, guess = log.cells(theta), theta
     if cells[row] != cell:
-        begin, cells[row] = theta.copy(), cell
-        begin[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
-    return climb_within(log, evaluate_in(cells), begin, cells, _CELL_GAIN)
+        guess, cells[row] = theta.copy(), cell
+        guess[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
+    return climb_within(log, evaluate_in(cells), guess, cells, _CELL_GAIN)

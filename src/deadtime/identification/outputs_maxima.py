@@ -72,8 +72,8 @@ def equivalent_delays(log: NoisyLog, theta: Vector) -> list[np.ndarray]:
     for row in range(layout.delays):
         entries = np.argwhere(of == row)
         i, j = entries[0]
-        begin = h * (np.floor(D[i, j] / h) - 1.0)
-        grid = np.unique(np.clip(begin + h / _PARTS * np.arange(3 * _PARTS + 1), *log.bounds))
+        lowest = h * (np.floor(D[i, j] / h) - 1.0)
+        grid = np.unique(np.clip(lowest + h / _PARTS * np.arange(3 * _PARTS + 1), *log.bounds))
         with np.errstate(all="ignore"):
             misfit, weights = _pulse_misfits(A, B, entries, float(D[i, j]), grid, shape.C, h)
         inner = np.flatnonzero((misfit[1:-1] < misfit[:-2]) & (misfit[1:-1] <= misfit[2:])) + 1
@@ -192,8 +192,8 @@ def derivatives_of(parts: tuple[Part, ...], order: tuple[int, ...], step: float)
     --------
     >>> t = 0.1 * np.arange(200)
     >>> part = Part(t, np.sin(t)[:, None], np.zeros((200, 1)), np.zeros(200, np.int64))
-    >>> found = derivatives_of((part,), (2,), 0.1).states[0]
-    >>> bool(np.abs(found[20:-20, 1] - np.cos(t)[20:-20]).max() < 1e-3)
+    >>> states = derivatives_of((part,), (2,), 0.1).states[0]
+    >>> bool(np.abs(states[20:-20, 1] - np.cos(t)[20:-20]).max() < 1e-3)
     True
     """
     columns, deviation, drive = [], [], []

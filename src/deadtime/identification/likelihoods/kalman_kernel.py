@@ -26,7 +26,7 @@ from deadtime.numerics.kernels import kernel
 
 
 @kernel
-def begin(x, P, P0):
+def reset(x, P, P0):
     """The prior: mean 0 and covariance P0."""
     for i in range(x.size):
         x[i] = 0.0
@@ -101,7 +101,7 @@ def tangents(
     for k in range(samples):
         i, m = kind[k], mode[k]
         if start[k]:
-            begin(x, P, P0)
+            reset(x, P, P0)
             by_x[:] = 0.0
             by_P[:] = 0.0
         else:
@@ -109,7 +109,7 @@ def tangents(
             predict_covariance(P, Phi[i], Q[i], led_P, spare)
             predict_mean_tangents(x, by_x, Phi[i], by_Phi[i], by_added[k], own[m])
             predict_covariance_tangents(P, by_P, Phi[i], by_Phi[i], by_Q[i], noisy[m], spare)
-            begin(x, P, led_P)
+            reset(x, P, led_P)
             for a in range(n):
                 x[a] = led_x[a]
         for s in range(sensors):
@@ -227,7 +227,7 @@ def filter_modes(y, start, kind, Phi, moved, Q, C, R, P0, chain, which, within, 
     density, spare, gain = np.zeros((modes, modes)), np.zeros((3, n, n)), np.zeros((2, n))
     for i in range(modes):
         chance[i] = -math.log(modes)
-        begin(x[i], P[i], P0)
+        reset(x[i], P[i], P0)
         gained[0] = update(x[i], P[i], y[0], C, R, gain[0])
     for k in range(1, samples):
         at = kind[k]
@@ -236,7 +236,7 @@ def filter_modes(y, start, kind, Phi, moved, Q, C, R, P0, chain, which, within, 
                 if i != j and not within:
                     continue
                 if start[k]:
-                    begin(led_x[i, j], led_P[i, j], P0)
+                    reset(led_x[i, j], led_P[i, j], P0)
                 elif i == j:
                     predict_mean(x[i], Phi[i, at], moved[i, k], led_x[i, i])
                     predict_covariance(P[i], Phi[i, at], Q[i, at], led_P[i, i], spare[0])
@@ -290,13 +290,13 @@ def predict_halves(x, P, Phi, moved, Q, other, other_moved, other_Q, new_x, new_
 @kernel
 def update(x, P, y, C, R, gain):
     """A state corrected by its measurements, in place; their log density."""
-    found = 0.0
+    density = 0.0
     for s in range(y.size):
         if y[s] == y[s]:
             e, whole = innovation(y[s], R[s], C[s], x, P, gain)
             correct(x, P, gain, e, whole)
-            found -= 0.5 * (e * e / whole + math.log(2.0 * math.pi * whole))
-    return found
+            density -= 0.5 * (e * e / whole + math.log(2.0 * math.pi * whole))
+    return density
 
 
 @kernel

@@ -311,8 +311,8 @@ class NoisyLog(SensorLikelihood):
     def innovations(self, vector: Vector, starts: Starts) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
         blocks = self.filter(vector, starts).innovations(Places.none(self.layout.modes))
-        found = [(block.e, block.s) for block in blocks]
-        return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
+        e, s = zip(*((block.e, block.s) for block in blocks), strict=True)
+        return np.vstack(e), np.vstack(s)
 
     def value(self, vector: Vector, starts: Starts) -> float:
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
@@ -321,11 +321,11 @@ class NoisyLog(SensorLikelihood):
         free = self.free
         places = Places.of(self.layout, len(self.C), free)
         with np.errstate(all="ignore"):
-            found = self.filter(vector, starts, cells).evaluate(places)
+            now = self.filter(vector, starts, cells).evaluate(places)
         score, information = np.zeros(self.size), np.zeros((self.size, self.size))
-        score[free], information[np.ix_(free, free)] = found.score, found.information
+        score[free], information[np.ix_(free, free)] = now.score, now.information
         known = np.isfinite(score).all() and np.isfinite(information).all()
-        return Evaluation(found.value if known else -np.inf, score, information)
+        return Evaluation(now.value if known else -np.inf, score, information)
 
 
 _MOST = 10_000  # samples of a long log whose states are computed

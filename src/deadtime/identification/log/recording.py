@@ -270,10 +270,10 @@ def _moving(
             "--inputs."
         )
     each = list(zip(inputs, known, moves, strict=True))
-    held = tuple((name, float(values[0])) for name, values, moving in each if not moving)
+    constants = tuple((name, float(values[0])) for name, values, moving in each if not moving)
     own = np.flatnonzero(moves)
     kept = tuple(part._replace(input=read_only(part.input[:, own])) for part in parts)
-    return kept, tuple(name for name, _, moving in each if moving), held
+    return kept, tuple(name for name, _, moving in each if moving), constants
 
 
 def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:
