@@ -386,7 +386,9 @@ class UnevenSampling(Sampling):
                 for j in range(m):
                     by_D = -np.tensordot(change[:, :, j], pushed[:, :, j], (1, 0))
                     by_added[own, n * (n + acting) + j] = by_D
-            return FilterPeriods(mode, np.arange(rows.size), *interpolated, added, by_added)
+            Phi, by_Phi, Q, by_Q = interpolated
+            kind = np.arange(rows.size)
+            return FilterPeriods(mode, kind, Phi, by_Phi, Q, by_Q, added, by_added)
 
         return periods
 
