@@ -213,7 +213,7 @@ def decode(fit: HiddenFit[Log]) -> DecodedFit[Log]:
     return DecodedFit(fit, fit.log.ordered(order), layout.ordered(fit.theta, order), order, record)
 
 
-def estimate_exact(decoded: DecodedFit[HiddenLog]) -> ModesEstimate:
+def estimate_hidden(decoded: DecodedFit[HiddenLog]) -> ModesEstimate:
     """The estimate with exact states."""
     log, theta = decoded.log, decoded.theta
     layout, cells, window = log.layout, log.cells(theta), decoded.fit.window
@@ -232,7 +232,7 @@ def estimate_exact(decoded: DecodedFit[HiddenLog]) -> ModesEstimate:
     return ModesEstimate(estimate, posterior.node, information.widening)
 
 
-def estimate_noisy(decoded: DecodedFit[HiddenNoisyLog]) -> ModesEstimate:
+def estimate_hidden_noisy(decoded: DecodedFit[HiddenNoisyLog]) -> ModesEstimate:
     """The estimate with noisy sensors."""
     log, theta, record = decoded.log, decoded.theta, decoded.recording
     layout, window, cells = log.layout, decoded.fit.window, log.cells(theta)

@@ -254,7 +254,7 @@ def _in_best_cells(
         model = maximisation_step(rows, posterior, model.jumps, cells, common)
 
 
-def fit_exact(search: HiddenSearch, layout: Layout) -> HiddenFit[HiddenLog]:
+def fit_hidden(search: HiddenSearch, layout: Layout) -> HiddenFit[HiddenLog]:
     """The likeliest plant of as many modes as the layout has, from exact states.
 
     Refused as by `fit_starts`, or if a mode is left with next to no period on the way up.
@@ -343,7 +343,7 @@ class NoisyStart(NamedTuple):
     window: Window
 
 
-def fit_noisy(
+def fit_hidden_noisy(
     search: HiddenSearch, layout: Layout, recording: Recording, C: SensorMatrix
 ) -> HiddenFit[HiddenNoisyLog]:
     """The likeliest plant and noise of a recording of y = C x, of a number of modes.
@@ -352,7 +352,7 @@ def fit_noisy(
     """
     if search.plain is not None and not _seems_to_need_level(search, layout):
         plain = replace(layout, constant=False)
-        return fit_noisy(search.plain, plain, recording.absolute(), C)
+        return fit_hidden_noisy(search.plain, plain, recording.absolute(), C)
     fit, best = _noisy_fit_from(search, _best_start(search, layout, recording, C))
     if search.plain is None:
         return fit
@@ -362,7 +362,7 @@ def fit_noisy(
 def _seems_to_need_level(search: HiddenSearch, layout: Layout) -> bool:
     """Whether constant terms lower BIC of exact states; yes if those cannot be fitted."""
     try:
-        return fit_exact(search, layout).layout.constant
+        return fit_hidden(search, layout).layout.constant
     except ArgumentError:
         return True
 

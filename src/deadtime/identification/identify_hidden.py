@@ -22,14 +22,14 @@ from deadtime.identification.hidden_estimate import (
     DecodedFit,
     ModesEstimate,
     decode,
-    estimate_exact,
-    estimate_noisy,
+    estimate_hidden,
+    estimate_hidden_noisy,
 )
 from deadtime.identification.hidden_fit import (
     HiddenFit,
     Log,
-    fit_exact,
-    fit_noisy,
+    fit_hidden,
+    fit_hidden_noisy,
     refine,
     search_of,
 )
@@ -104,7 +104,7 @@ def identify_hidden(
 
     if not noise:
         chosen, sentences = choose(
-            lambda own: fit_exact(search, own), lambda fit: decode(refine(fit)), estimate_exact
+            lambda own: fit_hidden(search, own), lambda fit: decode(refine(fit)), estimate_hidden
         )
         if noise is False or numbers == (1,):
             return chosen, sentences
@@ -114,9 +114,9 @@ def identify_hidden(
         if exact.tests.white and (chosen is None or _holds(chosen)):
             return chosen, sentences
     return choose(
-        lambda own: fit_noisy(search, own, recording, C),
+        lambda own: fit_hidden_noisy(search, own, recording, C),
         decode,
-        estimate_noisy,
+        estimate_hidden_noisy,
         ", sensors taken for noisy",
     )
 
