@@ -210,7 +210,7 @@ def fit_starts(search: HiddenSearch, layout: Layout, common: bool = False) -> li
 def _best_regressions(
     periods: Periods, layout: Layout, common: bool
 ) -> tuple[list[tuple[Regressions, Posterior]], int, int]:
-    """Regressions from the best draws, likeliest first; the number of draws to the best; of all.
+    """Regressions from the best draws, likeliest first; how many draws led to the first, of all.
 
     The first steps take modes to change at samples, with one covariance: no mode can vanish then
     in a few periods that it explains too well, nor in those that change it.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
-    from deadtime.identification.sentences import Margin
+    from deadtime.margins import DelayMargin
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,7 +95,9 @@ class Identification(Findings):
         joined = (*own, *log.sentences) if log.modes is None else (*log.sentences, *own)
         return replace(fit, sentences=joined)
 
-    def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
+    def verdict(
+        self, margin: DelayMargin, law: Law | None = None, step: float | None = None
+    ) -> str:
         """Whether a law tolerates every delay in the intervals, as a sentence.
 
         A margin is for a common error of all delays. For several delays the verdict is "enough"

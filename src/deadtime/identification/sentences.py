@@ -7,7 +7,7 @@ the growth rate of the loop in every constant mode.
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,6 +23,7 @@ from deadtime.plant import SwitchedSystem
 if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.identification.identified_plant import Findings
+    from deadtime.margins import DelayMargin
 
 
 _EDGE = 1e-6  # of the range searched
@@ -349,23 +350,7 @@ _NO_SWITCHES = "; errors that differ while modes switch are for certify(…, del
 MOST_INPUTS = 4  # of a box whose 2^m corners are all tested
 
 
-@runtime_checkable
-class Margin(Protocol):
-    """A margin of a law's delay, as `margins.DelayMargin` is."""
-
-    @property
-    def lower(self) -> float | None: ...
-    @property
-    def upper(self) -> float | None: ...
-    @property
-    def nominal(self) -> float: ...
-    @property
-    def input(self) -> int | None: ...
-    @property
-    def certified(self) -> bool: ...
-
-
-def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> str:
+def verdict_of(fit: Findings, margin: DelayMargin, law: Law | None, step: float) -> str:
     """The text of `Identification.verdict`, of a law that acts every `step` seconds."""
     from deadtime.margins import drawn_stability
 
@@ -389,7 +374,7 @@ def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> s
 def delays_beside(
     delays: np.ndarray,
     interval: np.ndarray,
-    margin: Margin,
+    margin: DelayMargin,
     failure: str | None = None,
     doubt: str = "",
 ) -> str:
