@@ -53,7 +53,7 @@ def main():
             fit = dt.identify(made(seed, *CASES[case]), None, (0.0, 1.0), noise=sensor > 0.0)
             ends = [fit.interval(name) for name in fit.names[:3]]
             inside += [[low < v < high for (low, high), v in zip(ends, (-1.0, b, D), strict=True)]]
-            spread, theta = fit._found.spread, fit._found.best.theta
+            spread, theta = fit._estimate.spread, fit._estimate.best.theta
             half = spread.reach * np.sqrt(np.diagonal(spread.covariance))
             alone.append(np.abs(theta - [-1.0, b, *theta[2:]])[:2] < half[:2])
         shares = 100.0 * np.concatenate((np.mean(inside, axis=0), np.mean(alone, axis=0)))

@@ -72,7 +72,7 @@ def made(seed, case):
 
 def short_of_the_truth(fit, A, B, D, W, sensor):
     """Whether the true plant leads to a maximum that is more likely; it has a zero."""
-    log, window = fit._found.log, fit._found.window
+    log, window = fit._estimate.log, fit._estimate.window
     assert isinstance(log, NoisyLog)
     if not log.embedding.zeros:
         return None
@@ -81,7 +81,7 @@ def short_of_the_truth(fit, A, B, D, W, sensor):
         NoiseLevels(max(W, 1e-14) * np.eye(A.shape[1]), np.array([sensor])),
     )
     found, _ = maximise(log, vector, window=window)
-    return found.found.value > fit.log_likelihood + MARGIN
+    return found.value > fit.log_likelihood + MARGIN
 
 
 def quiet(seeds, cases):

@@ -114,10 +114,10 @@ def test_the_gradient_of_the_search_is_the_derivative(criterion):
     promise = promised(criterion, law)
     promise = replace(promise, room=0.2 + np.abs(promise.reach(0.5 * R)) / 2.0)
     way = np.random.default_rng(2).standard_normal(R.shape)
-    ends = [promise.worth(R + s * way, 30.0).value for s in (1e-6, -1e-6)]
-    assert promise.worth(R).beyond > 0.1
+    ends = [promise.evaluate(R + s * way, 30.0).value for s in (1e-6, -1e-6)]
+    assert promise.evaluate(R).excess > 0.1
     by_hand = (ends[0] - ends[1]) / 2e-6
-    assert (promise.worth(R, 30.0).by_r * way).sum() == pytest.approx(by_hand, rel=1e-5)
+    assert (promise.evaluate(R, 30.0).by_r * way).sum() == pytest.approx(by_hand, rel=1e-5)
 
 
 TWO = oscillator()

@@ -161,9 +161,9 @@ def test_the_gradient_of_the_search_is_the_derivative_with_noisy_sensors():
     )
     promise = prospect(TRUE, MODE, USED, H, law=law, sensors=SENSORS, criterion="all")
     way = np.random.default_rng(2).standard_normal(R.shape)
-    ends = [promise.worth(R + s * way).value for s in (1e-6, -1e-6)]
+    ends = [promise.evaluate(R + s * way).value for s in (1e-6, -1e-6)]
     by_hand = (ends[0] - ends[1]) / 2e-6
-    assert (promise.worth(R).by_r * way).sum() == pytest.approx(by_hand, rel=1e-5)
+    assert (promise.evaluate(R).by_r * way).sum() == pytest.approx(by_hand, rel=1e-5)
 
 
 def test_nearly_exact_sensors_lose_only_that_their_noise_is_unknown():

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import eigh, expm
 from scipy.stats import multivariate_normal
 
-from deadtime.identification.hidden_estimate import information_of, lifted
+from deadtime.identification.hidden_estimate import clipped, information_of
 from deadtime.identification.likelihoods.hidden_chain import Jumps, Periods
 from deadtime.identification.likelihoods.hidden_log import HiddenLog
 from deadtime.identification.log.recording import Part, Recording
@@ -91,13 +91,13 @@ def test_the_information_is_what_second_differences_of_the_likelihood_say():
     for a, b in itertools.product(range(9), repeat=2):
         ends = [value(z + p * E[a] + q * E[b]) * p * q for p in (1, -1) for q in (1, -1)]
         J[a, b] = -sum(ends) / (4.0 * unit[a] * unit[b])
-    held = J[:5, :5]
-    left = held - J[:5, 5:] @ np.linalg.solve(J[5:, 5:], J[5:, :5])
+    fixed = J[:5, :5]
+    left = fixed - J[:5, 5:] @ np.linalg.solve(J[5:, 5:], J[5:, :5])
     scale = np.sqrt(np.diagonal(found.known))
-    for ours, theirs in ((found.held, held), (found.left, left)):
-        theirs, _ = lifted(theirs, found.known)  # no more than known modes would tell
+    for ours, theirs in ((found.fixed, fixed), (found.left, left)):
+        theirs = clipped(theirs, found.known)  # no more than known modes would tell
         assert np.abs((ours - theirs) / scale / scale[:, None]).max() < 2e-3
-    assert 0.05 < found.least_left < 0.9
+    assert 0.05 < eigh(left, found.known, eigvals_only=True)[0] < 0.9
 
 
 def test_uneven_rows_have_the_sum_over_all_paths_and_rates_are_scored_by_its_slope():

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
-from deadtime.identification.expectation_maximisation import drawn_start, stretches_of
-from deadtime.identification.hidden_estimate import Decoded
+from deadtime.identification.expectation_maximisation import draw_start, stretches_of
+from deadtime.identification.hidden_estimate import DecodedFit
 from deadtime.identification.hidden_fit import HiddenFit
 from deadtime.identification.identify_hidden import (
     TriedNumbers,
@@ -203,7 +203,7 @@ def test_the_next_number_is_taken_where_the_likeliest_path_leaves_a_mode_out():
         vars(one).update(log=log, bic=bic)
         return one
 
-    path: Decoded[Any] = object.__new__(Decoded)
+    path: DecodedFit[Any] = object.__new__(DecodedFit)
 
     def decode(one: Any) -> Any:
         if one.layout.modes == 3:
@@ -271,7 +271,7 @@ def test_a_start_has_a_covariance_where_noise_enters_at_the_end_of_a_chain_of_st
     stretches = stretches_of(periods, layout)
     assert stretches is not None
     for _ in range(3):
-        start = drawn_start(periods, stretches, np.array([1]), layout, rng)
+        start = draw_start(periods, stretches, np.array([1]), layout, rng)
         assert (np.linalg.eigvalsh(start.S) > 0.0).all()
 
 

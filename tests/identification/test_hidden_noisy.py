@@ -12,7 +12,7 @@ import deadtime as dt
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.likelihoods.hidden_chain import Jumps, Periods
 from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog
-from deadtime.identification.likelihoods.kalman_kernel import carry_halves
+from deadtime.identification.likelihoods.kalman_kernel import predict_halves
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.noisy_estimate import variance_errors
@@ -133,7 +133,7 @@ def test_a_period_of_two_modes_has_the_mean_and_spread_of_a_uniform_share():
     moved, late, Q = np.array([0.1, 0.0]), np.array([0.0, 0.3]), np.array([1e-3 * np.eye(2)] * 2)
     Q[1] *= 3.0
     led, spread, spare, ends = np.empty(n), np.empty((n, n)), np.empty((3, n, n)), np.empty((2, n))
-    carry_halves(x, P, Phi, moved, Q[0], other, late, Q[1], led, spread, spare, ends)
+    predict_halves(x, P, Phi, moved, Q[0], other, late, Q[1], led, spread, spare, ends)
     f = rng.uniform(size=(count, 1))
     ways = (f * (x @ Phi.T + moved) + (1.0 - f) * (x @ other.T + late)).T
     np.testing.assert_allclose(led, ways.mean(axis=1), atol=1e-3)

@@ -54,7 +54,7 @@ def test_an_interval_of_b_is_what_the_log_says_of_it_whatever_the_delay(jitter):
     low, high = fit.interval("B[0][0,0]")
     expected = of_all_delays(log)
     assert [low, high] == pytest.approx(expected, abs=0.05 * np.ptp(expected))
-    inner = fit._found.spread
+    inner = fit._estimate.spread
     half = inner.reach[1] * np.sqrt(inner.covariance[1, 1])
     assert high - low > 2.2 * half  # about the likeliest delay alone
 
@@ -62,14 +62,14 @@ def test_an_interval_of_b_is_what_the_log_says_of_it_whatever_the_delay(jitter):
 def test_noise_of_sensors_leaves_a_delay_open_too():
     fit = identified(faint(3, jitter=0.3, sensor=0.1), noise=True)
     low, high = fit.interval("B[0][0,0]")
-    assert fit._found.ends is not None
+    assert fit._estimate.ends is not None
     assert low < 1.0 < high
     assert high - low > 2.0
 
 
 @pytest.mark.parametrize("sensor", [0.0, 0.01])
 def test_a_log_that_tells_the_delay_has_intervals_about_it_alone(sensor):
-    assert identified(faint(0, 0.3, sensor, 1e-3, held=1), sensor > 0.0)._found.ends is None
+    assert identified(faint(0, 0.3, sensor, 1e-3, held=1), sensor > 0.0)._estimate.ends is None
 
 
 @pytest.mark.long

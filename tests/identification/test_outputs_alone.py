@@ -174,11 +174,11 @@ def test_noise_that_is_not_told_is_less_than_where_the_likelihood_has_fallen():
     fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
     low, high = fit.interval("disturbance[0][0,0]")
     assert low == 0.0
-    log, best, window = fit._found.log, fit._found.best, fit._found.window
+    log, best, window = fit._estimate.log, fit._estimate.best, fit._estimate.window
     theta, fixed = best.theta.copy(), np.zeros(best.theta.size, bool)
     place = log.layout.size
     theta[place], fixed[place] = 0.5 * np.log(high), True
-    fall = best.found.value - maximise(log, theta, fixed, window)[0].found.value
+    fall = best.value - maximise(log, theta, fixed, window)[0].value
     assert 1.3 < fall < 3.0
     rows = {row[0]: row[1:] for row in interval_rows(fit)}
     assert rows["disturbance[0][0,0]"] == ("undetermined", "0", f"{high:.2g}")

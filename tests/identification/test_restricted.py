@@ -48,7 +48,7 @@ def test_of_exact_sensors_the_noise_is_the_residuals_over_the_rows_less_the_unkn
     covariance = np.linalg.inv(found.information[:UNKNOWNS, :UNKNOWNS])
     for place, name in enumerate(("A[0][0,0]", "B[0][0,0]")):
         low, high = exact.interval(name)
-        error = 0.5 * (high - low) / float(exact._found.spread.reach[place])
+        error = 0.5 * (high - low) / float(exact._estimate.spread.reach[place])
         assert np.sqrt(covariance[place, place]) == pytest.approx(error, rel=0.03)
 
 
@@ -93,7 +93,7 @@ def test_the_restricted_likelihood_of_the_dense_gaussian_is_largest_there(seed):
         steps = 1e-4 * np.eye(log.size)[UNKNOWNS:]
         return np.array([(dense(log, vector + d) - dense(log, vector - d)) / 2e-4 for d in steps])
 
-    unit = np.linalg.cholesky(np.linalg.inv(best.found.information[UNKNOWNS:, UNKNOWNS:]))
+    unit = np.linalg.cholesky(np.linalg.inv(best.information[UNKNOWNS:, UNKNOWNS:]))
     before, after = (np.abs(slope(v) @ unit).max() for v in (best.theta, found.theta))
     assert after < 0.2 * before
 
@@ -140,5 +140,5 @@ def test_a_correction_that_would_run_away_is_left_out(monkeypatch):
     monkeypatch.setattr(restricted_noise, "_moves", lambda *given: 1e6 * moves(*given))
     found = restricted(log, log, best, WINDOW, 55.0)
     np.testing.assert_array_equal(found.theta, best.theta)
-    np.testing.assert_array_equal(found.information, best.found.information)
+    np.testing.assert_array_equal(found.information, best.information)
     assert (found.spare == 55.0).all()

@@ -108,7 +108,7 @@ def test_a_mode_of_few_rows_has_intervals_of_as_few():
     y, u = oscillator().log(t, rng.standard_normal((300, 1)), rng, mode)
     fit = dt.identify(table(t, y, u, mode), delay=(0.0, 0.4), per_mode=True, noise=False)
     names = list(fit.names)
-    variance = np.diagonal(np.linalg.inv(fit._found.best.found.information))
+    variance = np.diagonal(np.linalg.inv(fit._estimate.best.information))
     for name, periods in (("A[1][1,0]", 10), ("B[1][0,0]", 10)):
         low, high = fit.interval(name)
         spare = periods - 4

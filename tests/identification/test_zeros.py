@@ -68,11 +68,11 @@ def test_a_zero_in_a_quiet_log_is_found_where_the_likelihood_is_largest(a, b, W,
     plant = Plant([[[0.0, 1.0], a]], [[[1.0], [b]]], 0.17, W * np.eye(2))
     table = logged(plant, [[1.0, 0.0]], 500, 3, sensor=sensor, jitter=jitter, hold=2)
     fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2)
-    log, window = fit._found.log, fit._found.window
+    log, window = fit._estimate.log, fit._estimate.window
     assert isinstance(log, NoisyLog)
     truth = log.layout.join(plant.A, plant.B, plant.D)
     vector = log.join(truth, NoiseLevels(plant.W, np.array([sensor])))
-    assert fit.log_likelihood > maximise(log, vector, window=window)[0].found.value - 0.1
+    assert fit.log_likelihood > maximise(log, vector, window=window)[0].value - 0.1
     low, high = fit.interval("delay")
     assert 0.17 - 1.5 * (high - low) < low < high < 0.17 + 1.5 * (high - low)
     assert high - low < 4e-4

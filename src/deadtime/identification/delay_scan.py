@@ -12,7 +12,7 @@ log. Constant terms do not depend on the delays and are eliminated first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -31,35 +31,35 @@ from deadtime.identification.transition import transitions_of
 
 _PARTS = 4  # delays tried per period
 _SWEEPS = 4  # over all delays, each in turn
-_ROUNDS = 3  # of scans, each about the likeliest plant so far
+_ROUNDS = 3  # of scans, each near the likeliest plant so far
 _BETTER = 0.1  # rise of log likelihood that is worth another round
 # Rise of log likelihood that ends a climb: of a plant with one pole too many it never converges.
 _GAIN = 1e-4
-_NEARLY = 3.0  # log likelihood below the maximum at which other delays are still tried
+_NEARLY = 3.0  # largest fall of log likelihood at which other delays are tried
 _LESS = 1e-4  # factor of W where all noise is attributed to the sensors
-# Share of the samples: if the whole range of delays makes more of them unusable, part is searched.
+# Share of samples: if the whole range of delays makes more of them unusable, a part is searched.
 _LOST = 0.5
 
 
-class Scanned(NamedTuple):
+class DelayScan(NamedTuple):
     """The likeliest plant, and the log likelihood of each cell of a delay, from cell `first` on."""
 
     theta: Vector
     first: int
     curves: Float[np.ndarray, "delay cell"]
 
-    def moved(self, vector: Vector) -> Vector:
+    def with_noise_of(self, vector: Vector) -> Vector:
         """This plant with the noise of `vector`."""
         return np.concatenate((self.theta, vector[self.theta.size :]))
 
 
-def scanned(log: NoisyLog, vector: Vector) -> Scanned:
+def scan_delays(log: NoisyLog, vector: Vector) -> DelayScan:
     """A scan of all delays of an even log, with A and noise of `vector`."""
     layout, h, rows = log.layout, log.recording.step, log.acting
     first, last = cell_range(h, log.bounds, layout.m)
     lags = np.arange(first - 1, last + 1)
     gram, share = _gram(log, vector, rows, lags), _shares(log, vector, rows.size)
-    scan = _DelayScan(gram, share, layout, lags.size)
+    scan = _DelayRegressions(gram, share, layout, lags.size)
     own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
     places, curves = scan.best(np.clip(own, 0, scan.options - 1))
     B = np.zeros((layout.modes, layout.n, layout.acting))
@@ -68,7 +68,7 @@ def scanned(log: NoisyLog, vector: Vector) -> Scanned:
     D = np.clip(h * (first - 1 + places / _PARTS), *log.bounds)
     theta = layout.join(layout.split(vector)[0], B, layout.spread(D))
     inside = [curves[:, a : a + scan.options - _PARTS : _PARTS] for a in range(_PARTS + 1)]
-    return Scanned(theta, first, np.max(inside, axis=0))
+    return DelayScan(theta, first, np.max(inside, axis=0))
 
 
 def _gram(
@@ -92,12 +92,12 @@ def _gram(
     places = Places.none(modes)._replace(size=int(own.max()) + 1, own=own)
 
     def periods_of(part: Part, k: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
-        found = whole.periods_of(part, k, fresh)
+        periods = whole.periods_of(part, k, fresh)
         u = np.nan_to_num(inputs_at(part, k[:, None] - 1 - lags)).reshape(k.size, -1)
         u = np.hstack((u, np.ones((k.size, int(layout.constant)))))
-        acting = push[found.mode].swapaxes(1, 2)[:, :, None] * u[:, None, :, None]
+        acting = push[periods.mode].swapaxes(1, 2)[:, :, None] * u[:, None, :, None]
         by = np.hstack((np.zeros((k.size, n * n, n)), acting.reshape(k.size, -1, n)))
-        return found._replace(added=np.zeros(found.added.shape), by_added=by)
+        return periods._replace(added=np.zeros(periods.added.shape), by_added=by)
 
     total = 0.0
     for block in whole._replace(periods_of=periods_of).innovations(places):
@@ -121,7 +121,7 @@ def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "
     return np.array([[np.linalg.lstsq(W[0], part, rcond=None)[0] for part in W] for W in acting])
 
 
-class _DelayScan:
+class _DelayRegressions:
     """Regressions of innovations on the inputs, for all delays of each input."""
 
     def __init__(self, gram: np.ndarray, share: np.ndarray, layout: Layout, lags: int) -> None:
@@ -177,11 +177,11 @@ class _DelayScan:
         return 0.5 * self.weights(places)[1]
 
     def best(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The likeliest delays, and the log likelihood of each with the others held."""
+        """The likeliest delays, and the log likelihood of each with the others fixed."""
         delays, options = self.layout.delays, range(self.options)
-        begins = (None,) * delays, tuple(own.tolist())
+        starts = (None,) * delays, tuple(own.tolist())
         given = options, self.likelihood, _SWEEPS
-        best = max((best_in_turn(one, *given) for one in begins), key=self.likelihood)
+        best = max((best_in_turn(one, *given) for one in starts), key=self.likelihood)
         curves = [
             [self.likelihood((*best[:d], c, *best[d + 1 :])) for c in options]
             for d in range(delays)
@@ -191,36 +191,39 @@ class _DelayScan:
 
 def largest_maximum(
     log: NoisyLog,
-    begins: Iterable[np.ndarray],
-    climbed: Iterable[np.ndarray] = (),
+    guesses: Sequence[np.ndarray],
+    climbed: Sequence[np.ndarray] = (),
     others: Callable[[np.ndarray], list[np.ndarray]] = lambda _: [],
-) -> tuple[Maximum, Scanned]:
-    """The likeliest vector found, and the last scan.
+) -> tuple[Maximum, DelayScan]:
+    """The likeliest vector that is reached, and the last scan.
 
-    begins : vectors with A and noise for scans; climbed : vectors from which to climb without a
+    guesses : vectors with A and noise for scans; climbed : vectors from which to climb without a
     scan; others : more starts near a vector
     """
-    begins, climbed = list(begins), list(climbed)
-    log = replace(log, bounds=_searched(log, (*begins, *climbed)[0]))
+    log = replace(log, bounds=_search_range(log, (*guesses, *climbed)[0]))
     scan, grid = None, replace(log, recording=log.recording.gridded())
-    found = [_climbed(log, begin) for begin in climbed]
-    for begin in begins:
-        scan = scanned(grid, begin)
-        found.append(_climbed(log, scan.moved(begin)))
-    best = max(found, key=lambda one: one.found.value)
+    maxima = [_climb(log, guess) for guess in climbed]
+    for guess in guesses:
+        scan = scan_delays(grid, guess)
+        maxima.append(_climb(log, scan.with_noise_of(guess)))
+    best = max(maxima, key=lambda one: one.value)
     for _ in range(_ROUNDS):
-        scan = scanned(grid, best.theta)
-        beside = [of_sensors(log, best.theta), *others(best.theta), *_elsewhere(log, best, scan)]
-        tried = [_climbed(log, one) for one in beside]
-        top = max(tried, key=lambda one: one.found.value, default=best)
-        if top.found.value < best.found.value + _BETTER:
+        scan = scan_delays(grid, best.theta)
+        beside = [
+            attributed_to_sensors(log, best.theta),
+            *others(best.theta),
+            *_elsewhere(log, best, scan),
+        ]
+        tried = [_climb(log, one) for one in beside]
+        top = max(tried, key=lambda one: one.value, default=best)
+        if top.value < best.value + _BETTER:
             break
         best = top
     assert scan is not None
     return best, scan
 
 
-def _searched(log: NoisyLog, theta: np.ndarray) -> Window:
+def _search_range(log: NoisyLog, theta: np.ndarray) -> Window:
     """The range of delays to search, or a part of it if all of it makes too many samples unusable.
 
     A sample is usable if all inputs back to the longest delay are known.
@@ -230,22 +233,22 @@ def _searched(log: NoisyLog, theta: np.ndarray) -> Window:
     return (low, high) if least - most > _LOST * log.recording.samples else log.bounds
 
 
-def _elsewhere(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
+def _elsewhere(log: NoisyLog, best: Maximum, scan: DelayScan) -> list[np.ndarray]:
     """Other starts: the scan's maximum, and cells of each delay that are nearly as likely."""
-    place, h, found = log.layout.at_delays, log.recording.step, []
+    place, h, starts = log.layout.at_delays, log.recording.step, []
     if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
-        found.append(scan.moved(best.theta))
+        starts.append(scan.with_noise_of(best.theta))
     for row, curve in enumerate(scan.curves):
         D = (scan.first + np.arange(curve.size) - 0.5) * h
         near = (curve > curve.max() - _NEARLY) & (np.abs(D - best.theta[place][row]) > 1.5 * h)
         if near.any():
             theta = best.theta.copy()
             theta[place.start + row] = D[near][curve[near].argmax()]
-            found.append(theta)
-    return found
+            starts.append(theta)
+    return starts
 
 
-def of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
+def attributed_to_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
     """A vector's plant with all innovations attributed to noise of the sensors.
 
     A climb does not return from a sensor without noise, where the score in its logarithm is 0.
@@ -260,6 +263,6 @@ def of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
     return changed
 
 
-def _climbed(log: NoisyLog, vector: np.ndarray) -> Maximum:
-    """The maximum that a vector leads to, over the whole range of delays."""
+def _climb(log: NoisyLog, vector: np.ndarray) -> Maximum:
+    """The maximum near a vector, over the whole range of delays."""
     return maximise(log, vector, window=log.bounds, gain=_GAIN)[0]

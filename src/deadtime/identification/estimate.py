@@ -1,4 +1,8 @@
-"""An estimate with its intervals and tests, and the probabilities of hidden modes."""
+"""An estimate with its intervals and tests, and the probabilities of hidden modes.
+
+Intervals of A, B and delays come from the peak of the likelihood (`intervals`), those of noise from
+the normal distribution of a variance or its logarithm.
+"""
 
 from __future__ import annotations
 
@@ -197,7 +201,7 @@ class Estimate(Peak):
 
 
 class IdentifiedLog(NamedTuple):
-    """An estimate with its recording and everything else that an `Identification` needs.
+    """An estimate with its recording and the other fields of an `Identification`.
 
     states : names of states; model : of the switching, or None and the reason `why`
     sentences, doubts : those that not every estimate has

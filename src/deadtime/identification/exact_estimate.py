@@ -1,7 +1,12 @@
-"""The estimate where states are measured without noise: regressions and their residuals."""
+"""The estimate from states measured without noise, by maximum likelihood from a scan of the delays.
+
+Noise of a period has the covariance of the residuals, divided by N − p instead of N. See Ljung,
+"System Identification", 2nd ed., Prentice Hall 1999, chapters 7 and 9.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,7 +38,7 @@ def estimate_exactly(
     nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)
-    log, kept = without_level(log, best.theta, best.found.information, np.eye(layout.n))
+    log, kept = without_level(log, best.theta, best.information, np.eye(layout.n))
     if kept.size < layout.size:
         layout, recording = log.layout, log.recording
         best, window = maximise(log, best.theta[kept])
@@ -47,8 +52,8 @@ def estimate_exactly(
         spread = spread_of(F.information, layout.names(), known, layout.of_each(spare))
     except ArgumentError as error:
         why = [reasons(recording, j, bounds[1] - bounds[0]) for j in range(layout.m)]
-        said = dict.fromkeys(sentence for sentences in why for sentence in sentences)
-        raise ArgumentError(" ".join((str(error), *said))) from None
+        sentences = dict.fromkeys(itertools.chain(*why))
+        raise ArgumentError(" ".join((str(error), *sentences))) from None
     peak = Peak(log=log, best=best, window=window, spread=spread, start=start)
     S = covariances * (counts / spare)[:, None, None]
     return estimate_of_plant(peak, S, spare, recording, ends=peak.ends_over_peaks())

@@ -37,7 +37,7 @@ from deadtime.identification.scoring import STEPS, best_in_turn
 _MOST = 150  # stretches
 _PURE = (0.4, 0.8)  # shares of the best fitting stretches, one of which is drawn from
 _FAR = 25.0  # squared deviation per state beyond which weights of the draw are equal
-_WIDE = 4.0  # factor of the covariance of a stretch, whose regression has few periods
+_WIDE = 4.0  # factor of the covariance of a stretch, since its regression has few periods
 _LEAST = 1e-6  # share of the covariance of all rows added to a start: without noise it is regular
 _SWEEPS = 3  # over the delays, in a scan
 
@@ -56,8 +56,8 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs 
     for k in periods.usable:
         runs = np.split(np.arange(k.size), np.flatnonzero(np.diff(k) != 1) + 1)
         for run in runs:
-            begins = np.arange(0, run.size - length + 1, length // 2)
-            places += [start + run[0] + begin for begin in begins]
+            firsts = np.arange(0, run.size - length + 1, length // 2)
+            places += [start + run[0] + first for first in firsts]
         start += k.size
     if len(places) < layout.modes:
         return None
@@ -67,22 +67,16 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs 
 
 def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.ndarray, " m"]:
     """The cells with the largest likelihood of separate regressions, inputs in turn, twice."""
-    begin = (None,) * layout.m
-    found = best_in_turn(
-        begin, periods.cells.tolist(), lambda own: _together(periods, stretches, own, layout), 2
-    )
-    return np.array(found)
+    n, constant = layout.n, np.ones(int(layout.constant), bool)
 
+    def likelihood(cells: tuple[int | None, ...]) -> float:
+        """Of all stretches, without the inputs that have no cell yet."""
+        z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
+        known = np.array([c is not None for c in cells])
+        keep = np.concatenate((np.ones(2 * n, bool), known, known, constant))
+        return float(-_own_covariances(z[:, keep][stretches], n)[1].sum())
 
-def _together(
-    periods: Periods, stretches: Runs, cells: tuple[int | None, ...], layout: Layout
-) -> float:
-    """The log likelihood of all stretches, without the inputs that have no cell yet."""
-    z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
-    n = layout.n
-    known = np.array([c is not None for c in cells])
-    keep = np.concatenate((np.ones(2 * n, bool), known, known, np.ones(int(layout.constant), bool)))
-    return float(-_own_covariances(z[:, keep][stretches], n)[1].sum())
+    return np.array(best_in_turn((None,) * layout.m, periods.cells.tolist(), likelihood, 2))
 
 
 def _own_covariances(
@@ -99,7 +93,7 @@ def _own_covariances(
     return S, np.log(np.maximum(pivots, np.finfo(float).tiny)).sum(axis=1)
 
 
-def drawn_start(
+def draw_start(
     periods: Periods,
     stretches: Runs,
     cells: Int[np.ndarray, " m"],
@@ -115,7 +109,7 @@ def drawn_start(
     S, size = _own_covariances(z, n)
     pure = np.flatnonzero(size <= np.quantile(size, rng.choice(_PURE)))
     flat = z.reshape(-1, z.shape[2])
-    _, whole = regressed(rooted(flat, np.ones(len(flat))), n, float(len(flat)))
+    _, whole = regression_of(rooted(flat, np.ones(len(flat))), n, float(len(flat)))
     # The mean of the better half: entrywise medians need not form a covariance.
     best = pure[size[pure] <= np.median(size[pure])]
     shared = S[best].mean(axis=0) + _LEAST * whole
@@ -145,7 +139,7 @@ class Regressions(NamedTuple):
     weight: Float[np.ndarray, " mode"]
 
 
-def regressed(
+def regression_of(
     root: Float[np.ndarray, "z z"], n: int, total: float
 ) -> tuple[Float[np.ndarray, "n r"], Square]:
     """P and the residuals' covariance of weighted rows (x_{k+1}, r_k), of weight `total`."""
@@ -156,49 +150,49 @@ def regressed(
     return P, floored(e.T @ e / total, P[:, : y.shape[1]], y, total)
 
 
-def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
-    """The posterior of modes under regressions."""
+def _expectation_step(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
+    """The posterior of modes given regressions."""
     each = zip(rows, model.P, model.S, strict=True)
     return periods.posterior(
         np.column_stack([log_density(z, *one) for z, *one in each]), model.jumps
     )
 
 
-def maximised(
-    rows: list[np.ndarray], found: Posterior, jumps: Jumps, cells: ModeCells, common: bool
+def maximisation_step(
+    rows: list[np.ndarray], posterior: Posterior, jumps: Jumps, cells: ModeCells, common: bool
 ) -> Regressions:
     """The likeliest regressions given the posterior of modes; `common`: with one S for all."""
-    count = found.weight.sum(axis=0)
+    count = posterior.weight.sum(axis=0)
     P, S = [], []
-    for z, weight, total in zip(rows, found.weight.T, count, strict=True):
+    for z, weight, total in zip(rows, posterior.weight.T, count, strict=True):
         n = (z.shape[1] - 2 * cells.shape[1]) // 2  # an odd column is that of the constant term
-        one = regressed(rooted(z, weight), n, max(float(total), 1e-300))
+        one = regression_of(rooted(z, weight), n, max(float(total), 1e-300))
         P.append(one[0])
         S.append(one[1])
     S = np.array(S)
     if common:
         S[:] = np.tensordot(count / count.sum(), S, axes=1)
-    return Regressions(np.array(P), S, jumps.next(found.counts), cells, count)
+    return Regressions(np.array(P), S, jumps.next(posterior.counts), cells, count)
 
 
-def climbed(
+def climb_regressions(
     periods: Periods, model: Regressions, steps: int, least: float, common: bool, gain: float
 ) -> tuple[Regressions, Posterior] | None:
     """The regressions after some steps; None if a mode has fewer periods than `least`."""
     rows, before = periods.rows_of_modes(model.cells), -np.inf
-    found = expected(periods, model, rows)
+    posterior = _expectation_step(periods, model, rows)
     for _ in range(steps):
-        if found.weight.sum(axis=0).min() < least:
+        if posterior.weight.sum(axis=0).min() < least:
             return None
-        model = maximised(rows, found, model.jumps, model.cells, common)
-        found = expected(periods, model, rows)
-        if found.value - before < gain:
+        model = maximisation_step(rows, posterior, model.jumps, model.cells, common)
+        posterior = _expectation_step(periods, model, rows)
+        if posterior.value - before < gain:
             break
-        before = found.value
-    return model, found
+        before = posterior.value
+    return model, posterior
 
 
-def scanned(
+def scan_cells(
     periods: Periods, weight: Float[np.ndarray, "period mode"], cells: ModeCells, layout: Layout
 ) -> tuple[ModeCells, Float[np.ndarray, "delay cell"]]:
     """The likeliest cells with given weights of modes, and the log likelihood of all cells.
@@ -211,7 +205,7 @@ def scanned(
 
     def likelihood(i: int, own: np.ndarray) -> float:
         root = rooted(periods.rows(own), weight[:, i])
-        _, S = regressed(root, layout.n, float(count[i]))
+        _, S = regression_of(root, layout.n, float(count[i]))
         return -0.5 * float(count[i]) * float(np.linalg.slogdet(S)[1])
 
     curves = np.empty((len(groups), layout.m, options.size))
@@ -237,45 +231,40 @@ _FEW = 4  # scoring steps per step of expectation–maximisation, where each rea
 class Ascent(NamedTuple):
     """The maximum reached: the likelihood with its S and P, and the unknowns.
 
-    values : log likelihood after every step; found : the posterior of modes at the end
+    values : log likelihood after every step; posterior : of modes, at the end
     """
 
     log: HiddenLog
     theta: Vector
     values: Float[np.ndarray, " step"]
-    found: Posterior
+    posterior: Posterior
 
 
-def ascended(
-    log: HiddenLog, theta: Vector, least: float, found: Posterior | None = None
+def maximise_plant(
+    log: HiddenLog, theta: Vector, least: float, posterior: Posterior | None = None
 ) -> Ascent | None:
     """The maximum near a start; None if a mode is left with fewer periods than `least`.
 
-    The first step uses the posterior `found`, by default that of the log's own S and P. The plant
-    is only near the regressions it starts from: with the small S of theirs, no period would be
-    assigned to a mode.
+    The first step uses `posterior`, by default that of the log's own S and P. The plant is only
+    near the regressions it starts from: with the small S of theirs, no period would be assigned to
+    a mode.
     """
     values = []
-    if found is None:
-        found = log.posterior(theta, log.cells(theta))
-        values.append(found.value)
+    if posterior is None:
+        posterior = log.posterior(theta, log.cells(theta))
+        values.append(posterior.value)
     for _ in range(_STEPS):
-        if found.weight.sum(axis=0).min() < least:
+        if posterior.weight.sum(axis=0).min() < least:
             return None
-        log, theta = _stepped(log, theta, found)
-        found = log.posterior(theta, log.cells(theta))
-        values.append(found.value)
+        known, near = log.known(posterior.weight), window_of(log, theta[log.layout.at_delays])
+        window = max(log.window[0], near[0]), min(log.window[1], near[1])
+        steps = STEPS if log.sampling.summed_up else _FEW  # any rise suffices
+        theta = maximise(known, theta, window=window, steps=steps)[0].theta
+        terms = known.terms_in(*window)(log.cells(theta))(theta)
+        S = concentrated(terms, log.layout.size)[1]
+        log = replace(log, S=S, jumps=log.jumps.next(posterior.counts))
+        posterior = log.posterior(theta, log.cells(theta))
+        values.append(posterior.value)
         if len(values) > 1 and values[-1] - values[-2] < _GAIN:
             break
-    return Ascent(log, theta, np.array(values), found)
-
-
-def _stepped(log: HiddenLog, theta: np.ndarray, found: Posterior) -> tuple[HiddenLog, Vector]:
-    """The next unknowns, S and the chain, given the posterior of modes."""
-    known, near = log.known(found.weight), window_of(log, theta[log.layout.at_delays])
-    window = max(log.window[0], near[0]), min(log.window[1], near[1])
-    steps = STEPS if log.sampling.summed_up else _FEW  # any rise suffices
-    best, _ = maximise(known, theta, window=window, steps=steps)
-    terms = known.terms_in(*window)(log.cells(best.theta))(best.theta)
-    S = concentrated(terms, log.layout.size)[1]
-    return replace(log, S=S, jumps=log.jumps.next(found.counts)), best.theta
+    return Ascent(log, theta, np.array(values), posterior)

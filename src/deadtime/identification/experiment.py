@@ -1,4 +1,8 @@
-"""`design_experiment`: inputs whose log identifies a plant's delays best, as an `Experiment`."""
+"""`design_experiment`: inputs whose log identifies a plant's delays best, as an `Experiment`.
+
+They minimise the Cramér–Rao bound of the delays (`experiment_information`) by a search over inputs
+within limits (`input_design`); the errors of a PRBS and a step are given for comparison.
+"""
 
 from __future__ import annotations
 
@@ -111,18 +115,28 @@ class Experiment(Frozen):
         for name, one in peers.items():
             deviations[name] = read_only(prospect.errors(one)[layout.at_delays])
         largest = prospect.reach(r).max(axis=0)
-        said = _sentences(plant, step, layout, deviations, clock, largest)
+        sentences = _sentences(plant, step, layout, deviations, clock, largest)
         if chain.V.any():
             noise = ", ".join(f"{v:.3g}" for v in np.sqrt(chain.V))
-            said += (f"Sensors are taken to be noisy, with deviations of {noise}.",)
+            sentences += (f"Sensors are taken to be noisy, with deviations of {noise}.",)
         if averaged:
-            said += (
+            sentences += (
                 "Noise of the plant is taken to be the same in all modes, the mean of theirs over "
                 "the rows, as identify finds one for all where sensors are noisy.",
             )
         time, added = step * np.arange(len(r)), not chain.open
         return cls(
-            plant, time, r.T, chain.mode, deviations, clock, errors, largest, added, said, layout
+            plant=plant,
+            time=time,
+            inputs=r.T,
+            mode=chain.mode,
+            delay_errors=deviations,
+            clock=clock,
+            errors=errors,
+            largest=largest,
+            added=added,
+            sentences=sentences,
+            _layout=layout,
         )
 
     @property
@@ -183,17 +197,17 @@ def _sentences(
     clock: int,
     largest: np.ndarray,
 ) -> tuple[str, ...]:
-    """Expected errors beside those of usual inputs, and where they are less reliable."""
+    """Expected errors, those of usual inputs for comparison, and warnings."""
     names = layout.names()[layout.at_delays]
-    held = "" if clock == 1 else f", each value held for {clock} periods"
-    said = []
+    hold = "" if clock == 1 else f", each value held for {clock} periods"
+    sentences = []
     for place, name in enumerate(names):
         own, prbs, edge = (
             f"{error:.3g} ms" if np.isfinite(error) else "infinite: it does not identify it"
             for error in (1e3 * deviations[key][place] for key in ("experiment", "prbs", "step"))
         )
-        said.append(
-            f"Expected standard error of {name}: {own}; of the best binary sequence (PRBS{held}) "
+        sentences.append(
+            f"Expected standard error of {name}: {own}; of the best binary sequence (PRBS{hold}) "
             f"{prbs}, of a step {edge}."
         )
     D = plant.delays if layout.per_mode else plant.delays[0]
@@ -201,16 +215,16 @@ def _sentences(
     near = [n for n, o, e in zip(names, off, deviations["experiment"], strict=True) if o < 2.0 * e]
     if near:
         are, its = ("are", "their intervals") if len(near) > 1 else ("is", "its interval")
-        said.append(
+        sentences.append(
             f"{', '.join(near)} {are} within two standard errors of a whole number of periods, "
             f"where the likelihood has a kink: {its} may be longer or shorter than promised."
         )
     n = plant.states
     states, inputs = (", ".join(f"{v:.3g}" for v in part) for part in np.split(largest, [n]))
-    said.append(
+    sentences.append(
         f"At three standard deviations of the noise |x| stays below {states}, |u| below {inputs}."
     )
-    return tuple(said)
+    return tuple(sentences)
 
 
 # Relative to the trace of all noise: W has at least this in every direction, so its root has an
@@ -419,10 +433,10 @@ def design_experiment(
     --------
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], 0.27)
-    >>> found = dt.design_experiment(plant, 10.0, 0.1, 1.0, disturbance=1e-3, effort=0)
-    >>> round(1e3 * found.standard_error("delay"), 1), found.inputs.shape
+    >>> experiment = dt.design_experiment(plant, 10.0, 0.1, 1.0, disturbance=1e-3, effort=0)
+    >>> round(1e3 * experiment.standard_error("delay"), 1), experiment.inputs.shape
     (0.7, (1, 100))
-    >>> errors = found.delay_errors
+    >>> errors = experiment.delay_errors
     >>> bool(errors["experiment"] < errors["prbs"] < errors["step"])
     True
     """

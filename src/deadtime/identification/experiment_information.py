@@ -59,17 +59,10 @@ from deadtime.identification.transition import noise_tables
 from deadtime.plant import SwitchedSystem
 
 
-class GainRows(NamedTuple):
-    """U_k of every sample: `kind` (T,) says which of `gains` (kinds, m, n + L m) it is."""
-
-    gains: Float[np.ndarray, "kind m xi"]
-    kind: Int[np.ndarray, " sample"]
-
-
 class Chain(NamedTuple):
     """The matrices of distinct periods, with their index `kind` at every sample.
 
-    M, E, Z, Y : as in the module; U : as in `GainRows`; S : (modes, n, n); V : variances of sensors
+    M, E, Z, Y, U : as in the module; S : (modes, n, n); V : variances of sensors
     P : x_{k+1} = P z_k; by_P : of each mode its derivatives by the mode's unknowns,
     (own, n, n + 2 m), with their places in θ
     """
@@ -140,23 +133,6 @@ class Chain(NamedTuple):
         return np.sqrt(np.maximum(variance, 0.0))
 
 
-def rows_along(
-    table: Feedback | None, mode: Int[np.ndarray, " sample"], n: int, m: int, past: int
-) -> GainRows:
-    """The rows U_k of a law at every sample, from the modes at samples; 0 without a law."""
-    if table is None:
-        return GainRows(np.zeros((1, m, n + past * m)), np.zeros(mode.size, np.int64))
-    ages = ages_along(mode, 0)
-    row = [
-        table.row(int(i), int(age), k) for k, (i, age) in enumerate(zip(mode, ages, strict=True))
-    ]
-    chosen, kind = np.unique(row, return_inverse=True)
-    gains = np.zeros((chosen.size, m, n + past * m))
-    gains[:, :, :n] = table.state_gain[chosen]
-    gains[:, :, n : n + table.taps * m] = table.latest_first[chosen]
-    return GainRows(gains, kind)
-
-
 def chain_of(
     plant: SwitchedSystem,
     step: float,
@@ -170,18 +146,25 @@ def chain_of(
     """The chain of a plant along modes at samples; `cells` are N of every mode and input."""
     n, m = layout.n, layout.m
     past = int(max(cells.max(), 0 if table is None else table.taps))
-    rows = rows_along(table, mode, n, m, past)
-    pairs, kind = np.unique(np.stack((mode, rows.kind)), axis=1, return_inverse=True)
-    kind = kind.ravel()
-    size, count = n + past * m, pairs.shape[1]
+    size = n + past * m
+    gains, row = np.zeros((1, m, size)), np.zeros(mode.size, np.int64)
+    if table is not None:
+        every = zip(mode.tolist(), ages_along(mode, 0), strict=True)
+        of_sample = [table.row(i, int(age), k) for k, (i, age) in enumerate(every)]
+        chosen, row = np.unique(of_sample, return_inverse=True)
+        gains = np.zeros((chosen.size, m, size))
+        gains[:, :, :n] = table.state_gain[chosen]
+        gains[:, :, n : n + table.taps * m] = table.latest_first[chosen]
+    pairs, kind = np.unique(np.stack((mode, row)), axis=1, return_inverse=True)
+    kind, count = kind.ravel(), pairs.shape[1]
     M, E = np.zeros((count, size, size)), np.zeros((count, size, m))
     Z, Y = np.zeros((count, n + 2 * m, size)), np.zeros((count, n + 2 * m, m))
     weights = [
         period_weights(plant.A[i], plant.B[i], cells[i] * step - plant.delays[i], step)
         for i in range(layout.modes)
     ]
-    for c, (i, row) in enumerate(pairs.T.tolist()):
-        U = rows.gains[row]
+    for c, (i, own) in enumerate(pairs.T.tolist()):
+        U = gains[own]
         Z[c, :n, :n] = np.eye(n)
         for j in range(m):
             for place, lag in ((n + j, cells[i, j]), (n + m + j, cells[i, j] - 1)):
@@ -194,11 +177,10 @@ def chain_of(
         M[c, n : n + m], E[c, n : n + m] = U, np.eye(m)
         M[c, n + m :, n : size - m] = np.eye(size - n - m)
     place = [layout.of_mode(i) for i in range(layout.modes)]
-    by_P = [one[1] for one in weights]
-    U = rows.gains[pairs[1]]
-    V = np.zeros(n) if V is None else V
-    P = np.array([one[0] for one in weights])
-    return Chain(M, E, Z, Y, U, kind, mode, S, V, P, by_P, place, table is None)
+    V, (P, by_P) = np.zeros(n) if V is None else V, zip(*weights, strict=True)
+    return Chain(
+        M, E, Z, Y, gains[pairs[1]], kind, mode, S, V, np.array(P), list(by_P), place, table is None
+    )
 
 
 def require_bounded(chain: Chain) -> None:
@@ -336,12 +318,12 @@ class NoisyStates(Frozen):
         white, carried = np.zeros((2, count, n, n))
         joint = _Joint.of(chain, size, tables)
         F = np.zeros((joint.unknowns, joint.unknowns))
-        begins = np.append(True, ~used[:-1])
+        restarts = np.append(True, ~used[:-1])
         at = np.ix_(tables.wide, tables.wide)
-        filtered = _filter(chain, begins, tables)
+        filtered = _filter(chain, restarts, tables)
         for k, (now, one) in enumerate(zip(chain.covariances(), filtered, strict=True)):
-            if begins[k]:
-                joint = joint.begun(now, chain.V)
+            if restarts[k]:
+                joint = joint.at_start(now)
             else:
                 white[k] = np.linalg.inv(np.linalg.cholesky(one.S))
                 F += np.einsum("aibj,ij->ab", joint.of_eta(), one.inverse)
@@ -377,7 +359,7 @@ class NoisyStates(Frozen):
 
 
 def _filter(
-    chain: Chain, begins: Bool[np.ndarray, " sample"], tables: NoiseTables
+    chain: Chain, restarts: Bool[np.ndarray, " sample"], tables: NoiseTables
 ) -> Iterator[FilterSample]:
     """Kalman's filter along a chain, with derivatives by the unknowns `tables.wide`."""
     n, q = chain.n, tables.wide.size
@@ -387,7 +369,7 @@ def _filter(
     place = np.full(int(tables.wide[-1]) + 1, -1)
     place[tables.wide] = np.arange(q)
     for k, i in enumerate(chain.mode.tolist()):
-        if begins[k]:
+        if restarts[k]:
             one = FilterSample(np.eye(n), none, none, np.zeros((q, n, n)), np.zeros((q, n, n)))
         else:
             S, by_S = P + V, by_P + by_V
@@ -431,12 +413,11 @@ class _Joint(NamedTuple):
         part, n = self.covariance[self.use :, self.use :], self.chain.n
         return part.reshape(self.unknowns, n, self.unknowns, n)
 
-    def begun(self, now: Float[np.ndarray, "xi xi"], V: Float[np.ndarray, " n"]) -> _Joint:
+    def at_start(self, now: Float[np.ndarray, "xi xi"]) -> _Joint:
         """A start: x̂ = y, with Cov ξ = `now`, and η = 0."""
-        covariance = np.zeros(self.covariance.shape)
+        covariance, states = np.zeros(self.covariance.shape), np.arange(self.chain.n)
         covariance[: self.use, : self.use] = now
-        at = np.arange(V.size)
-        covariance[at, at] += V
+        covariance[states, states] += self.chain.V
         return self._replace(covariance=covariance)
 
     def after(self, k: int, one: FilterSample, carried: Square) -> _Joint:

@@ -5,7 +5,7 @@ score in all unknowns, θ, S and P, follows from Fisher's identity, and the obse
 minus its derivative, by central differences, equal to Louis' formula (J. Royal Statistical Society
 B 44(2), 1982). S and P are estimated, too, so the information on θ is the Schur complement
 
-    J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: S as L M Lᵀ about M = I, P by the logarithms of its odds.
+    J = J_θθ − J_θη J_ηη⁻¹ J_ηθ,    η: M of S = L M Lᵀ at M = I, and the log odds of P.
 
 With noisy sensors, of the vector θ of plant and noise and the odds η of the chain, J is minus the
 second differences of the log likelihood. The Schur complement is bounded by the information of the
@@ -23,13 +23,13 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.exact_estimate import estimate_of_plant
-from deadtime.identification.expectation_maximisation import scanned
+from deadtime.identification.expectation_maximisation import scan_cells
 from deadtime.identification.hidden_fit import HiddenFit, Log
 from deadtime.identification.intervals import Peak, left_of, spread_of
-from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog, Starts
+from deadtime.identification.likelihoods.hidden_log import HiddenLog, HiddenNoisyLog
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy_estimate import estimate_of_sensors
-from deadtime.identification.parameters import Cells, FisherMatrix, Vector
+from deadtime.identification.parameters import Cells, FisherMatrix, Vector, Window
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 
@@ -42,16 +42,14 @@ _LEAST = 1e-4  # least share of the information with known modes, in every direc
 
 
 class Information(NamedTuple):
-    """Information on θ with S and P fixed, with S and P estimated, and with known modes.
+    """Information on θ: with S and P fixed, with S and P estimated, and with known modes.
 
-    least_left : the least share of the last that remains, over all directions
     of_noise : (modes,), the least share that remains of the information on S's diagonal
     """
 
-    held: FisherMatrix
+    fixed: FisherMatrix
     left: FisherMatrix
     known: FisherMatrix
-    least_left: float
     of_noise: Float[np.ndarray, " mode"]
 
     @property
@@ -62,7 +60,7 @@ class Information(NamedTuple):
 
 
 class _Noise:
-    """M and the logarithms of odds as a vector η about S and P of a likelihood."""
+    """The vector η at S and P of a likelihood: M, and the logarithms of odds."""
 
     def __init__(self, log: HiddenLog) -> None:
         self.log, n = log, log.layout.n
@@ -93,29 +91,29 @@ class _Noise:
     ) -> Float[np.ndarray, " mode"]:
         """The least share over a of the information on log S_aa that remains, in each mode."""
         known = np.kron(np.diag(counts), self.known)
-        covariance, own = np.linalg.inv(lifted(J, known)[0]), self.i.size
-        found = np.empty(len(self.L))
+        covariance, own = np.linalg.inv(clipped(J, known)), self.i.size
+        shares = np.empty(len(self.L))
         for mode, L in enumerate(self.L):
             twice = np.where(self.i == self.j, 1.0, 2.0)
             slope = twice * L[:, self.i] * L[:, self.j] / (L**2).sum(axis=1)[:, None]
             at = slice(mode * own, (mode + 1) * own)
             spread = np.einsum("as,st,at->a", slope, covariance[at, at], slope)
-            found[mode] = (2.0 / counts[mode] / spread).min()
-        return found
+            shares[mode] = (2.0 / counts[mode] / spread).min()
+        return shares
 
     def score(self, theta: np.ndarray, eta: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """The score in θ and η."""
         log = self.at(eta)
         n, parts = log.layout.n, [log.evaluate(theta, cells).score]
-        terms, found = log.weighted(theta, cells)
+        terms, posterior = log.weighted(theta, cells)
         for term, L, S in zip(terms, self.L, log.S, strict=True):
             e = np.linalg.solve(L, (term.root[:, :n] - term.root[:, n:] @ term.P.T).T)
             back = np.linalg.inv(np.linalg.solve(L, np.linalg.solve(L, S).T))
-            total = found.weight[:, len(parts) - 1].sum()
+            total = posterior.weight[:, len(parts) - 1].sum()
             slope = 0.5 * (back @ (e @ e.T) @ back - total * back)
             twice = np.where(self.i == self.j, 1.0, 2.0)
             parts.append(twice * slope[self.i, self.j])
-        leave = log.jumps.slope(found.counts)
+        leave = log.jumps.slope(posterior.counts)
         return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
 
 
@@ -128,7 +126,7 @@ def information_of(log: HiddenLog, theta: Vector, cells: Cells) -> Information:
     coarse |= np.linalg.eigvalsh(known * unit * unit[:, None])[0] < _FAINT
     if coarse or (weight * (1.0 - weight)).sum() < _CERTAIN:
         # Without noise the steps are below round-off; known modes lose no information.
-        return Information(known, known, known, 1.0, np.ones(log.layout.modes))
+        return Information(known, known, known, np.ones(log.layout.modes))
     of_S = np.repeat(1.0 / np.sqrt(weight.sum(axis=0)), noise.i.size)
     steps = _SMALL * np.concatenate((unit, of_S, np.full(len(noise.jumps), 0.3)))
     size = theta.size
@@ -140,26 +138,33 @@ def information_of(log: HiddenLog, theta: Vector, cells: Cells) -> Information:
         down = noise.score(theta - moved[:size], -moved[size:], cells)
         J[a] = (down - up) / (2.0 * step)
     J = 0.5 * (J + J.T)
-    held, _ = lifted(J[:size, :size], known)
-    left, least_left = lifted(left_of(J, np.arange(size)), known)
     of_noise = left_of(J, np.arange(size, steps.size - len(noise.jumps)))
-    return Information(held, left, known, least_left, noise.shares(of_noise, weight.sum(axis=0)))
+    return _information(J, known, noise.shares(of_noise, weight.sum(axis=0)))
 
 
-def lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
+def _information(
+    J: np.ndarray, known: FisherMatrix, of_noise: Float[np.ndarray, " mode"]
+) -> Information:
+    """From J of θ and η, and the information on θ with known modes."""
+    size = len(known)
+    left = clipped(left_of(J, np.arange(size)), known)
+    return Information(clipped(J[:size, :size], known), left, known, of_noise)
+
+
+def clipped(J: np.ndarray, known: np.ndarray) -> np.ndarray:
     """J clipped to shares between `_LEAST` and 1 of the information with known modes.
 
-    And its least share before that. Shares above 1 are errors of differences or of a single log.
+    Shares above 1 are errors of differences or of a single log.
     """
     unit = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
     try:
         L = np.linalg.cholesky(known / unit / unit[:, None])
     except np.linalg.LinAlgError:
-        return known, 1.0  # singular: `require_identified` refuses it and names the direction
+        return known  # singular: `require_identified` refuses it and names the direction
     inner = np.linalg.solve(L, np.linalg.solve(L, J / unit / unit[:, None]).T)
     values, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
     whole = L @ (vectors * np.clip(values, _LEAST, 1.0)) @ vectors.T @ L.T
-    return whole * unit * unit[:, None], float(values[0])
+    return whole * unit * unit[:, None]
 
 
 _BROAD = 0.1  # step of second differences, in standard errors
@@ -169,7 +174,7 @@ _SELDOM = 1e-4  # least probability of a jump whose odds are estimated
 
 
 @dataclass(frozen=True, eq=False)
-class Decoded(Generic[Log]):
+class DecodedFit(Generic[Log]):
     """A fit with modes in the order of its likeliest path, and the recording with that path.
 
     order : the fit's number of each mode; theta : the reordered vector
@@ -190,16 +195,10 @@ class ModesEstimate(NamedTuple):
     widening: float
 
 
-def decoded(fit: HiddenFit[Log]) -> Decoded[Log]:
-    """The likeliest path of a fit, with modes in the order of their first visit.
-
-    Raises
-    ------
-    ArgumentError
-        If the path does not visit all modes.
-    """
+def decode(fit: HiddenFit[Log]) -> DecodedFit[Log]:
+    """The likeliest path of a fit, modes numbered by first visit; refused if it misses a mode."""
     layout, recording = fit.layout, fit.log.recording
-    paths = fit.log.path(fit.theta, fit.given)
+    paths = fit.log.path(fit.theta, fit.window)
     visited, first = np.unique(np.concatenate(paths), return_index=True)
     if visited.size < layout.modes:
         raise ArgumentError(
@@ -211,70 +210,71 @@ def decoded(fit: HiddenFit[Log]) -> Decoded[Log]:
     each = zip(recording.parts, paths, strict=True)
     parts = tuple(part._replace(mode=number[path]) for part, path in each)
     record = recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
-    return Decoded(fit, fit.log.ordered(order), layout.ordered(fit.theta, order), order, record)
+    return DecodedFit(fit, fit.log.ordered(order), layout.ordered(fit.theta, order), order, record)
 
 
-def estimated(found: Decoded[HiddenLog]) -> ModesEstimate:
+def estimate_hidden(decoded: DecodedFit[HiddenLog]) -> ModesEstimate:
     """The estimate with exact states."""
-    log, theta, record = found.log, found.theta, found.recording
-    layout, cells = log.layout, log.cells(theta)
-    posterior = log.posterior(theta, cells)
-    best = Maximum(theta, log.evaluate(theta, cells), np.zeros(theta.size, bool))
-    information_left = information_of(log, theta, cells)
+    log, theta = decoded.log, decoded.theta
+    layout, cells, window = log.layout, log.cells(theta), decoded.fit.window
+    posterior, now = log.posterior(theta, cells), log.evaluate(theta, cells)
+    best = Maximum(theta, now.value, now.information, np.zeros(theta.size, bool))
+    information = information_of(log, theta, cells)
     counts = posterior.weight.sum(axis=0)
     spare = np.maximum(counts - layout.n - layout.m - 1, 1.0)
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
-    known = information_left.left * share[:, None] * share
-    spread = spread_of(information_left.held, layout.names(), known, layout.of_each(spare))
-    peak = Peak(log=log, best=best, window=found.fit.window, spread=spread, start=_start(found))
+    known = information.left * share[:, None] * share
+    spread = spread_of(information.fixed, layout.names(), known, layout.of_each(spare))
+    peak = Peak(log=log, best=best, window=window, spread=spread, start=_delay_scan(decoded))
     S = log.S * (counts / spare)[:, None, None]
-    free = np.maximum(spare * information_left.of_noise, 1.0).astype(np.int64)
-    estimate = estimate_of_plant(peak, S, free, record, usable=log.periods.usable)
-    return ModesEstimate(estimate, posterior.node, information_left.widening)
+    free = np.maximum(spare * information.of_noise, 1.0).astype(np.int64)
+    estimate = estimate_of_plant(peak, S, free, decoded.recording, usable=log.periods.usable)
+    return ModesEstimate(estimate, posterior.node, information.widening)
 
 
-def estimated_with_noise(found: Decoded[HiddenNoisyLog]) -> ModesEstimate:
+def estimate_hidden_noisy(decoded: DecodedFit[HiddenNoisyLog]) -> ModesEstimate:
     """The estimate with noisy sensors."""
-    fit, log, theta, record = found.fit, found.log, found.theta, found.recording
-    layout, window, starts = log.layout, fit.window, fit.given
-    cells = log.cells(theta)
-    path = log.along(record)
+    log, theta, record = decoded.log, decoded.theta, decoded.recording
+    layout, window, cells = log.layout, decoded.fit.window, log.cells(theta)
+    path, starts = log.along(record), log.starts(*window)
     of_path = path.evaluate_in(*window)(cells)(theta)
     path = replace(path, within=log.within)
-    information_left = _information(log, theta, starts, cells, of_path.information + _vague(log))
+    information = _by_differences(log, theta, window, of_path.information + _vague(log))
     observations = sum(int(np.isfinite(part.output).sum()) for part in record.parts)
     spare = max(observations - theta.size, 1)
     every = np.full(theta.size, float(spare))
-    spread = spread_of(
-        information_left.held, layout.names(), information_left.left * (spare / observations), every
-    )
-    now = log.evaluate(theta, starts, cells)
-    best = Maximum(
-        theta, now._replace(information=information_left.held), np.zeros(theta.size, bool)
-    )
+    left = information.left * (spare / observations)
+    spread = spread_of(information.fixed, layout.names(), left, every)
+    value, still = log.value(theta, starts, cells), np.zeros(theta.size, bool)
+    best = Maximum(theta, value, information.fixed, still)
     posterior = log.posterior(theta, starts)
     rows = np.maximum(np.vstack(posterior.node).sum(axis=0), 1.0).astype(np.int64)
-    peak = Peak(log=log, best=best, window=window, spread=spread, start=_start(found))
+    peak = Peak(log=log, best=best, window=window, spread=spread, start=_delay_scan(decoded))
     estimate = estimate_of_sensors(peak, theta, path, rows)
-    return ModesEstimate(estimate, posterior.node, information_left.widening)
+    return ModesEstimate(estimate, posterior.node, information.widening)
 
 
-def _start(found: Decoded) -> Start:
+def _delay_scan(decoded: DecodedFit) -> Start:
     """A scan of the delays' other cells, where other peaks may lie."""
-    fit, theta = found.fit, found.theta[: found.log.layout.size]
-    whole, cells, layout = fit.grid.over(*fit.grid.bounds), fit.grid.cells(fit.on_grid), fit.layout
-    periods, weight = whole.periods, whole.posterior(fit.on_grid, cells).weight
-    _, curves = scanned(periods, weight, layout.spread(cells), fit.grid.layout)
+    start, theta = decoded.fit.start, decoded.theta[: decoded.log.layout.size]
+    whole, cells, layout = (
+        start.log.over(*start.log.bounds),
+        start.log.cells(start.theta),
+        decoded.fit.layout,
+    )
+    periods, weight = whole.periods, whole.posterior(start.theta, cells).weight
+    _, curves = scan_cells(periods, weight, layout.spread(cells), start.log.layout)
     if layout.per_mode:
-        curves = curves.reshape(layout.modes, layout.m, -1)[found.order].reshape(curves.shape)
-    return Start(theta, found.log.cells(theta), int(periods.cells[0]), curves, 2 * layout.n)
+        curves = curves.reshape(layout.modes, layout.m, -1)[decoded.order].reshape(curves.shape)
+    return Start(theta, decoded.log.cells(theta), int(periods.cells[0]), curves, 2 * layout.n)
 
 
-def _information(
-    log: HiddenNoisyLog, theta: Vector, starts: Starts, cells: Cells, known: FisherMatrix
+def _by_differences(
+    log: HiddenNoisyLog, theta: Vector, window: Window, known: FisherMatrix
 ) -> Information:
     """Information on the vector, by second differences of the log likelihood."""
     jumps, size, vague = log.jumps.likelier(_SELDOM), theta.size, _vague(log)
+    starts, cells = log.starts(*window), log.cells(theta)
     unit = _BROAD * np.minimum(1.0 / np.sqrt(np.maximum(np.diagonal(known), 1e-300)), log.most)
     steps = np.diag(np.concatenate((unit, np.full(len(jumps), _ODDS))))
 
@@ -295,9 +295,7 @@ def _information(
     scale = np.diagonal(steps)
     J = J / scale / scale[:, None]
     J[:size, :size] += vague
-    held, _ = lifted(J[:size, :size], known)
-    left, least_left = lifted(left_of(J, np.arange(size)), known)
-    return Information(held, left, known, least_left, np.ones(log.layout.modes))
+    return _information(J, known, np.ones(log.layout.modes))
 
 
 def _vague(log: HiddenNoisyLog) -> FisherMatrix:

@@ -1,4 +1,7 @@
-"""Reasons why a log hardly identifies a delay or a mode: repeated inputs, feedback, short stays."""
+"""Reasons why a log hardly identifies a delay or a mode: repeated inputs, feedback, short stays.
+
+Each is a correlation or a linear regression over the rows of a log, compared with a threshold.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
 
 _LIKE = 0.95  # correlation at which an input repeats itself
+_SAME = 1.0 - 1e-6  # correlation of inputs that are proportional
 _FELL = 0.7  # correlation must fall below this first: a slow input resembles itself a moment later
 _FOLLOWS = 0.99  # share of an input's variance explained by the states of the same row
 _BRIEF = 2  # rows: a stay so short has at most one period in one mode
@@ -23,14 +27,13 @@ _MOVES = 1e-9  # least relative innovation of an input: an input known from its 
 
 def reasons(recording: Recording, j: int, longest: float) -> list[str]:
     """Sentences on input j, whose delay, up to `longest` seconds, is hardly identifiable."""
-    said = []
+    sentences, name = [], recording.inputs[j]
     part = max(recording.parts, key=lambda one: one.time.size)
     repeat = _repeat(part, recording.step, j, longest) if recording.even else None
-    name = recording.inputs[j]
     if repeat is not None:
         time, sign = repeat
         opposite = " with the opposite sign" if sign < 0.0 else ""
-        said.append(
+        sentences.append(
             f"{name} repeats itself{opposite} every {time:.4g} s, and with it the delays that "
             "explain the log: send an input that does not repeat itself, or narrow "
             f"delay=(low, high), --delay LOW HIGH, to less than {time:.4g} s."
@@ -41,22 +44,24 @@ def reasons(recording: Recording, j: int, longest: float) -> list[str]:
     elif fed_back(recording)[j]:
         of = "follows from what was measured in its row and before, as in a loop that regulates"
     if of:
-        said.append(
+        sentences.append(
             f"{name} {of}: the log determines A + B K rather than A and B. Add steps or noise to "
             "the commands of the law."
         )
-    others = [recording.inputs[i] for i in _alike(recording, j)]
-    if others:
-        said.append(
-            f"{name} moves as {', '.join(others)} does throughout: the log hardly shows which of "
+    u = np.vstack([part.input for part in recording.parts])
+    likeness = [abs(_likeness(column, u[:, j])) for column in u.T]
+    alike = [other for i, other in enumerate(recording.inputs) if i != j and likeness[i] > _SAME]
+    if alike:
+        sentences.append(
+            f"{name} moves as {', '.join(alike)} does throughout: the log hardly shows which of "
             "them acts, and when. Move them apart, or leave one out by inputs=[…], --inputs."
         )
     if counts_milliseconds(recording):
-        said.append(
+        sentences.append(
             f"t counts whole numbers, a row every {recording.step:g}: if these are milliseconds, "
             "divide it by 1,000."
         )
-    return said
+    return sentences
 
 
 def counts_milliseconds(recording: Recording) -> bool:
@@ -110,13 +115,6 @@ def _follows(recording: Recording, j: int) -> bool:
             rest += float(((u - x @ np.linalg.lstsq(x, u, rcond=None)[0]) ** 2).sum())
             total += float(((u - u.mean()) ** 2).sum())
     return total > 0.0 and rest < (1.0 - _FOLLOWS) * total
-
-
-def _alike(recording: Recording, j: int) -> list[int]:
-    """Other inputs proportional to this one."""
-    u = np.vstack([part.input for part in recording.parts])
-    others = [i for i in range(u.shape[1]) if i != j]
-    return [i for i in others if abs(_likeness(u[:, i], u[:, j])) > 1.0 - 1e-6]
 
 
 def require_enough(

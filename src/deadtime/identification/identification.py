@@ -1,4 +1,4 @@
-"""`Identification`: a plant found in a log, with intervals, a verdict and a problem file."""
+"""`Identification`: a plant identified from a log, with intervals, a verdict and a problem file."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.checks import positive
+from deadtime.base.files import replacing
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
-from deadtime.identification.sentences import doubts_of, odd_readings, sentences_of, verdict_of
+from deadtime.identification.sentences import sentences_of, verdict_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
-    from deadtime.identification.sentences import Margin
+    from deadtime.margins import DelayMargin
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(Findings):
-    """A plant that `identify` found, with intervals at 95 % (immutable).
+    """A plant identified from a log, with intervals at 95 % (immutable).
 
     Attributes
     ----------
@@ -60,39 +61,43 @@ class Identification(Findings):
     """
 
     @classmethod
-    def of(cls, answer: IdentifiedLog) -> Identification:
+    def of(cls, log: IdentifiedLog) -> Identification:
         """The result of an estimate with its log."""
         from deadtime.identification.problem_text import filter_noise
 
-        found, recording, model, why, C, states, said, doubts, modes = answer
-        found.require_inside()
-        rest, odd = rest_of(found, np.linalg.pinv(C)), odd_readings(found, recording, C)
+        estimate, recording, C, states = log.estimate, log.recording, log.C, log.states
+        estimate.require_inside()
+        rest = rest_of(estimate, np.linalg.pinv(C))
+        sentences, doubts = sentences_of(estimate, recording, C, log.why, rest, states)
         fit = cls(
-            found.plant,
-            found.log.layout.spread(found.intervals),
-            recording.step,
-            found.disturbance,
-            found.noise,
-            model,
-            found.tests,
-            states,
-            recording.inputs,
-            recording.modes,
-            found.best.found.value,
-            recording.samples,
-            sentences_of(found, recording, why, rest, states, odd),
-            found,
-            recording,
-            C,
-            hidden=modes,
-            doubts=(*doubts_of(found, recording, odd), *doubts),
+            plant=estimate.plant,
+            delay_interval=estimate.log.layout.spread(estimate.intervals),
+            step=recording.step,
+            disturbance=estimate.disturbance,
+            noise=estimate.noise,
+            model=log.model,
+            tests=estimate.tests,
+            states=states,
+            inputs=recording.inputs,
+            modes=recording.modes,
+            log_likelihood=estimate.best.value,
+            samples=recording.samples,
+            sentences=sentences,
+            hidden=log.modes,
+            doubts=(*doubts, *log.doubts),
+            _estimate=estimate,
+            _recording=recording,
+            _C=C,
             _rest=rest,
         )
         _, raised = filter_noise(fit)
-        own = (*fit.sentences, raised) if raised else fit.sentences
-        return replace(fit, sentences=(*own, *said) if modes is None else (*said, *own))
+        own = (*sentences, raised) if raised else sentences
+        joined = (*own, *log.sentences) if log.modes is None else (*log.sentences, *own)
+        return replace(fit, sentences=joined)
 
-    def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
+    def verdict(
+        self, margin: DelayMargin, law: Law | None = None, step: float | None = None
+    ) -> str:
         """Whether a law tolerates every delay in the intervals, as a sentence.
 
         A margin is for a common error of all delays. For several delays the verdict is "enough"
@@ -150,9 +155,11 @@ class Identification(Findings):
             Length of its run, seconds; by default 20 times the longest delay, and at least 5 mean
             sojourns of the mode that lasts longest.
         """
-        from deadtime.identification.problem_text import problem_text, write_problem
+        from deadtime.identification.problem_text import problem_text
 
-        write_problem(problem_text(self, title, horizon), path)
+        text = problem_text(self, title, horizon)
+        with replacing(path) as place:
+            place.write_text(text, encoding="utf-8")
 
     def plot(self) -> Figure:
         """The likelihood over the delays, predictions against the log, residuals, and modes."""

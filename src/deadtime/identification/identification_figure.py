@@ -1,4 +1,8 @@
-"""The figure of an identification: how sure the delay is, and how the model follows the log."""
+"""Figures of an identification: likelihood of the delays, predictions of the log, residuals.
+
+The likelihood of a delay is its profile, maximised over all other unknowns; predictions are one
+sample ahead, and simulated from the first row.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,7 @@ if TYPE_CHECKING:
 
 _SHOWN = 400  # samples of the log, at most
 _POINTS = 13  # of a likelihood, where each takes a filter over the log
-_MANY = 41  # where it does not
+_MANY = 41  # of a likelihood without a filter
 _FAR = 3.0  # of a log's range: a free run that leaves it is cut there
 
 
@@ -55,7 +59,7 @@ def shown(fit: Findings) -> Part:
 
 
 def rows_shown(fit: Findings, part: Part) -> str:
-    """Which rows of the log those are."""
+    """The rows of the log that figures show, in words."""
     first = f"the first {part.time.size:,} of {fit.samples:,} rows"
     return first if part.time.size < fit.samples else "all rows"
 
@@ -67,27 +71,24 @@ def draw_modes(axes: Axes, fit: Findings, part: Part) -> None:
 
 
 def draw_likelihood(axes: Axes, fit: Findings) -> None:
-    """The profile over every delay, about its estimate."""
+    """The profile likelihood of every delay near its estimate."""
     from scipy.interpolate import PchipInterpolator
 
-    found, layout = fit._found, fit._found.log.layout
-    places = layout.delay_places.tolist()
-    names = delay_names(fit._recording, found)
-    for row, (place, name) in enumerate(zip(places, names, strict=True)):
-        D = float(found.best.theta[place])
-        reach = 1.7 * np.abs(found.intervals[row] - D).max()
+    estimate = fit._estimate
+    places, names = estimate.log.layout.delay_places, delay_names(fit._recording, estimate)
+    for row, (place, name) in enumerate(zip(places.tolist(), names, strict=True)):
+        D = float(estimate.best.theta[place])
+        reach = 1.7 * np.abs(estimate.intervals[row] - D).max()
         points = _POINTS if fit.noise.any() else _MANY
-        delays = np.clip(np.linspace(D - reach, D + reach, points), *found.window)
-        falls = [found.profile(place, float(d)) for d in delays]
+        delays = np.clip(np.linspace(D - reach, D + reach, points), *estimate.window)
+        falls = [estimate.profile(place, float(d)) for d in delays]
         if points < _MANY and (np.diff(delays) > 0.0).all():
-            curve, delays = (
-                PchipInterpolator(delays, falls),
-                np.linspace(delays[0], delays[-1], _MANY),
-            )
+            curve = PchipInterpolator(delays, falls)
+            delays = np.linspace(delays[0], delays[-1], _MANY)
             falls = curve(delays)
         colour = COLOURS[row % len(COLOURS)]
         axes.plot(1e3 * (delays - D), falls, color=colour, label=plain(f"{name}: {D:.4g} s"))
-        for end in found.intervals[row]:
+        for end in estimate.intervals[row]:
             axes.axvline(1e3 * (end - D), color=colour, linewidth=0.8, linestyle=":")
     axes.set_xlabel("delay − estimate (ms); dotted: 95 %")
     axes.set_ylabel("log L")
@@ -101,7 +102,7 @@ def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
         x = logged[:, i]
         middle, span = np.nanmean(x), max(float(np.nanmax(x) - np.nanmin(x)), 1e-300)
         far = np.where(np.abs(free[:, i] - middle) < _FAR * span, free[:, i], np.nan)
-        measured = fit._found.of_outputs is None or bool(fit.C[:, i].any())
+        measured = fit._estimate.of_outputs is None or bool(fit.C[:, i].any())
         if measured:
             own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
         else:
@@ -121,39 +122,60 @@ def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
 
 
 def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
-    """States as logged, a sample ahead, and run freely, all in the log's own units."""
-    level = fit._recording.level
-    at = 0.0 if level is None else np.linalg.pinv(fit.C) @ level.output
-    return tuple(at + curve for curve in _about_level(fit, part))
-
-
-def _about_level(fit: Findings, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States about the level of the recording; smoothed where they were not logged."""
-    if (log := fit._found.of_outputs) is None:
-        logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
-        layout = found.log.layout
-        constant = layout.constant_of(found.best.theta[: layout.size])
-        model = FittedModel(fit.plant, constant, found.log.nodes)
-        return logged, *model.forecast(part, fit.C)
-    found = following(log, fit._found.best.theta, part, fit._found.window)
-    measured = fit.C.any(axis=0)
-    logged = np.where(measured, part.output @ fit.C, found.states)
-    return logged, found.ahead, found.free
+    """States as logged, or smoothed; a sample ahead; and simulated; all in the log's own units."""
+    estimate, level, back = fit._estimate, fit._recording.level, np.linalg.pinv(fit.C)
+    theta = estimate.best.theta
+    if (log := estimate.of_outputs) is None:
+        layout = estimate.log.layout
+        constant = layout.constant_of(theta[: layout.size])
+        model = FittedModel(fit.plant, constant, estimate.log.nodes)
+        curves = part.output @ back.T, *model.forecast(part, fit.C)
+    else:
+        states, ahead, free = following(log, theta, part, estimate.window)
+        curves = np.where(fit.C.any(axis=0), part.output @ fit.C, states), ahead, free
+    at = 0.0 if level is None else back @ level.output
+    return tuple(at + curve for curve in curves)
 
 
 def draw_residuals(axes: Axes, fit: Findings) -> None:
     """The residuals' correlation with themselves, and where it would be by chance."""
-    r, count = autocorrelation(list(fit._found.white))
-    lags = np.arange(1, LAGS + 1)
-    for i in range(r.shape[1]):
-        shift = 0.15 * (i - 0.5 * (r.shape[1] - 1))
-        name = plain(fit._recording.outputs[i])
-        axes.vlines(lags + shift, 0.0, r[:, i], color=COLOURS[i % len(COLOURS)], label=name)
-    for side in (-1.0, 1.0):
-        axes.plot(lags, side * 1.96 / np.sqrt(np.maximum(count, 1)), color="#666666", linestyle=":")
+    r, count = autocorrelation(list(fit._estimate.white))
+    names = fit._recording.outputs
+    _draw_correlation(axes, np.arange(1, LAGS + 1), r, 0.15, names, 1.96, count, 4)
     axes.set_xlabel("samples between residuals; dotted: 95 % by chance")
+
+
+def _draw_inputs(axes: Axes, fit: Findings) -> None:
+    """The largest correlation of any residual with each input, over the time in between."""
+    from scipy.stats import norm
+
+    r, count = with_inputs(list(fit._estimate.white), fit._recording, float(fit.delays.max()))
+    time = fit.step * np.arange(1, len(count) + 1)
+    largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)[:, 0]
+    # The largest of n is outside more often than one: Bonferroni's level for a lag.
+    reach = float(norm.isf(0.025 / r.shape[1]))
+    _draw_correlation(axes, time, largest, 0.25 * fit.step, fit.inputs, reach, count, 3)
+    axes.set_xlabel("time since the input (s); dotted: 95 % by chance")
+
+
+def _draw_correlation(
+    axes: Axes,
+    at: np.ndarray,
+    r: np.ndarray,
+    gap: float,
+    names: tuple[str, ...],
+    reach: float,
+    count: np.ndarray,
+    columns: int,
+) -> None:
+    """Correlations r (lags, names), each of `count` pairs, side by side; and a band of chance."""
+    for i, name in enumerate(names):
+        shift, colour = gap * (i - 0.5 * (len(names) - 1)), COLOURS[i % len(COLOURS)]
+        axes.vlines(at + shift, 0.0, r[:, i], color=colour, label=plain(name))
+    for side in (-1.0, 1.0):
+        axes.plot(at, side * reach / np.sqrt(np.maximum(count, 1.0)), color="#666666", ls=":")
     axes.set_ylabel("correlation")
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.0)
 
 
 def figures_of(fit: Findings) -> Iterator[tuple[str, str, Figure]]:
@@ -175,7 +197,7 @@ def likelihood_figure(fit: Findings) -> tuple[str, str, Figure]:
 
 
 def quick_figures(fit: Findings) -> Iterator[tuple[str, str, Figure]]:
-    """(name, caption, figure) of all others: predictions and modes, what is left."""
+    """(name, caption, figure) of all others: predictions and modes, residuals."""
     part, n, several = shown(fit), fit.plant.states, fit.plant.modes > 1
     with _figure(n + several, 1.1, 2.0) as (figure, axes):
         draw_log(axes[:n], fit, part)
@@ -215,24 +237,3 @@ def _figure(rows: int, height: float, wide: float = 1.0) -> Iterator[tuple[Figur
     with mpl.rc_context(STYLE):
         figure = new_figure(wide * WIDTH, height * rows + 0.4)
         yield figure, list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
-
-
-def _draw_inputs(axes: Axes, fit: Findings) -> None:
-    """Of each input the largest of all states, over the time in between."""
-    r, count = with_inputs(list(fit._found.white), fit._recording, float(fit.delays.max()))
-    time = fit.step * np.arange(1, len(count) + 1)
-    largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)[:, 0]
-    wide = 0.25 * fit.step
-    for j, name in enumerate(fit.inputs):
-        shift = wide * (j - 0.5 * (len(fit.inputs) - 1))
-        colour = COLOURS[j % len(COLOURS)]
-        axes.vlines(time + shift, 0.0, largest[:, j], color=colour, label=plain(name))
-    # The largest of n is outside more often than one: Bonferroni's level for a lag.
-    from scipy.stats import norm
-
-    reach = float(norm.isf(0.025 / r.shape[1]))
-    for side in (-1.0, 1.0):
-        axes.plot(time, side * reach / np.sqrt(np.maximum(count, 1.0)), color="#666666", ls=":")
-    axes.set_xlabel("time since the input (s); dotted: 95 % by chance")
-    axes.set_ylabel("correlation")
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)

@@ -1,4 +1,8 @@
-"""The plant that an identification found, its intervals, and the sentences on them."""
+"""An identified plant: its operating point, errors, intervals by name, and covariance.
+
+The operating point's error and the covariance follow from the information at the maximum of the
+likelihood, by linear propagation of errors.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ _SINGULAR = 1e9  # condition number of A beyond which the rest is not unique
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Findings(Frozen):
-    """A plant found in a log, with intervals at 95 %: see `Identification`."""
+    """An identified plant with intervals at 95 %: see `Identification`."""
 
     plant: SwitchedSystem
     delay_interval: Float[np.ndarray, "mode m 2"]
@@ -37,7 +41,7 @@ class Findings(Frozen):
     log_likelihood: float
     samples: int
     sentences: tuple[str, ...]
-    _found: Estimate = field(repr=False)
+    _estimate: Estimate = field(repr=False)
     _recording: Recording = field(repr=False)
     _C: SensorMatrix = field(repr=False)
     hidden: HiddenModes | None = None
@@ -70,7 +74,7 @@ class Findings(Frozen):
         apart = bool(self.offset.any())
         if point is None or level is None or apart or np.linalg.cond(A) > _SINGULAR:
             return np.full(n, np.nan)
-        layout, place = self._found.log.layout, np.indices((modes, n))
+        layout, place = self._estimate.log.layout, np.indices((modes, n))
         x, u = point.x - np.linalg.pinv(self.C) @ level.output, point.u - level.input
         by_theta = np.zeros((modes, n, layout.size))
         for b in range(n):
@@ -78,7 +82,7 @@ class Findings(Frozen):
         for j, value in enumerate((*u, 1.0)):
             by_theta[(*place, layout.of_B[:, :, j])] = value
         moved = np.linalg.pinv(A) @ by_theta.reshape(-1, layout.size)
-        covariance = self._found.spread.covariance[: layout.size, : layout.size]
+        covariance = self._estimate.spread.covariance[: layout.size, : layout.size]
         return np.sqrt(np.diagonal(moved @ covariance @ moved.T))
 
     @property
@@ -94,8 +98,8 @@ class Findings(Frozen):
     @property
     def largest_states(self) -> Float[np.ndarray, " n"]:
         """The largest magnitude of every state in the log."""
-        if (log := self._found.of_outputs) is not None:
-            return largest_of(log, self._found.best.theta, self._found.window)
+        if (log := self._estimate.of_outputs) is not None:
+            return largest_of(log, self._estimate.best.theta, self._estimate.window)
         back, recording = np.linalg.pinv(self._C).T, self._recording.absolute()
         every = np.vstack([part.output @ back for part in recording.parts])
         at = 0.0 if self.operating_point is None else self.operating_point.x
@@ -104,8 +108,8 @@ class Findings(Frozen):
     @property
     def uncertain(self) -> UncertainPlant:
         """The plant with the covariance of all its entries and delays: to draw, and corners."""
-        _, own = self._found.log.layout.without_constant()
-        return UncertainPlant(self.plant, self._found.spread.covariance[np.ix_(own, own)])
+        _, own = self._estimate.log.layout.without_constant()
+        return UncertainPlant(self.plant, self._estimate.spread.covariance[np.ix_(own, own)])
 
     @property
     def message(self) -> str:
@@ -118,11 +122,11 @@ class Findings(Frozen):
 
         With outputs alone, entries fixed by the choice of states are left out.
         """
-        return tuple(self._found.places)
+        return tuple(self._estimate.places)
 
     def estimate(self, name: str) -> float:
         """The likeliest value of one unknown, by its name; see `interval`."""
-        return self._found.value(name)
+        return self._estimate.value(name)
 
     def interval(self, name: str) -> tuple[float, float]:
         """The ends of the 95 % interval of one unknown.
@@ -144,4 +148,4 @@ class Findings(Frozen):
         ArgumentError
             If there is no such name.
         """
-        return self._found.interval(name)
+        return self._estimate.interval(name)

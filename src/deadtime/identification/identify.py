@@ -1,4 +1,8 @@
-"""`identify`: from a log to a plant."""
+"""`identify`: the maximum-likelihood plant of a log, and which model of the log that needs.
+
+States may be exact or noisy, in open or in closed loop, modes logged or hidden, and outputs fewer
+than states; each case has a module of its own.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +20,8 @@ from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.identifiability import fed_back
 from deadtime.identification.identification import Identification
-from deadtime.identification.identify_hidden import Sensed, identify_hidden, numbers_of
-from deadtime.identification.identify_outputs import identify_outputs, is_states, require_logged
+from deadtime.identification.identify_hidden import identify_hidden, numbers_of
+from deadtime.identification.identify_outputs import identify_outputs, order_of, require_logged
 from deadtime.identification.levels import level_of
 from deadtime.identification.log.logged_states import (
     as_states,
@@ -33,7 +37,7 @@ from deadtime.identification.log.unit_changes import require_same_units, require
 from deadtime.identification.noisy_estimate import (
     estimate_in_loop,
     estimate_with_noise,
-    exact_holds,
+    may_be_exact,
 )
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
@@ -156,49 +160,47 @@ def identify(
         require_order_for(zeros, outputs, C)
     else:
         require_logged(C, noise, numbers is not None)
-        if is_states(order, recording.outputs):  # the same model as of states that are logged
+        if set(order_of(order, recording.outputs)) == {1}:  # then outputs are the states
             order = None
     within = switches == "anywhere"
 
-    def identified(recording: Recording) -> Identification:
+    def from_recording(recording: Recording) -> Identification:
         bounds = max(low, _SHORTEST * recording.step), high
         about = recording.about(level_of(recording))
         if order is not None:
             of = about, order, zeros, per_mode, bounds, within, progress
             return Identification.of(identify_outputs(*of))
         sensors = sensors_of(C, recording)
-        count = sensors.shape[1]
-        named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
+        exact_states, n = as_states(about, sensors), sensors.shape[1]
+        named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(n))
         require_sizes(recording)
         require_states(as_states(recording, sensors), named)
-        layout = Layout(len(recording.modes), count, len(recording.inputs), per_mode, constant=True)
-        direct = as_states(about, sensors)
-        said: tuple[str, ...] = ()
+        layout = Layout(len(recording.modes), n, len(recording.inputs), per_mode, constant=True)
+        sentences: tuple[str, ...] = ()
         if numbers is not None:
-            noisy = True if C is not None else noise
-            sensed = Sensed(direct, about, sensors, named, noisy)
-            hidden, said = identify_hidden(sensed, numbers, layout, bounds, within, progress)
+            of = about, sensors, named, noise if C is None else True
+            how = numbers, layout, bounds, within, progress
+            hidden, sentences = identify_hidden(*of, *how)
             if hidden is not None:
                 return Identification.of(hidden)
         progress(f"looking for the delay between {low:g} and {high:g} s")
-        found = estimate_exactly(direct, layout, bounds, within)
-        sure = C is not None or bool(noise)
-        if noise is not False and fed_back(recording).any():
-            progress("taking sensors for noisy, as inputs follow them")
-            found = estimate_in_loop(about, sensors, found, sure)
-        elif sure or (noise is None and (not found.tests.white or alternates(list(found.white)))):
-            progress("taking sensors for noisy")
-            noisy = estimate_with_noise(about, sensors, found)
-            found = found if not sure and exact_holds(found, noisy) else noisy
+        estimate = estimate_exactly(exact_states, layout, bounds, within)
+        sure, white = C is not None or bool(noise), list(estimate.white)
+        loop = noise is not False and bool(fed_back(recording).any())
+        if loop or sure or (noise is None and (not estimate.tests.white or alternates(white))):
+            progress(f"taking sensors for noisy{', as inputs follow them' if loop else ''}")
+            noisy_estimate = estimate_in_loop if loop else estimate_with_noise
+            noisy = noisy_estimate(about, sensors, estimate)
+            estimate = noisy if sure or not may_be_exact(estimate, noisy) else estimate
         model, why = fit_switching(recording)
-        answer = IdentifiedLog(found, found.log.recording, model, why, sensors, named)
-        fit = Identification.of(answer)
-        return replace(fit, sentences=(*said, *fit.sentences))
+        given = estimate, estimate.log.recording, model, why, sensors, named
+        fit = Identification.of(IdentifiedLog(*given))
+        return replace(fit, sentences=(*sentences, *fit.sentences))
 
-    fit = identified(resting(recording, rest))
-    if rest is None and disproved(fit._recording, fit._found.white, fit.plant.longest_delay):
+    fit = from_recording(resting(recording, rest))
+    if rest is None and disproved(fit._recording, fit._estimate.white, fit.plant.longest_delay):
         progress("looking again, as inputs before the log were others than its first")
-        fit = identified(resting(recording, False))
+        fit = from_recording(resting(recording, False))
     return fit
 
 

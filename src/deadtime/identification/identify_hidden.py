@@ -1,11 +1,15 @@
-"""`identify` where modes were not logged: their number, their plant, how they switch, in words."""
+"""`identify` where modes were not logged: their number, their plant, and how they switch.
+
+Plants of every number of modes are fitted by maximum likelihood, and BIC selects one (Schwarz,
+Annals of Statistics 6(2), 1978). Noisy sensors are tried if residuals of exact states suggest them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic
 
 import numpy as np
 
@@ -15,23 +19,23 @@ from deadtime.base.wording import number_of
 from deadtime.identification.estimate import HiddenModes, IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.hidden_estimate import (
-    Decoded,
+    DecodedFit,
     ModesEstimate,
-    decoded,
-    estimated,
-    estimated_with_noise,
+    decode,
+    estimate_hidden,
+    estimate_hidden_noisy,
 )
 from deadtime.identification.hidden_fit import (
     HiddenFit,
     Log,
-    fitted,
-    fitted_with_noise,
-    refined,
+    fit_hidden,
+    fit_hidden_noisy,
+    refine,
     search_of,
 )
-from deadtime.identification.log.logged_states import fit_switching
+from deadtime.identification.log.logged_states import as_states, fit_switching
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy_estimate import estimate_with_noise, exact_holds
+from deadtime.identification.noisy_estimate import estimate_with_noise, may_be_exact
 from deadtime.identification.parameters import Layout, SensorMatrix, Window
 from deadtime.identification.residuals import alternates
 from deadtime.numerics.kernels import expect_many_calls
@@ -41,22 +45,11 @@ _CERTAIN = 1e-12  # a mode with less probability to leave it is absorbing
 _MOST = 20  # modes
 
 
-class Sensed(NamedTuple):
-    """A recording as states and as logged, y = C x, both about a level; and the kind of noise.
-
-    named : names of states
-    noise : whether sensors are noisy; None to try it if residuals suggest it
-    """
-
-    states: Recording
-    outputs: Recording
-    C: SensorMatrix
-    named: tuple[str, ...]
-    noise: bool | None
-
-
 def identify_hidden(
-    sensed: Sensed,
+    recording: Recording,
+    C: SensorMatrix,
+    states: tuple[str, ...],
+    noise: bool | None,
     numbers: tuple[int, ...],
     layout: Layout,
     bounds: Window,
@@ -67,51 +60,84 @@ def identify_hidden(
 
     The plant is None where one mode is the likeliest.
 
+    recording : of y = C x, about a level; states : names
+    noise : whether sensors are noisy; None to try it if residuals suggest it
     layout : with one mode, as in the recording, and constant terms
     """
     expect_many_calls()
-    search = search_of(sensed.states, layout, bounds, within)
-    if not sensed.noise:
-        tried = _tried(
-            numbers, lambda modes: fitted(search, replace(layout, modes=modes)), progress
+    exact_states = as_states(recording, C)
+    search = search_of(exact_states, layout, bounds, within)
+
+    def choose(
+        fit: Callable[[Layout], HiddenFit[Log]],
+        decode: Callable[[HiddenFit[Log]], DecodedFit[Log]],
+        estimate: Callable[[DecodedFit[Log]], ModesEstimate],
+        assumption: str = "",
+    ) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
+        tried = _try_numbers(
+            numbers,
+            lambda modes: fit(replace(layout, modes=modes)),
+            lambda stage: progress(f"{stage}{assumption}"),
         )
-        progress("finding intervals")
-        found, said = _chosen(tried, sensed, within, lambda fit: decoded(refined(fit)), estimated)
-        if sensed.noise is False or numbers == (1,):
-            return found, said
-        exact = found.estimate if found else estimate_exactly(sensed.states, layout, bounds, within)
-        if exact.tests.white and (found is None or _holds(found)):
-            return found, said
-    given = sensed.outputs, sensed.C
-    noisy = _tried(
-        numbers,
-        lambda modes: fitted_with_noise(search, replace(layout, modes=modes), *given),
-        lambda said: progress(f"{said}, sensors taken for noisy"),
+        progress(f"finding intervals{assumption}")
+        best, decoded, left_out = best_of(tried, decode)
+        sentences = of_numbers(best.layout.modes, tried, left_out)
+        if decoded is None:
+            return None, sentences
+        by_mode, record, chain = estimate(decoded), decoded.recording, decoded.log.jumps.chain
+        modes = HiddenModes(
+            time=np.concatenate([part.time for part in record.parts]),
+            mode=np.concatenate([part.mode for part in record.parts]),
+            probability=np.vstack(by_mode.node),
+            chain=chain,
+            numbers=np.array([one.layout.modes for one in tried.fits]),
+            bic=np.array([one.bic for one in tried.fits]),
+            likelihoods=decoded.fit.values,
+            starts=best.start.draws,
+            agreed=best.start.agreed,
+            widening=by_mode.widening,
+        )
+        sentences = (*sentences, *of_sureness(modes, within))
+        model, why = _switching(record, chain)
+        given = by_mode.estimate, record, model, why, C, states, sentences
+        return IdentifiedLog(*given, modes=modes), sentences
+
+    if not noise:
+        chosen, sentences = choose(
+            lambda own: fit_hidden(search, own), lambda fit: decode(refine(fit)), estimate_hidden
+        )
+        if noise is False or numbers == (1,):
+            return chosen, sentences
+        exact = (
+            chosen.estimate if chosen else estimate_exactly(exact_states, layout, bounds, within)
+        )
+        if exact.tests.white and (chosen is None or _holds(chosen)):
+            return chosen, sentences
+    return choose(
+        lambda own: fit_hidden_noisy(search, own, recording, C),
+        decode,
+        estimate_hidden_noisy,
+        ", sensors taken for noisy",
     )
-    progress("finding intervals, sensors taken for noisy")
-    return _chosen(noisy, sensed, within, decoded, estimated_with_noise)
 
 
-def _holds(found: IdentifiedLog) -> bool:
+def _holds(chosen: IdentifiedLog) -> bool:
     """Whether states may be taken as exact, tested with the modes of the likeliest path as logged.
 
     This takes seconds where a fit of noisy sensors with hidden modes takes minutes.
     """
-    exact = found.estimate
+    exact = chosen.estimate
     if not alternates(list(exact.white)):
         return True
-    return exact_holds(exact, estimate_with_noise(found.recording, found.C, exact))
+    return may_be_exact(exact, estimate_with_noise(chosen.recording, chosen.C, exact))
 
 
-def _tried(
+def _try_numbers(
     numbers: tuple[int, ...], fit: Callable[[int], HiddenFit[Log]], progress: Callable[[str], None]
 ) -> TriedNumbers[Log]:
     """Fits of numbers of modes until one is refused; for a single number also of the next smaller.
 
-    Raises
-    ------
-    ArgumentError
-        If the first number is refused.
+    An error of the first number is raised.
     """
     fits, refused = [], None
     for number in numbers:
@@ -130,48 +156,13 @@ def _tried(
     return TriedNumbers(fits, numbers, refused)
 
 
-def _chosen(
-    tried: TriedNumbers[Log],
-    sensed: Sensed,
-    within: bool,
-    decode: Callable[[HiddenFit[Log]], Decoded[Log]],
-    estimate: Callable[[Decoded[Log]], ModesEstimate],
-) -> tuple[IdentifiedLog | None, tuple[str, ...]]:
-    """The best fit with its estimate and sentences."""
-    best, found, left_out = best_of(tried, decode)
-    said = of_numbers(best.layout.modes, tried, left_out)
-    if found is None:
-        return None, said
-    by_mode, record, chain = estimate(found), found.recording, found.log.jumps.chain
-    modes = HiddenModes(
-        np.concatenate([part.time for part in record.parts]),
-        np.concatenate([part.mode for part in record.parts]),
-        np.vstack(by_mode.node),
-        chain,
-        np.array([one.layout.modes for one in tried.fits]),
-        np.array([one.bic for one in tried.fits]),
-        found.fit.values,
-        best.begun.starts,
-        best.begun.agreed,
-        by_mode.widening,
-    )
-    said = (*said, *of_sureness(modes, within))
-    model, why = _switching(record, chain)
-    given = by_mode.estimate, record, model, why, sensed.C, sensed.named, said
-    return IdentifiedLog(*given, modes=modes), said
-
-
 def best_of(
-    tried: TriedNumbers[Log], decode: Callable[[HiddenFit[Log]], Decoded[Log]]
-) -> tuple[HiddenFit[Log], Decoded[Log] | None, list[int]]:
+    tried: TriedNumbers[Log], decode: Callable[[HiddenFit[Log]], DecodedFit[Log]]
+) -> tuple[HiddenFit[Log], DecodedFit[Log] | None, list[int]]:
     """The fit of least BIC whose likeliest path visits all modes, decoded if it has several.
 
-    And the numbers of modes with lower BIC whose path does not visit all modes.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no such fit.
+    And the numbers of modes with lower BIC whose path does not visit all modes. An error of the
+    last is raised.
     """
     requested = [fit for fit in tried.fits if fit.layout.modes in tried.numbers]
     *order, last = sorted(requested, key=lambda one: one.bic)
@@ -212,44 +203,40 @@ def of_numbers(number: int, tried: TriedNumbers, left_out: Sequence[int]) -> tup
     numbers, refused = tried.numbers, tried.refused
     bic = {one.layout.modes: one.bic for one in tried.fits}
     table = ", ".join(f"{bic[one]:.1f} with {one}" for one in sorted(bic) if one in numbers)
-    said = []
+    sentences = []
     if len(numbers) > 1:
-        most = number_of(number, "mode")
         row = len(numbers) == numbers[-1] - numbers[0] + 1
         options = f"{numbers[0]} to {numbers[-1]}" if row else ", ".join(map(str, numbers))
-        said.append(f"{most} of {options}: BIC is least, {table}.")
+        least = "BIC is least"
         if left_out:
             others = " and ".join(map(str, left_out))
-            said[-1] = (
-                f"{most} of {options}: BIC is least of those whose likeliest path visits every "
-                f"mode, {table}; that of {others} leaves one out."
-            )
+            least = "BIC is least of those whose likeliest path visits every mode"
+            table += f"; that of {others} leaves one out"
+        sentences.append(f"{number_of(number, 'mode')} of {options}: {least}, {table}.")
         if number == max(bic) and number > 1 and refused is None:
-            said.append("More might do better still: let the numbers go on.")
+            sentences.append("More might do better still: let the numbers go on.")
     elif number > 1 and bic.get(number - 1, np.inf) < bic[number]:
         fewer = number_of(number - 1, "mode")
-        said.append(
+        sentences.append(
             f"{fewer} explain{'s' if number == 2 else ''} the log better (BIC "
             f"{bic[number - 1]:.1f}, against {bic[number]:.1f} with {number}): two of the modes "
             "are alike, or the log does not tell them apart, and their matrices are fitted to "
             f"chance. Say modes={number - 1}."
         )
     if len(numbers) > 1 and refused is not None:
-        said.append(f"Others were not tried: {refused}")
-    return tuple(said)
+        sentences.append(f"Others were not tried: {refused}")
+    return tuple(sentences)
 
 
 def of_sureness(modes: HiddenModes, within: bool) -> tuple[str, ...]:
     """Sentences on the probabilities of modes and on assumptions."""
     longer = 100.0 * (modes.widening - 1.0)
-    said = [
+    sentence = (
         "Modes were not logged; they are numbered as the likeliest path visits them. "
         f"{100.0 * modes.sure:.0f} % of rows have one that is at least 95 % sure; not knowing them "
         f"makes intervals up to {longer:.0f} % longer."
-    ]
-    if not within:
-        said.append("Modes are taken to change at samples only.")
-    return tuple(said)
+    )
+    return (sentence,) if within else (sentence, "Modes are taken to change at samples only.")
 
 
 def numbers_of(modes: Any) -> tuple[int, ...] | None:

@@ -1,7 +1,8 @@
-"""`identify` from outputs alone: the likeliest plant, and the states it has.
+"""`identify` from outputs alone: the likeliest plant, and the order and zeros that the log shows.
 
-The search begins at scans of the delays, for a long log on stretches of it, which suffice to locate
-the maximum. Uneven logs are scanned on a grid.
+Extensions of the model are kept if they are significant by likelihood ratio, and a smaller order is
+proposed where BIC prefers it. The search begins at scans of the delays, for a long log on stretches
+of it, which suffice to locate the maximum. Uneven logs are scanned on a grid.
 """
 
 from __future__ import annotations
@@ -15,21 +16,21 @@ import numpy as np
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
-from deadtime.identification.delay_scan import Scanned, largest_maximum
+from deadtime.identification.delay_scan import DelayScan, largest_maximum
 from deadtime.identification.estimate import Estimate, IdentifiedLog
 from deadtime.identification.levels import near_zero
 from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import Embedding, NoisyLog
 from deadtime.identification.log.logged_states import fit_switching
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy_estimate import estimated_of, start_beside
+from deadtime.identification.noisy_estimate import estimate_at, start_with_scan
 from deadtime.identification.outputs_maxima import (
     Guess,
-    begins_of,
-    by_past,
+    equivalent_delays,
     guess_of,
-    others_of,
-    with_others,
+    scan_starts,
+    starts_from_past,
+    with_other_delays,
 )
 from deadtime.identification.parameters import Layout, Window
 from deadtime.identification.sampling import nodes_for
@@ -57,8 +58,8 @@ class OutputsRequest(NamedTuple):
     progress: Callable[[str], None]
 
 
-class Chosen(NamedTuple):
-    """A plant with its likelihood and the last scan.
+class OutputsModel(NamedTuple):
+    """The likeliest plant of a structure, with its likelihood and the last scan.
 
     added : the numbers of unknowns that jumps, zeros and a level added, as far as they were tried
     other : the likeliest plant with zeros if it has none, without if it has; None if not tried
@@ -67,7 +68,7 @@ class Chosen(NamedTuple):
 
     log: NoisyLog
     best: Maximum
-    scan: Scanned
+    scan: DelayScan
     added: tuple[int, ...] = ()
     other: Maximum | None = None
     rise: float = 0.0
@@ -79,7 +80,7 @@ class Chosen(NamedTuple):
         return self.log.embedding
 
     @property
-    def worth(self) -> float:
+    def penalised(self) -> float:
         """2 log L less the significance threshold of each extension.
 
         So plants can be compared of which neither is a special case of the other: one with an
@@ -88,9 +89,9 @@ class Chosen(NamedTuple):
         from scipy.stats import chi2
 
         chance = sum(float(chi2.isf(CHANCE, count)) for count in self.added)
-        return 2.0 * self.best.found.value - chance
+        return 2.0 * self.best.value - chance
 
-    def adding(self, wider: Chosen) -> Chosen:
+    def adding(self, wider: OutputsModel) -> OutputsModel:
         """A wider plant with its number of additional unknowns recorded."""
         return wider._replace(added=(*self.added, wider.log.free.size - self.log.free.size))
 
@@ -98,10 +99,10 @@ class Chosen(NamedTuple):
     def bic(self) -> float:
         """−2 log L + q log N, of q unknowns and N measurements."""
         count = self.log.measured(self.log.starts(*self.log.bounds))
-        return self.log.free.size * float(np.log(count)) - 2.0 * self.best.found.value
+        return self.log.free.size * float(np.log(count)) - 2.0 * self.best.value
 
 
-def chosen_of(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> Chosen:
+def choose_model(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> OutputsModel:
     """The likeliest plant; `lead`: see `Embedding`."""
     expect_many_calls()
     recording, layout, order, zeros, bounds, within, progress = request
@@ -112,52 +113,50 @@ def chosen_of(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> C
     log = NoisyLog(some, layout, within, bounds, nodes, shape.C, shape)
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
-    simple = Chosen(log, *_begun(log, guess))
+    simple = _model_of(log, scan_starts(log, guess), starts_from_past(log, guess))
     if not shape.upper.size:
         return simple
     chosen = simple
     if layout.modes > 1 and not within:
         progress("trying states that are an output's derivatives in one mode alone")
         free = replace(log, embedding=replace(shape, jumps=True))
-        wider = Chosen(free, *_searched(free, (), (simple.best.theta,)))
-        chosen = worthier(simple, simple.adding(wider))
+        wider = _model_of(free, (), (simple.best.theta,))
+        chosen = significant_of(simple, simple.adding(wider))
     if zeros is not None:
         return chosen
     progress("trying inputs that act on all states")
     wider = _with_zeros(chosen, guess)
     if wider.shape.zeros and wider.shape.jumps:  # zeros may have been mistaken for a jump
         alone = _with_zeros(simple, guess)
-        return worthier(alone, wider)
+        return significant_of(alone, wider)
     return wider
 
 
-def worthier(simple: Chosen, wider: Chosen) -> Chosen:
+def significant_of(simple: OutputsModel, wider: OutputsModel) -> OutputsModel:
     """The wider of two plants if it is significantly likelier, else the simple one."""
-    return wider if wider.worth > simple.worth else simple
+    return wider if wider.penalised > simple.penalised else simple
 
 
-def _with_zeros(simple: Chosen, guess: Guess) -> Chosen:
+def _with_zeros(simple: OutputsModel, guess: Guess) -> OutputsModel:
     """A plant, or the one with zeros if that is significantly likelier."""
     log = replace(simple.log, embedding=replace(simple.shape, zeros=True))
-    wider = simple.adding(Chosen(log, *_begun(log, guess, simple.best.theta)))
-    own = worthier(simple, wider)
-    rise = 2.0 * (wider.best.found.value - simple.best.found.value)
+    starts = *scan_starts(log, guess), simple.best.theta
+    wider = simple.adding(_model_of(log, starts, starts_from_past(log, guess)))
+    own = significant_of(simple, wider)
+    rise = 2.0 * (wider.best.value - simple.best.value)
     other = (simple if own is wider else wider).best
     return own._replace(other=other, rise=rise, more=wider.added[-1])
 
 
-def _begun(log: NoisyLog, guess: Guess, *more: np.ndarray) -> tuple[Maximum, Scanned]:
-    """The likeliest plant from scans of all delays and from past outputs, and the last scan."""
-    return _searched(log, (*begins_of(log, guess), *more), by_past(log, guess))
+def _model_of(
+    log: NoisyLog, guesses: Sequence[np.ndarray], climbed: Sequence[np.ndarray]
+) -> OutputsModel:
+    """The likeliest plant: see `largest_maximum`."""
+    given = log, guesses, climbed, lambda theta: equivalent_delays(log, theta)
+    return OutputsModel(log, *largest_maximum(*given))
 
 
-def _searched(
-    log: NoisyLog, begins: Sequence[np.ndarray], climbed: Sequence[np.ndarray]
-) -> tuple[Maximum, Scanned]:
-    return largest_maximum(log, begins, climbed, lambda theta: others_of(log, theta))
-
-
-def zeros_in_doubt(chosen: Chosen, inputs: tuple[str, ...]) -> list[str]:
+def zeros_in_doubt(chosen: OutputsModel, inputs: tuple[str, ...]) -> list[str]:
     """Sentences on the delays with, or without, zeros where both are plausible.
 
     A zero resembles a delay, so likelihood may rise by chance at any of many delays: a zero is
@@ -182,14 +181,14 @@ def zeros_in_doubt(chosen: Chosen, inputs: tuple[str, ...]) -> list[str]:
     ]
 
 
-def weights_are_uncertain(found: Estimate, shape: Embedding) -> bool:
+def weights_are_uncertain(estimate: Estimate, shape: Embedding) -> bool:
     """Whether the order may be too high: in some chain no input's weight is well known.
 
     A spurious pole may lie anywhere far to the left, where it acts as a delay, or next to a zero;
     the weights of inputs depend on its place.
     """
-    layout, theta = found.log.layout, found.best.theta
-    error = np.sqrt(np.diagonal(found.spread.covariance))
+    layout, theta = estimate.log.layout, estimate.best.theta
+    error = np.sqrt(np.diagonal(estimate.spread.covariance))
     for last, count in zip(shape.last, shape.order, strict=True):
         place = layout.of_B[:, last].reshape(-1)
         if count > 1 and (error[place] > _WIDE * np.abs(theta[place])).all():
@@ -197,7 +196,7 @@ def weights_are_uncertain(found: Estimate, shape: Embedding) -> bool:
     return False
 
 
-def order_too_high(request: OutputsRequest, chosen: Chosen) -> list[str]:
+def order_too_high(request: OutputsRequest, chosen: OutputsModel) -> list[str]:
     """A sentence on a smaller order with lower BIC of the same measurements, if there is one."""
     order, fewer = request.order, []
     for j, count in enumerate(order):
@@ -205,7 +204,7 @@ def order_too_high(request: OutputsRequest, chosen: Chosen) -> list[str]:
             own = (*order[:j], count - 1, *order[j + 1 :])
             layout = replace(request.layout, n=sum(own))
             smaller = request._replace(layout=layout, order=own)
-            fewer.append((chosen_of(smaller, lead=order).bic, own))
+            fewer.append((choose_model(smaller, lead=order).bic, own))
     if not fewer or min(fewer)[0] >= chosen.bic:
         return []
     bic, own = min(fewer)
@@ -232,23 +231,22 @@ def identify_outputs(
     within: bool,
     progress: Callable[[str], None],
 ) -> IdentifiedLog:
-    """The likeliest plant with so many states of each output."""
-    given = order_of(order, recording.outputs)
+    """The likeliest plant with given numbers of states of each output."""
+    counts = order_of(order, recording.outputs)
     _require_moving(recording)
     constant = recording.level is not None
-    layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode, constant)
-    request = OutputsRequest(recording, layout, given, zeros, bounds, within, progress)
-    found, chosen = estimate_from_outputs(request)
+    layout = Layout(len(recording.modes), sum(counts), len(recording.inputs), per_mode, constant)
+    request = OutputsRequest(recording, layout, counts, zeros, bounds, within, progress)
+    estimate, chosen = estimate_from_outputs(request)
     shape = chosen.shape
-    names = state_names(recording.outputs, given, shape.zeros or shape.jumps)
-    high = order_too_high(request, chosen) if weights_are_uncertain(found, shape) else []
-    found, others = with_others(found)
+    names = state_names(recording.outputs, counts, shape.zeros or shape.jumps)
+    high = order_too_high(request, chosen) if weights_are_uncertain(estimate, shape) else []
+    estimate, others = with_other_delays(estimate)
     unsure = [] if high or others else zeros_in_doubt(chosen, recording.inputs)
-    said = high or others or unsure
     doubts = ("a smaller order explains the log better",) if high else ()
     doubts += ("the log hardly shows on which states inputs act",) if unsure else ()
-    given = found, found.log.recording, *fit_switching(recording), shape.C, names
-    return IdentifiedLog(*given, tuple(said), doubts)
+    given = estimate, estimate.log.recording, *fit_switching(recording), shape.C, names
+    return IdentifiedLog(*given, tuple(high or others or unsure), doubts)
 
 
 def _require_moving(recording: Recording) -> None:
@@ -263,37 +261,36 @@ def _require_moving(recording: Recording) -> None:
             )
 
 
-def _about_its_rest(request: OutputsRequest) -> tuple[Chosen, OutputsRequest]:
+def _about_its_rest(request: OutputsRequest) -> tuple[OutputsModel, OutputsRequest]:
     """The likeliest plant that rests at 0, or elsewhere if that is significantly likelier.
 
     Each is searched on its own: a climb from a maximum of one may end at a lower one of the other.
     """
     if request.layout.constant and not near_zero(request.recording):
-        return chosen_of(request), request
+        return choose_model(request), request
     layout = replace(request.layout, constant=False)
     plain = request._replace(recording=request.recording.absolute(), layout=layout)
-    chosen = chosen_of(plain)
+    chosen = choose_model(plain)
     if not request.layout.constant:
         return chosen, plain
-    other = chosen_of(request)
+    other = choose_model(request)
     level = (other.log.free.size - sum(other.added)) - (chosen.log.free.size - sum(chosen.added))
     other = other._replace(added=(*other.added, level))
-    return (other, request) if worthier(chosen, other) is other else (chosen, plain)
+    return (other, request) if significant_of(chosen, other) is other else (chosen, plain)
 
 
-def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, Chosen]:
+def estimate_from_outputs(request: OutputsRequest) -> tuple[Estimate, OutputsModel]:
     """The estimate of the requested plant, and how it was chosen."""
     chosen, request = _about_its_rest(request)
     recording = request.recording
-    best, scan = chosen.best, chosen.scan
-    nodes = nodes_for(recording.parts, request.layout.split(best.theta[: request.layout.size])[0])
+    theta = chosen.best.theta
+    nodes = nodes_for(recording.parts, request.layout.split(theta[: request.layout.size])[0])
     log = replace(chosen.log, recording=recording, nodes=nodes)
     request.progress("finding intervals")
-    top, window = maximise(log, best.theta)
-    curves = scan.curves * (recording.samples / chosen.log.recording.samples)
-    start = start_beside(log, top, scan.first, curves)
+    top, window = maximise(log, theta)
+    start = start_with_scan(log, top, chosen.scan, chosen.log.recording.samples)
     try:
-        return estimated_of(log, top, window, start), chosen
+        return estimate_at(log, top, window, start), chosen
     except ArgumentError as error:
         raise ArgumentError(" ".join((str(error), *order_too_high(request, chosen)))) from None
 
@@ -320,11 +317,6 @@ def order_of(order: Any, outputs: tuple[str, ...]) -> tuple[int, ...]:
             f"got {len(given)}: {brief(order)}."
         )
     return tuple(int(one) for one in given)
-
-
-def is_states(order: Any, outputs: tuple[str, ...]) -> bool:
-    """Whether outputs are the states: the order is 1 for each."""
-    return set(order_of(order, outputs)) == {1}
 
 
 def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
@@ -359,10 +351,6 @@ def state_names(
     >>> state_names(("position",), (2,), True)
     ('position', 'position (2)')
     """
-    names = []
-    for name, count in zip(outputs, order, strict=True):
-        more = [
-            f"{name} ({k + 1})" if numbered else f"{name}{chr(39) * k}" for k in range(1, count)
-        ]
-        names += [name, *more]
-    return tuple(names)
+    each = [(name, k) for name, count in zip(outputs, order, strict=True) for k in range(count)]
+    number = " ({})".format if numbered else lambda k: "'" * (k - 1)
+    return tuple(name + (number(k + 1) if k else "") for name, k in each)

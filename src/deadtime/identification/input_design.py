@@ -26,15 +26,12 @@ SIGMAS = 3.0  # standard deviations of the noise that limits leave room for
 _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
 
 
-class Worth(NamedTuple):
-    """The criterion of inputs, its derivatives by them, and the excess over limits.
-
-    value : of the criterion; by_r : (T, m); beyond : the largest relative excess over a limit
-    """
+class CriterionValue(NamedTuple):
+    """The criterion of inputs, its derivatives by them, and their largest relative excess."""
 
     value: float
     by_r: Inputs
-    beyond: float
+    excess: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ class Prospect(Frozen):
         values, vectors = np.linalg.eigh(scaled)
         return unit * np.sqrt((vectors**2 / values).sum(axis=1))
 
-    def worth(self, r: Inputs, price: float = 0.0) -> Worth:
+    def evaluate(self, r: Inputs, price: float = 0.0) -> CriterionValue:
         """The criterion less `price` times the sum of squares of relative excesses over limits."""
         chain, n = self.chain, self.layout.n
         xi, z = self.acting(r)
@@ -116,7 +113,7 @@ class Prospect(Frozen):
             of_xi[:, :n] += of_y[:, :n]
             of_xi += np.einsum("kmx,km->kx", U, of_y[:, n:])
             by_r += of_y[:, n:]
-        return Worth(value, by_r + chain.back(of_xi)[0], float(excess.max()))
+        return CriterionValue(value, by_r + chain.back(of_xi)[0], float(excess.max()))
 
     def _criterion(self, F: np.ndarray) -> tuple[float, np.ndarray]:
         """The criterion of F, and its derivative by F; −∞ where an unknown is not identified."""
@@ -183,7 +180,7 @@ def steps(count: int, limit: Float[np.ndarray, " m"]) -> Inputs:
 
 def within_limits(prospect: Prospect, r: Inputs) -> np.ndarray:
     """The inputs scaled to keep all limits: the loop is linear."""
-    return r / (1.0 + prospect.worth(r).beyond)
+    return r / (1.0 + prospect.evaluate(r).excess)
 
 
 def best_sequence(
@@ -197,14 +194,14 @@ def best_sequence(
     count, m = prospect.samples, limit.size
     rng = np.random.default_rng(seed)
     values = -(-count // hold)
-    begin = [binary_sequence(count, limit, hold * clock)[::hold] for clock in CLOCKS]
+    starts = [binary_sequence(count, limit, hold * clock)[::hold] for clock in CLOCKS]
     for pace in _PACES:
         turns = np.where(rng.random((values, m)) < pace, -1.0, 1.0)
-        begin.append(limit * np.cumprod(turns, axis=0))
-    first = [prospect.worth(within_limits(prospect, _held(v, hold, count))) for v in begin]
-    order = np.argsort([-worth.value for worth in first])[:_CLIMBED]
-    found = [_climb(prospect, _INSIDE * begin[place], limit, hold, _PRICES) for place in order]
-    best = max(found, key=lambda one: one[0])
+        starts.append(limit * np.cumprod(turns, axis=0))
+    every = [within_limits(prospect, np.repeat(v, hold, axis=0)[:count]) for v in starts]
+    order = np.argsort([-prospect.evaluate(r).value for r in every])[:_CLIMBED]
+    climbs = [_climb(prospect, _INSIDE * starts[place], limit, hold, _PRICES) for place in order]
+    best = max(climbs, key=lambda one: one[0])
     for _ in range(kicks):
         v, length = best[1][::hold].copy(), int(rng.integers(1, min(_STRETCH, values) + 1))
         start = int(rng.integers(values - length + 1))
@@ -212,10 +209,6 @@ def best_sequence(
         again = _climb(prospect, _INSIDE * v, limit, hold, _PRICES[-1:])
         best = max(best, again, key=lambda one: one[0])
     return best[1]
-
-
-def _held(v: np.ndarray, hold: int, count: int) -> np.ndarray:
-    return np.repeat(v, hold, axis=0)[:count]
 
 
 def _climb(
@@ -227,11 +220,14 @@ def _climb(
     count, m = prospect.samples, limit.size
     edges = np.arange(0, count, hold)
 
+    def inputs(v: np.ndarray) -> Inputs:
+        return np.repeat(v.reshape(-1, m) * limit, hold, axis=0)[:count]
+
     def downhill(v: np.ndarray, price: float) -> tuple[float, np.ndarray]:
-        worth = prospect.worth(_held(v.reshape(-1, m) * limit, hold, count), price)
-        if not np.isfinite(worth.value):
+        value, by_r, _ = prospect.evaluate(inputs(v), price)
+        if not np.isfinite(value):
             return 1e6, np.zeros(v.size)
-        return -worth.value, -(np.add.reduceat(worth.by_r, edges, axis=0) * limit).ravel()
+        return -value, -(np.add.reduceat(by_r, edges, axis=0) * limit).ravel()
 
     v = (first / limit).ravel()
     for price in prices if np.isfinite(prospect.room).any() else prices[-1:]:
@@ -245,5 +241,5 @@ def _climb(
             options={"maxiter": _ITERATIONS},
         )
         v = np.clip(result.x, -1.0, 1.0)
-    r = within_limits(prospect, _held(v.reshape(-1, m) * limit, hold, count))
-    return prospect.worth(r).value, r
+    r = within_limits(prospect, inputs(v))
+    return prospect.evaluate(r).value, r

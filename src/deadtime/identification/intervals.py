@@ -52,12 +52,7 @@ class Spread(NamedTuple):
 def spread_of(F: FisherMatrix, names: list[str], known: FisherMatrix, spare: Vector) -> Spread:
     """The inverse of `known`, the information F reduced by the estimation of the noise.
 
-    spare : degrees of freedom of each unknown
-
-    Raises
-    ------
-    ArgumentError
-        If F is singular; the message names the direction.
+    spare : degrees of freedom of each unknown. A singular F is refused.
     """
     from scipy.stats import t
 
@@ -146,8 +141,8 @@ class Peak(Frozen):
         """The log likelihood with one delay fixed, less the largest one."""
         theta, fixed = self.best.theta.copy(), np.zeros(self.best.theta.size, bool)
         theta[place], fixed[place] = delay, True
-        held, _ = maximise(self.log, theta, fixed, self.window, _WORTH)
-        return held.found.value - self.best.found.value
+        top, _ = maximise(self.log, theta, fixed, self.window, _WORTH)
+        return top.value - self.best.value
 
     def _profile_end(self, place: int, step: float) -> float:
         """The end of the interval on one side, where the profile crosses its level, or the bound.
@@ -170,8 +165,8 @@ class Peak(Frozen):
             if left(end - D) < 0.0:
                 if left(inner) < 0.0:  # in a wider window the top may lie elsewhere
                     return D + inner
-                found = brentq(left, inner, end - D, xtol=1e-3 * abs(step))
-                return D + float(found)  # pyright: ignore[reportArgumentType]
+                root = brentq(left, inner, end - D, xtol=1e-3 * abs(step))
+                return D + float(root)  # pyright: ignore[reportArgumentType]
             inner = end - D
             if end == D + outer:
                 outer = 1.5 * outer
@@ -186,7 +181,7 @@ class Peak(Frozen):
     def _over_other_peaks(self, interval: np.ndarray, row: int, inflation: float) -> np.ndarray:
         """An interval extended to the last plausible cell of another peak."""
         log, start = self.log, self.start
-        h, curve = log.recording.step, start.scanned[row]
+        h, curve = log.recording.step, start.curves[row]
         fall = plausible_fall(log.layout, start.weights, curve.size, inflation)
         ends = interval.copy()
         first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
@@ -195,10 +190,10 @@ class Peak(Frozen):
         top = int(curve.argmax())
         first, last = first - (top == first - 1), last + (top == last + 1)
         below, above = curve[: first + 1][::-1], curve[last:]
-        if (found := fresh_rise(below, curve.max() - fall)) is not None:
-            ends[0] = min(ends[0], (start.first + first - found - 1) * h)
-        if (found := fresh_rise(above, curve.max() - fall)) is not None:
-            ends[1] = max(ends[1], (start.first + last + found) * h)
+        if (cell := fresh_rise(below, curve.max() - fall)) is not None:
+            ends[0] = min(ends[0], (start.first + first - cell - 1) * h)
+        if (cell := fresh_rise(above, curve.max() - fall)) is not None:
+            ends[1] = max(ends[1], (start.first + last + cell) * h)
         if start.vectors is not None:  # the curve is a profile, maximised in every cell
             near = start.first + np.flatnonzero(curve >= curve.max() - 0.5 * inflation * _PROFILE)
             if near[0] * h < interval[0] - h:
@@ -213,21 +208,21 @@ class Peak(Frozen):
         None where no delay has several peaks. Of several delays that have, the others stay in their
         cells, and intervals are joined.
         """
-        layout, start, found = self.log.layout, self.start, []
-        for row, (place, curve) in enumerate(zip(layout.delay_places, start.scanned, strict=True)):
+        layout, start, mixed = self.log.layout, self.start, []
+        for row, (place, curve) in enumerate(zip(layout.delay_places, start.curves, strict=True)):
             inflation = float(self.spread.inflation[place])
             level = curve.max() - plausible_fall(layout, start.weights, curve.size, inflation)
             top = int(curve.argmax())
             if any(fresh_rise(side, level) is not None for side in (curve[top::-1], curve[top:])):
                 near = np.flatnonzero(curve >= level)
-                begins = None if start.vectors is None else start.vectors[row][near]
-                found.append(self._mixed(row, start.first + near, begins))
-        if not found:
+                vectors = None if start.vectors is None else start.vectors[row][near]
+                mixed.append(self._mixed(row, start.first + near, vectors))
+        if not mixed:
             return None
-        return np.column_stack((np.min(found, axis=0)[:, 0], np.max(found, axis=0)[:, 1]))
+        return np.column_stack((np.min(mixed, axis=0)[:, 0], np.max(mixed, axis=0)[:, 1]))
 
     def _mixed(
-        self, row: int, cells: np.ndarray, begins: np.ndarray | None
+        self, row: int, cells: np.ndarray, vectors: np.ndarray | None
     ) -> Float[np.ndarray, "size 2"]:
         """The ends of all intervals over cells of one delay, from the mixture of the module."""
         log, best, h = self.log, self.best, self.log.recording.step
@@ -237,13 +232,13 @@ class Peak(Frozen):
         for k, cell in enumerate(cells):
             own, theta = log.cells(best.theta), best.theta.copy()
             own[row], theta[place[row]] = cell, (cell - 0.5) * h
-            theta = theta if begins is None else begins[k]
-            found = climb_within(log, evaluate_in(own), theta, own, _CELL_GAIN)
-            if not np.isfinite(found.found.value):
+            theta = theta if vectors is None else vectors[k]
+            top = climb_within(log, evaluate_in(own), theta, own, _CELL_GAIN)
+            if not np.isfinite(top.value):
                 continue
-            F = found.found.information.copy()
+            F = top.information.copy()
             F[place[row], place[row]] += 12.0 / h**2
-            identified = log.identified(found.theta, F)
+            identified = log.identified(top.theta, F)
             try:
                 covariance = inverse(F[np.ix_(identified, identified)])[:size, :size]
             except np.linalg.LinAlgError:
@@ -251,9 +246,9 @@ class Peak(Frozen):
             variance = np.diagonal(covariance) * inflation
             if not (np.isfinite(variance).all() and (variance > 0.0).all()):
                 continue
-            centre.append(found.theta[:size])
+            centre.append(top.theta[:size])
             width.append(np.sqrt(variance))
-            value = found.found.value / float(inflation[place[row]])
+            value = top.value / float(inflation[place[row]])
             weight.append(value + 0.5 * np.linalg.slogdet(covariance)[1])
         weight = np.exp(np.array(weight) - np.max(weight))
         return mixture_ends(np.array(centre), np.array(width), weight / weight.sum(), spare)
@@ -274,8 +269,8 @@ def plausible_fall(layout: Layout, weights: int, cells: int, inflation: float) -
 def fresh_rise(outwards: np.ndarray, level: float) -> int | None:
     """The last cell above a level that is likelier than one before it."""
     least = np.minimum.accumulate(outwards)
-    found = np.flatnonzero((outwards > least) & (outwards >= level))
-    return int(found[-1]) if found.size else None
+    rises = np.flatnonzero((outwards > least) & (outwards >= level))
+    return int(rises[-1]) if rises.size else None
 
 
 def mixture_ends(

@@ -1,4 +1,4 @@
-"""Operating points: plants that rest elsewhere than at 0.
+"""Operating points: plants whose rest is not at 0.
 
     dx/dt = A_σ (x − x₀) + B_σ (u(t − D) − u₀) = A_σ x + B_σ u(t − D) + c_σ
 
@@ -33,7 +33,7 @@ from deadtime.plant import OperatingPoint
 _Log = TypeVar("_Log", bound=Likelihood)
 
 CHANCE = 1e-3  # significance level of constant terms
-_SELDOM = 1e-6  # the same where noise is estimated, too
+_SELDOM = 1e-6  # significance level of constant terms where noise is estimated, too
 _APART = 1e-3  # significance level of different rests of modes
 _NOTHING = 1e-6  # constant terms relative to the other terms of dx/dt: smaller ones are round-off
 _RIDGE = 1e-4  # weight of the distance to the level, which selects the nearest of many points
@@ -134,7 +134,7 @@ def from_zero(
     """Wald's statistic of the constant terms about 0 that exceed round-off, and their number."""
     assert recording.level is not None
     level, scale = recording.level, _deviations(recording, back)
-    terms, variance = _about(layout, theta, information, back @ level.output, level.input)
+    terms, variance = _constants_about(layout, theta, information, back @ level.output, level.input)
     A, B, _ = layout.split(theta[: layout.size])
     size = np.abs(np.concatenate((A, B[:, :, : layout.m]), axis=2)) @ scale
     free = (np.diagonal(variance) > 0.0) & (np.abs(terms) > _NOTHING * size.ravel())
@@ -143,16 +143,16 @@ def from_zero(
     return _wald(terms[free], variance[np.ix_(free, free)]), int(free.sum())
 
 
-def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
-    """The operating point of an estimate; None where it is 0."""
+def rest_of(estimate: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
+    """The operating point of an estimate; None if it is 0."""
     from scipy.optimize import lsq_linear
     from scipy.stats import chi2
 
-    log, recording = found.log, found.log.recording
+    log, recording = estimate.log, estimate.log.recording
     layout, level = log.layout, recording.level
     if level is None or not layout.constant:
         return None
-    theta, information = found.best.theta[: layout.size], found.best.found.information
+    theta, information = estimate.best.theta[: layout.size], estimate.best.information
     A, B, _ = layout.split(theta)
     scale = _deviations(recording, back)
     M = np.vstack([np.hstack((A[i], B[i][:, : layout.m])) for i in range(layout.modes)])
@@ -168,9 +168,9 @@ def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
         own = np.vstack((weighted, _RIDGE * np.eye(shift.size)))
         given = np.append(-size * terms, np.zeros(shift.size))
         shift, spare = scale * lsq_linear(own, given, ends / scale).x, 0
-    shift[np.abs(shift) < _NOTHING * scale] = 0.0  # round-off, of what is no deviation
+    shift[np.abs(shift) < _NOTHING * scale] = 0.0  # round-off of a zero
     states, inputs = shift[: layout.n], shift[layout.n :]
-    left, variance = _about(layout, theta, information, -states, -inputs)
+    left, variance = _constants_about(layout, theta, information, -states, -inputs)
     free = np.diagonal(variance) > 0.0
     spare = int(free.sum()) - spare
     apart = spare > 0 and _wald(left[free], variance[np.ix_(free, free)]) > chi2.isf(_APART, spare)
@@ -194,7 +194,7 @@ def _deviations(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[n
     return np.where(scale > 0.0, scale, scale.max())
 
 
-def _about(
+def _constants_about(
     layout: Layout,
     theta: Vector,
     information: Float[np.ndarray, "unknown unknown"],

@@ -1,4 +1,4 @@
-"""Estimates with noisy sensors, in open and in closed loop.
+"""Maximum-likelihood estimates with noisy sensors, in open and in closed loop.
 
 The likeliest noise is too small, like a variance divided by N instead of N − p, because the p
 unknowns θ of the plant fit some of the noise. Restricted likelihood (Harville) integrates θ out by
@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.delay_scan import largest_maximum
+from deadtime.identification.delay_scan import DelayScan, largest_maximum
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import (
     Peak,
@@ -66,17 +66,17 @@ _FEW = 4_000  # samples that locate the largest maximum
 _FLOOR = 1e-9  # of the trace of W: least noise in every direction of a start
 _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # rise of log likelihood that ends a climb
-_IDENTIFIED = 1.0  # information on a logarithm: noise known worse than by a factor of e stays fixed
+_IDENTIFIED = 1.0  # information on a logarithm: noise uncertain by a factor above e stays fixed
 _FEWEST = 3.0  # degrees of freedom: with 2 or less Student's distribution has no variance
 
 
 def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
-    log, begins = begun_with_noise(recording, C, exact)
+    log, guesses = noisy_starts(recording, C, exact)
     some = replace(log, recording=recording.stretches(_FEW, recording.lag(log.bounds[1])))
-    top, scan = largest_maximum(some, begins)
+    top, scan = largest_maximum(some, guesses)
     best, window = maximise(log, top.theta)
-    smaller, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(C))
+    smaller, kept = without_level(log, best.theta, best.information, np.linalg.pinv(C))
     if kept.size < best.theta.size:
         log, (best, window) = smaller, maximise(smaller, best.theta[kept])
     elif log.layout.constant and near_zero(recording):
@@ -84,25 +84,23 @@ def estimate_with_noise(recording: Recording, C: SensorMatrix, exact: Estimate) 
         plain, kept = at_zero(log, best.theta.size)
         climbed = [best.theta[kept]]
         few, _ = at_zero(some, best.theta.size)
-        top, beside = largest_maximum(few, [begin[kept] for begin in begins], climbed)
+        top, beside = largest_maximum(few, [guess[kept] for guess in guesses], climbed)
         other, around = maximise(plain, top.theta)
         starts = log.starts(min(window[0], around[0]), max(window[1], around[1]))
         rise = log.value(best.theta, starts) - plain.value(other.theta, starts)
         if not likelier_than_chance(rise, best.theta.size - other.theta.size):
             log, best, window, scan = plain, other, around, beside
-    curves = scan.curves * (recording.samples / some.recording.samples)
-    return estimated_of(log, best, window, start_beside(log, best, scan.first, curves), exact.spare)
+    start = start_with_scan(log, best, scan, some.recording.samples)
+    return estimate_at(log, best, window, start, exact.spare)
 
 
-def start_beside(
-    log: NoisyLog, best: Maximum, first: int, curves: Float[np.ndarray, "delay cell"]
-) -> Start:
-    """A maximum with the log likelihood of each cell of a delay from a scan."""
-    theta = best.theta[: log.layout.size]
-    return Start(theta, log.cells(theta), first, curves, log.acting.size)
+def start_with_scan(log: NoisyLog, best: Maximum, scan: DelayScan, samples: int) -> Start:
+    """A maximum with the log likelihood of each cell of a delay, from a scan of some samples."""
+    theta, share = best.theta[: log.layout.size], log.recording.samples / samples
+    return Start(theta, log.cells(theta), scan.first, scan.curves * share, log.acting.size)
 
 
-def begun_with_noise(
+def noisy_starts(
     recording: Recording, C: SensorMatrix, exact: Estimate
 ) -> tuple[NoisyLog, list[Vector]]:
     """The likelihood with noisy sensors, and starts."""
@@ -116,7 +114,7 @@ def begun_with_noise(
     return log, [log.join(theta, noise) for noise in noises]
 
 
-def estimated_of(
+def estimate_at(
     log: NoisyLog,
     best: Maximum,
     window: Window,
@@ -172,7 +170,7 @@ def _spread(
 
     Known entries have variance 0, unidentified noise a very large one.
     """
-    F, names, size, free = best.found.information, log.layout.names(), log.layout.size, log.free
+    F, names, size, free = best.information, log.layout.names(), log.layout.size, log.free
     known = log.identified(best.theta, F)
     own, named = np.ix_(known, known), [names[a] for a in known if a < size]
     require_identified(F[own], named)
@@ -195,7 +193,7 @@ def _spread(
 def noisy_residuals(
     log: NoisyLog, theta: Vector, window: Window
 ) -> list[Float[np.ndarray, "sample p"]]:
-    """The innovations of every part in standard deviations; NaN where there are none."""
+    """The innovations of every part in standard deviations; NaN without a measurement."""
     starts = log.starts(*window)
     e, s = log.innovations(theta, starts)
     fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
@@ -231,28 +229,27 @@ def restricted(
     cells, size = log.cells(best.theta), log.layout.size
     evaluate, own = log.evaluate_in(*window)(cells), some.evaluate_in(*window)(cells)
     noise, unit = np.arange(size, log.size), log.unit(best.theta)[size:]
-    identified = np.diagonal(best.found.information)[size:] * unit**2 > _IDENTIFIED
+    identified = np.diagonal(best.information)[size:] * unit**2 > _IDENTIFIED
     moves = _moves(own, best.theta, noise[identified], unit[identified])[:, :size, :size]
     moves *= log.recording.samples / some.recording.samples
     free, C = log.free[log.free < size], np.zeros((size, size))
-    C[np.ix_(free, free)] = inverse(best.found.information[np.ix_(free, free)])
+    C[np.ix_(free, free)] = inverse(best.information[np.ix_(free, free)])
     gradient = np.zeros(log.size)
     gradient[noise[identified]] = -0.5 * np.einsum("ab,cba->c", C, moves)
 
     def tilted(theta: np.ndarray) -> Evaluation:
-        found = evaluate(theta)
-        more = float(gradient @ (theta - best.theta))
-        return Evaluation(found.value + more, found.score + gradient, found.information)
+        now, more = evaluate(theta), float(gradient @ (theta - best.theta))
+        return Evaluation(now.value + more, now.score + gradient, now.information)
 
     low, high = log.limits
     still = np.concatenate((log.layout.delay_places, noise[~identified]))
     low[still], high[still] = best.theta[still], best.theta[still]
     after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
-    value = after.found.value - float(gradient @ (after.theta - best.theta))
-    if not value > best.found.value - free.size:  # too much less likely to be a correction
-        return Restricted(best.theta, best.found.information, np.full(log.size, most))
+    value = after.value - float(gradient @ (after.theta - best.theta))
+    if not value > best.value - free.size:  # too much less likely to be a correction
+        return Restricted(best.theta, best.information, np.full(log.size, most))
     fewer = np.sqrt(np.append(np.ones(size), _noise_shares(log, best.theta, after.theta)))
-    F = after.found.information * fewer[:, None] * fewer
+    F = after.information * fewer[:, None] * fewer
     slopes = np.zeros((size, moves.shape[0]))
     slopes[free] = -np.einsum("ab,cbd,da->ac", C, moves, C)[free] / np.diagonal(C)[free, None]
     error = np.linalg.pinv(F[np.ix_(noise[identified], noise[identified])])
@@ -291,8 +288,8 @@ def variance_errors(
 ) -> Float[np.ndarray, " variance"]:
     """Standard errors of W_aa = Σ_b L_ab², mode by mode, and of sensors' variances.
 
-    To second order in L_ab. Near 0 the log likelihood is a parabola in w = W_aa: F, that on log √w,
-    is next to nothing there, but the error 2 w/√F is not.
+    To second order in L_ab. Near 0 the log likelihood is a parabola in w = W_aa: there F, the
+    information on log √w, nearly vanishes, but the error 2 w/√F does not.
     """
     size, (i, j), n = log.layout.size, log.places, log.layout.n
     C, L = covariance[size:, size:], log.root(vector)
@@ -310,7 +307,7 @@ def variance_errors(
     return np.concatenate((np.tile(W, log.layout.modes), R))
 
 
-def exact_holds(exact: Estimate, noisy: Estimate) -> bool:
+def may_be_exact(exact: Estimate, noisy: Estimate) -> bool:
     """Whether measurements may be taken as exact: sensor noise may be 0, and intervals overlap.
 
     Otherwise the exact estimate is biased, and its intervals are far too narrow.
@@ -328,28 +325,26 @@ _CELL_GAIN = 1e-3  # rise of log likelihood that ends a climb in a cell
 _SAME = 0.1  # a neighbour likelier by more than this is tried as a start
 
 
-def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
-    """The estimate from maxima of the likelihood in every cell of each delay.
-
-    begins : starts in each cell
-    """
-    recording, bounds = log.recording, log.bounds
+def estimate_in_loop(recording: Recording, C: SensorMatrix, exact: Estimate) -> Estimate:
+    """The estimate if sensors are noisy, from maxima of the likelihood in every cell of a delay."""
+    log, guesses = noisy_starts(recording, C, exact)
+    bounds = log.bounds
     lag = recording.lag(bounds[1])
     some = replace(log, recording=recording.stretches(_LOOK, lag))
-    theta, curves, vectors = begins[0], [], []
+    theta, curves, vectors = guesses[0], [], []
     first, last = cell_range(recording.step, bounds, log.layout.m)
     every = np.arange(first, last + 1)
     for row in range(log.layout.delays):
-        tops = _in_cells(some, begins, row, every)
+        tops = _in_cells(some, guesses, row, every)
         if some.recording is not recording:
             tops = _anew(log, tops, row, every)
-        values = np.array([top.found.value for top in tops])
+        values = np.array([top.value for top in tops])
         theta = tops[int(values.argmax())].theta
-        begins = [theta, *begins]
+        guesses = [theta, *guesses]
         curves.append(values)
         vectors.append([top.theta for top in tops])
     best, window = maximise(log, theta, gain=_CELL_GAIN)
-    log, kept = without_level(log, best.theta, best.found.information, np.linalg.pinv(log.C))
+    log, kept = without_level(log, best.theta, best.information, np.linalg.pinv(log.C))
     if kept.size < best.theta.size:
         best, window = maximise(log, best.theta[kept], gain=_CELL_GAIN)
         vectors = [[vector[kept] for vector in each] for each in vectors]
@@ -360,23 +355,24 @@ def over_all_cells(log: NoisyLog, begins: list[np.ndarray]) -> Estimate:
         vectors[row][cell - first] = best.theta
     identified = np.array(curves), log.acting.size, np.array(vectors)
     start = Start(best.theta[: log.layout.size], cells, first, *identified)
-    return estimated_of(log, best, window, start)
+    return estimate_at(log, best, window, start)
 
 
 def _in_cells(
-    log: NoisyLog, begins: list[np.ndarray], row: int, every: Int[np.ndarray, " cell"]
+    log: NoisyLog, guesses: list[np.ndarray], row: int, every: Int[np.ndarray, " cell"]
 ) -> list[Maximum]:
     """The likeliest vector with one delay in each of its cells."""
     evaluate_in, tops = log.evaluate_in(*log.bounds), []
     often = max(1, every.size // _MANY)
     for place, cell in enumerate(every.tolist()):
         near = [tops[-1].theta] if tops else []
-        own = near if place % often else [*near, *begins]
-        tops.append(_highest([_top(log, evaluate_in, theta, row, cell) for theta in own]))
+        own = near if place % often else [*near, *guesses]
+        tried = [_top(log, evaluate_in, theta, row, cell) for theta in own]
+        tops.append(max(tried, key=lambda one: one.value))
     for place in range(every.size - 2, -1, -1):
-        if tops[place + 1].found.value > tops[place].found.value + _SAME:
+        if tops[place + 1].value > tops[place].value + _SAME:
             again = _top(log, evaluate_in, tops[place + 1].theta, row, int(every[place]))
-            tops[place] = _highest([tops[place], again])
+            tops[place] = max(tops[place], again, key=lambda one: one.value)
     return tops
 
 
@@ -384,15 +380,12 @@ def _anew(
     log: NoisyLog, tops: list[Maximum], row: int, every: Int[np.ndarray, " cell"]
 ) -> list[Maximum]:
     """The maxima over the whole log in the cells that a part of it shows to be plausible."""
-    evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.found.value for one in tops])
+    evaluate_in, values = log.evaluate_in(*log.bounds), np.array([one.value for one in tops])
     fall = values.max() - values
     near = np.flatnonzero(fall <= plausible_fall(log.layout, log.acting.size, every.size, 1.0))
-    found = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
-    most = max(one.found.value for one in found.values())
-    return [
-        found.get(i, one._replace(found=one.found._replace(value=most - float(fall[i]))))
-        for i, one in enumerate(tops)
-    ]
+    anew = {i: _top(log, evaluate_in, tops[i].theta, row, int(every[i])) for i in near.tolist()}
+    most = max(one.value for one in anew.values())
+    return [anew.get(i, one._replace(value=most - float(fall[i]))) for i, one in enumerate(tops)]
 
 
 def _top(
@@ -403,20 +396,8 @@ def _top(
     cell: int,
 ) -> Maximum:
     """The maximum near a vector with one delay in a given cell, the others in theirs."""
-    cells, begin = log.cells(theta), theta
+    cells, guess = log.cells(theta), theta
     if cells[row] != cell:
-        begin, cells[row] = theta.copy(), cell
-        begin[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
-    return climb_within(log, evaluate_in(cells), begin, cells, _CELL_GAIN)
-
-
-def _highest(found: list[Maximum]) -> Maximum:
-    return max(found, key=lambda one: one.found.value)
-
-
-def estimate_in_loop(
-    recording: Recording, C: SensorMatrix, exact: Estimate, sure: bool
-) -> Estimate:
-    """The estimate with noisy sensors, or the exact one where it holds and noise is not `sure`."""
-    found = over_all_cells(*begun_with_noise(recording, C, exact))
-    return exact if not sure and exact_holds(exact, found) else found
+        guess, cells[row] = theta.copy(), cell
+        guess[log.layout.at_delays][row] = (cell - 0.5) * log.recording.step
+    return climb_within(log, evaluate_in(cells), guess, cells, _CELL_GAIN)

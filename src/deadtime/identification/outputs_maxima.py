@@ -37,13 +37,12 @@ poles need a small q, slow ones a large one, which reduces the effect of noise.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import factorial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.delay_scan import of_sensors, scanned
+from deadtime.identification.delay_scan import attributed_to_sensors, scan_delays
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import Embedding, NoiseLevels, NoisyLog
@@ -55,7 +54,6 @@ from deadtime.identification.likelihoods.switched_filter import (
 )
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout, Square, Squares, Vector, Window
-from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import matrix_logarithm, start_of
 from deadtime.identification.transition import plain_transitions
 
@@ -63,21 +61,21 @@ _PARTS = 32  # of a period
 _SAME = 2.0  # standard errors, and parts of a period: a delay so near is no other one
 
 
-def others_of(log: NoisyLog, theta: Vector) -> list[np.ndarray]:
+def equivalent_delays(log: NoisyLog, theta: Vector) -> list[np.ndarray]:
     """Vectors with another delay and other weights, of nearly the same pulses; none if uneven."""
     shape, layout, h = log.embedding, log.layout, log.recording.step
     assert shape is not None
     if not (shape.zeros and shape.upper.size and log.recording.even):
         return []
     A, B, D = layout.split(theta[: layout.size])
-    of, found = layout.spread(np.arange(layout.delays)), []
+    of, vectors = layout.spread(np.arange(layout.delays)), []
     for row in range(layout.delays):
         entries = np.argwhere(of == row)
         i, j = entries[0]
-        begin = h * (np.floor(D[i, j] / h) - 1.0)
-        grid = np.unique(np.clip(begin + h / _PARTS * np.arange(3 * _PARTS + 1), *log.bounds))
+        lowest = h * (np.floor(D[i, j] / h) - 1.0)
+        grid = np.unique(np.clip(lowest + h / _PARTS * np.arange(3 * _PARTS + 1), *log.bounds))
         with np.errstate(all="ignore"):
-            misfit, weights = _fitted(A, B, entries, float(D[i, j]), grid, shape.C, h)
+            misfit, weights = _pulse_misfits(A, B, entries, float(D[i, j]), grid, shape.C, h)
         inner = np.flatnonzero((misfit[1:-1] < misfit[:-2]) & (misfit[1:-1] <= misfit[2:])) + 1
         for place in inner[np.abs(grid[inner] - D[i, j]) > _SAME * h / _PARTS]:
             changed, other = B.copy(), D.copy()
@@ -85,11 +83,11 @@ def others_of(log: NoisyLog, theta: Vector) -> list[np.ndarray]:
                 changed[a, :, b], other[a, b] = weight[place], grid[place]
             vector = theta.copy()
             vector[: layout.size] = layout.join(A, changed, other)
-            found.append(vector)
-    return found
+            vectors.append(vector)
+    return vectors
 
 
-def _fitted(
+def _pulse_misfits(
     A: np.ndarray,
     B: np.ndarray,
     entries: np.ndarray,
@@ -125,64 +123,54 @@ def _pulses(
     return (C @ (G[0] - G[1])).reshape(delays.size, -1, len(A))
 
 
-def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
-    """The estimate, its intervals over other delays that explain the log as well; what to say."""
-    log, layout, spread = found.of_outputs, found.log.layout, found.spread
+def with_other_delays(estimate: Estimate) -> tuple[Estimate, list[str]]:
+    """The estimate, its intervals over other delays that explain the log as well; and a sentence.
+
+    Intervals are as wide about every maximum as about the likeliest.
+    """
+    log, best, spread = estimate.of_outputs, estimate.best, estimate.spread
     assert log is not None
-    vectors = others_of(log, found.best.theta)
+    layout, vectors = log.layout, equivalent_delays(log, best.theta)
     if not vectors:
-        return found, []
+        return estimate, []
     place = layout.delay_places
     error = np.sqrt(np.diagonal(spread.covariance))
     fall = 0.5 * (spread.reach**2 * spread.inflation)[place].max()
-    top = maximise(log, found.best.theta, window=found.window)[0]  # its noise is restricted
+    top = maximise(log, best.theta, window=estimate.window)[0]  # the noise of best is restricted
     others = []
     for vector in vectors:
-        one = maximise(log, vector, window=found.window)[0]
+        one = maximise(log, vector, window=estimate.window)[0]
         known = np.array([each.theta[place] for each in (top, *others)])
         apart = np.abs(one.theta[place] - known) > _SAME * error[place]
-        if one.found.value > top.found.value - fall and apart.any(axis=1).all():
+        if one.value > top.value - fall and apart.any(axis=1).all():
             others.append(one)
     if not others:
-        return found, []
-    return _widened(found, others, place, error), [_said(others, place)]
-
-
-def _widened(
-    found: Estimate, others: list[Maximum], place: np.ndarray, error: np.ndarray
-) -> Estimate:
-    """Its intervals, as wide about every maximum as about the likeliest."""
-    half = found.spread.reach * error
-    centres = np.array([found.best.theta, *(one.theta for one in others)])
+        return estimate, []
+    half = spread.reach * error
+    centres = np.array([best.theta, *(one.theta for one in others)])
     ends = np.column_stack((centres.min(axis=0) - half, centres.max(axis=0) + half))
-    delays = np.column_stack(
-        (
-            np.minimum(found.intervals[:, 0], ends[place, 0]),
-            np.maximum(found.intervals[:, 1], ends[place, 1]),
-        )
-    )
-    return replace(found, intervals=np.clip(delays, *found.log.bounds), ends=ends)
-
-
-def _said(others: list[Maximum], place: np.ndarray) -> str:
+    low = np.minimum(estimate.intervals[:, 0], ends[place, 0])
+    high = np.maximum(estimate.intervals[:, 1], ends[place, 1])
+    intervals = np.clip(np.column_stack((low, high)), *log.bounds)
     each = [", ".join(f"{d:.4g}" for d in one.theta[place]) for one in others]
-    one = "The delay" if place.size == 1 else "Delays"
-    return (
-        f"{one} may as well be {' or '.join(each)} s, with other weights of the inputs: evenly "
+    delays = "The delay" if place.size == 1 else "Delays"
+    sentence = (
+        f"{delays} may as well be {' or '.join(each)} s, with other weights of the inputs: evenly "
         "spaced rows hardly tell a zero from one on the other side. Log more often, or at uneven "
         "times."
     )
+    return replace(estimate, intervals=intervals, ends=ends), [sentence]
 
 
-_VAGUE = 1e8  # variances of a sensor that a state is not known by
-_DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends
+_VAGUE = 1e8  # prior variance of a state, in variances of a sensor
+_DECADES = 3.0  # range of the stiffness on either side, per derivative
 _ENOUGH = 2.0  # rows for each unknown
-_GROWTH = 10.0  # of a state from z_k to z_{k+q}: nobody logs a plant that grows faster
-_SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise that chains with zeros begin with
-_APART = 8, 4, 2, 1  # periods between outputs that stand for states
-_NOTHING = 1e-8  # of the plant's noise, where it is left out
-_FEW = 1_000  # samples for climbs with noise held
-_GAIN = 1e-2  # of log likelihood that is worth a step while noise is held
+_GROWTH = 10.0  # of a state from z_k to z_{k+q}: no logged plant grows faster
+_SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise at the start of chains with zeros
+_APART = 8, 4, 2, 1  # periods between outputs that replace states
+_NOTHING = 1e-8  # of the plant's noise, where it is neglected
+_FEW = 1_000  # samples for climbs with fixed noise
+_GAIN = 1e-2  # of log likelihood that is worth a step while noise is fixed
 
 
 class Derivatives(NamedTuple):
@@ -204,14 +192,14 @@ def derivatives_of(parts: tuple[Part, ...], order: tuple[int, ...], step: float)
     --------
     >>> t = 0.1 * np.arange(200)
     >>> part = Part(t, np.sin(t)[:, None], np.zeros((200, 1)), np.zeros(200, np.int64))
-    >>> found = derivatives_of((part,), (2,), 0.1).states[0]
-    >>> bool(np.abs(found[20:-20, 1] - np.cos(t)[20:-20]).max() < 1e-3)
+    >>> states = derivatives_of((part,), (2,), 0.1).states[0]
+    >>> bool(np.abs(states[20:-20, 1] - np.cos(t)[20:-20]).max() < 1e-3)
     True
     """
     columns, deviation, drive = [], [], []
     for j, count in enumerate(order):
         series = [part.output[:, j : j + 1] for part in parts]
-        states, r, q = _chain(series, count)
+        states, r, q = _smoothed_chain(series, count)
         columns.append([one / step ** np.arange(count) for one in states])
         deviation.append(r)
         drive.append(q / step ** (2 * count - 1))
@@ -219,14 +207,14 @@ def derivatives_of(parts: tuple[Part, ...], order: tuple[int, ...], step: float)
     return Derivatives(every, np.array(deviation), np.array(drive))
 
 
-def _chain(series: list[np.ndarray], count: int) -> tuple[list[np.ndarray], float, float]:
+def _smoothed_chain(series: list[np.ndarray], count: int) -> tuple[list[np.ndarray], float, float]:
     """The states of one output in units of a period, its deviation, and the noise behind it."""
     known = np.concatenate([one[np.isfinite(one)] for one in series])
     size = float(np.sqrt(np.mean(known**2)))
     grid = 10.0 ** np.arange(-_DECADES * count, _DECADES + 2.0)
     each = [one / size for one in series]
-    found = [(_likelihood(_integrators(each, count, q)), q) for q in grid.tolist()]
-    (_, variance), q = max(found, key=lambda one: one[0][0])
+    tried = [(_likelihood(_integrators(each, count, q)), q) for q in grid.tolist()]
+    (_, variance), q = max(tried, key=lambda one: one[0][0])
     best = _integrators(each, count, q)
     states = [size * best.states(number).smoothed for number in range(len(series))]
     return states, size * float(np.sqrt(variance)), size**2 * variance * q
@@ -235,30 +223,25 @@ def _chain(series: list[np.ndarray], count: int) -> tuple[list[np.ndarray], floa
 def _integrators(series: list[np.ndarray], count: int, q: float) -> SwitchedKalmanFilter:
     """The filter of a chain of integrators; variances in units of the sensor's.
 
-    The first measurements, by which states begin, are left out.
+    The first measurements, which determine the initial state, are left out.
     """
-    Phi, Q = np.zeros((1, count, count)), np.zeros((1, count, count))
-    for a in range(count):
-        for b in range(count):
-            if b >= a:
-                Phi[0, a, b] = 1.0 / factorial(b - a)
-            i, j = count - 1 - a, count - 1 - b
-            Q[0, a, b] = q / (factorial(i) * factorial(j) * (i + j + 1))
+    a, b = np.indices((count, count))
+    i, j, factorial = count - 1 - a, count - 1 - b, np.cumprod([1, *range(1, count)])
+    Phi = np.triu(1.0 / factorial[np.maximum(b - a, 0)])[None]
+    Q = (q / (factorial[i] * factorial[j] * (i + j + 1)))[None]
     nothing = np.zeros((1, 0, count, count))
 
     def periods(_: Part, rows: np.ndarray, __: np.ndarray) -> FilterPeriods:
-        kind, unmoved = np.zeros(rows.size, np.int64), np.zeros((rows.size, count))
-        by_nothing = np.zeros((rows.size, 0, count))
-        return FilterPeriods(kind, kind, Phi, nothing, Q, nothing, unmoved, by_nothing)
+        kind, added = np.zeros(rows.size, np.int64), np.zeros((rows.size, count))
+        by_added = np.zeros((rows.size, 0, count))
+        return FilterPeriods(kind, kind, Phi, nothing, Q, nothing, added, by_added)
 
-    times = [np.arange(len(y)) for y in series]
-    parts = [
-        Part(t.astype(float), y, np.zeros((t.size, 0)), 0 * t)
-        for t, y in zip(times, series, strict=True)
-    ]
+    rows = [np.arange(len(y)) for y in series]
+    each = zip(rows, series, strict=True)
+    parts = tuple(Part(k.astype(float), y, np.zeros((k.size, 0)), 0 * k) for k, y in each)
     initial = [np.isfinite(y) & (np.cumsum(np.isfinite(y), axis=0) <= count) for y in series]
     sensors = Sensors(np.eye(1, count), np.ones(1), (_VAGUE * (1.0 + q)) * np.eye(count))
-    return SwitchedKalmanFilter(tuple(parts), [t == 0 for t in times], initial, periods, sensors)
+    return SwitchedKalmanFilter(parts, [k == 0 for k in rows], initial, periods, sensors)
 
 
 def _likelihood(chain: SwitchedKalmanFilter) -> tuple[float, float]:
@@ -284,26 +267,26 @@ def guess_of(
     grid: Recording, layout: Layout, order: tuple[int, ...], bounds: Window, within: bool
 ) -> Guess:
     """A first plant from evenly sampled outputs, as if their smoothed derivatives were measured."""
-    found = derivatives_of(grid.parts, order, grid.step)
-    every = np.vstack(found.states)
+    smoothed = derivatives_of(grid.parts, order, grid.step)
+    every = np.vstack(smoothed.states)
     shape = Embedding(order, False, np.sqrt(np.mean(every**2, axis=0)))
-    parts = zip(grid.parts, found.states, strict=True)
+    parts = zip(grid.parts, smoothed.states, strict=True)
     measured = grid._replace(parts=tuple(part._replace(output=x) for part, x in parts))
     A, B, delays = layout.split(start_of(measured, layout, bounds, within).theta)
     A, B = A.copy(), B.copy()
     A[:, shape.upper], B[:, shape.upper] = shape.shift()[shape.upper], 0.0
-    return Guess(layout.join(A, B, delays), _noises(found, shape, grid.step), shape.size)
+    return Guess(layout.join(A, B, delays), _noises(smoothed, shape, grid.step), shape.size)
 
 
-def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[NoiseLevels, ...]:
+def _noises(smoothed: Derivatives, shape: Embedding, step: float) -> tuple[NoiseLevels, ...]:
     """Two guesses: outputs are moved mostly by noise of the plant, or of the sensors."""
-    moves = [np.diff(states, axis=0) for states in found.states]
+    moves = [np.diff(states, axis=0) for states in smoothed.states]
     moves = np.mean(np.vstack(moves) ** 2, axis=0) / step
-    deviation = np.maximum(found.deviation, 1e-4 * (shape.C @ shape.size))
+    deviation = np.maximum(smoothed.deviation, 1e-4 * (shape.C @ shape.size))
     noises = []
     for much, sensor in ((0.3, 0.5), (0.01, 1.0)):
         W = 0.1 * much * moves
-        W[shape.last] = much * np.minimum(found.drive, moves[shape.last])
+        W[shape.last] = much * np.minimum(smoothed.drive, moves[shape.last])
         W = np.maximum(W, 1e-8 * shape.size**2)
         noises.append(NoiseLevels(np.diag(W), sensor * deviation))
     return tuple(noises)
@@ -318,10 +301,10 @@ def chains_by_past(
     modes: int,
     apart: int,
 ) -> Squares | None:
-    """A of evenly sampled outputs; None if rows within a mode are too few, or tell no plant.
+    """A of evenly sampled outputs; None if a mode has too few rows, or M is not that of a plant.
 
-    deviation : about, of the sensors; step : between rows, seconds
-    lag : so many periods late inputs may act; apart : q, periods
+    deviation : of the sensors, approximately; step : between rows, seconds
+    lag : the latest period in which an input acts; apart : q, periods
 
     Examples
     --------
@@ -336,7 +319,7 @@ def chains_by_past(
     """
     rows = [_past_rows(part, shape, lag, apart) for part in parts]
     mode, y, z, u = (np.concatenate(column) for column in zip(*rows, strict=True))
-    scale, found = np.repeat(deviation, shape.order), []
+    scale, A = np.repeat(deviation, shape.order), []
     for i in range(modes):
         own = mode == i
         if np.count_nonzero(own) < _ENOUGH * (u.shape[1] + z.shape[1]):
@@ -347,14 +330,14 @@ def chains_by_past(
         if not np.isfinite(M).all() or np.abs(np.linalg.eigvals(M)).max() > _GROWTH:
             return None
         F = matrix_logarithm(M * scale[:, None] / scale) / (apart * step)
-        found.append(_in_chains(F, shape))
-    return np.array(found)
+        A.append(_in_chains(F, shape))
+    return np.array(A)
 
 
 def _past_rows(
     part: Part, shape: Embedding, lag: int, apart: int
 ) -> tuple[Int[np.ndarray, " row"], np.ndarray, np.ndarray, np.ndarray]:
-    """The mode, outputs, z_k, inputs and 1, of rows that stay in a mode, all of them known."""
+    """Mode, outputs, z_k, inputs and 1, of rows that stay in a mode and are all known."""
     before = (max(shape.order) - 1) * apart
     k = np.arange(before + lag, len(part.output) - apart)
     z = [part.output[k - a * apart, j] for j, n in enumerate(shape.order) for a in range(n)]
@@ -371,7 +354,7 @@ def _past_rows(
 def _past_transition(
     now: Float[np.ndarray, "row p"], past: Float[np.ndarray, "row n"], shape: Embedding
 ) -> Square:
-    """M, by which z_k becomes z_{k+q}."""
+    """M of z_{k+q} = M z_k."""
     M = np.eye(past.shape[1], k=-1)
     for j, row in enumerate(shape.C.argmax(axis=1)):
         both = np.column_stack((past, now[:, j]))
@@ -382,7 +365,7 @@ def _past_transition(
 
 
 def _in_chains(F: Square, shape: Embedding) -> Square:
-    """F, of states that begin with outputs, in the states of the embedding."""
+    """F of the states z, transformed to the states of the embedding."""
     powers = [np.linalg.matrix_power(F, a) for a in range(max(shape.order))]
     T = np.array([shape.C[j] @ powers[a] for j, n in enumerate(shape.order) for a in range(n)])
     A = shape.shift()
@@ -390,12 +373,12 @@ def _in_chains(F: Square, shape: Embedding) -> Square:
     return A
 
 
-def begins_of(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
-    """Where to begin: of chains with zeros, from integrators, and several noises.
+def scan_starts(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
+    """Starts of a scan: of chains with zeros, from integrators, and several noises.
 
-    Derivatives of outputs that inputs make jump are no states: an A of them has poles far out, in
-    place of a zero and a part of the delay, where the likelihood has a maximum that is not its
-    largest. So it has with much noise in place of a pole that lies near a zero.
+    Derivatives of outputs that jump with inputs are not states: an A fitted to them has fast poles
+    in place of a zero and a part of the delay, at a local maximum of the likelihood. Another has
+    much noise in place of a pole near a zero.
     """
     shape, layout = log.embedding, log.layout
     assert shape is not None
@@ -407,11 +390,11 @@ def begins_of(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     return [log.join(theta, NoiseLevels(share * W, deviation)) for share in _SHARES]
 
 
-def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
-    """Where each A that outputs' past tells leads to with hardly any noise: of chains with zeros.
+def starts_from_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
+    """Starts of a climb with each A from past outputs: of chains with zeros.
 
-    That noise is next to nothing and stays so first: else it takes up what a delay that is a part
-    of a period off leaves, and a climb ends there.
+    The noise of the plant is nearly 0 and fixed at first: otherwise it explains the error of
+    a delay that is off by a part of a period, and a climb ends there.
     """
     shape, layout, grid = log.embedding, log.layout, log.recording.gridded()
     assert shape is not None
@@ -421,14 +404,14 @@ def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     W, deviation = guess.noise[-1]
     lag = grid.lag(log.bounds[1])
     few = replace(log, recording=log.recording.stretches(_FEW, lag))
-    even, held = replace(few, recording=few.recording.gridded()), np.arange(log.size) >= layout.size
-    begins = []
+    even, starts = replace(few, recording=few.recording.gridded()), []
+    of_noise = np.arange(log.size) >= layout.size
     for apart in _APART:
         given = shape, deviation, grid.step, lag, layout.modes, apart
         if (A := chains_by_past(grid.parts, *given)) is None:
             continue
-        begin = log.join(layout.join(A, B, delays), NoiseLevels(_NOTHING * W, deviation))
-        begin = of_sensors(few, scanned(even, begin).moved(begin))
-        best, _ = maximise(few, begin, held, log.bounds, _GAIN)
-        begins.append(of_sensors(log, best.theta))
-    return begins
+        start = log.join(layout.join(A, B, delays), NoiseLevels(_NOTHING * W, deviation))
+        start = attributed_to_sensors(few, scan_delays(even, start).with_noise_of(start))
+        best, _ = maximise(few, start, of_noise, log.bounds, _GAIN)
+        starts.append(attributed_to_sensors(log, best.theta))
+    return starts

@@ -1,8 +1,8 @@
 """The unknowns of a plant in one vector: entries of A and B of every mode, then the delays.
 
 With an operating point that is not 0, dx/dt = A (x − x₀) + B (u(t − D) − u₀), each mode has the
-constant term c = −A x₀ − B u₀. It acts as an input does that is always 1, so it is one more column
-of B, which no delay belongs to.
+constant term c = −A x₀ − B u₀. It acts like an input that is always 1, so it is one more column of
+B, without a delay.
 
 Between two whole numbers of periods, in a cell of a delay, the same samples of an input act.
 """
@@ -25,7 +25,7 @@ Cells = Int[np.ndarray, " delay"]  # of every delay of a layout
 Square = Float[np.ndarray, "n n"]  # of the states
 Squares = Float[np.ndarray, "mode n n"]  # one of every mode
 FisherMatrix = Float[np.ndarray, "size size"]  # on the unknowns of a vector
-SensorMatrix = Float[np.ndarray, "p n"]  # C, what outputs are of the states
+SensorMatrix = Float[np.ndarray, "p n"]  # C of outputs y = C x
 Nodes = Float[np.ndarray, " node"]  # of interpolation, seconds
 ModeCells = Int[np.ndarray, "mode m"]  # of every mode and input
 Inputs = Float[np.ndarray, "sample m"]  # of every sample
@@ -33,9 +33,9 @@ Inputs = Float[np.ndarray, "sample m"]  # of every sample
 
 @dataclass(frozen=True)
 class Layout(Frozen):
-    """Where each unknown lies.
+    """The places of the unknowns in a vector.
 
-    modes, n, m : how many modes, states and inputs
+    modes, n, m : the numbers of modes, states and inputs
     per_mode : whether every mode has delays of its own
     constant : whether dx/dt has a constant term in each mode, the last column of B
     """
@@ -48,7 +48,7 @@ class Layout(Frozen):
 
     @property
     def acting(self) -> int:
-        """How many columns B has: the inputs, and the constant term."""
+        """The number of columns of B: the inputs, and the constant term."""
         return self.m + self.constant
 
     @cached_property
@@ -65,7 +65,7 @@ class Layout(Frozen):
 
     @property
     def of_constant(self) -> Int[np.ndarray, "mode n c"]:
-        """Places of the constant terms c_i[a]; none where there are none."""
+        """Places of the constant terms c_i[a], if there are any."""
         return self.of_B[:, :, self.m :]
 
     @cached_property
@@ -77,7 +77,7 @@ class Layout(Frozen):
         return read_only(self.of_A.size + self.of_B.size + own)
 
     def of_mode(self, mode: int) -> Int[np.ndarray, " own"]:
-        """Places of all that a mode has: A_i, B_i and D_i."""
+        """Places of the unknowns of a mode: A_i, B_i and D_i."""
         each = self.of_A[mode], self.of_B[mode], self.of_delay[mode]
         return np.concatenate([one.ravel() for one in each])
 
@@ -91,7 +91,7 @@ class Layout(Frozen):
 
     @property
     def least_periods(self) -> int:
-        """How many periods each mode needs: twice what a state's regression costs, and one."""
+        """Twice the terms of a state's regression, and one: the fewest periods of a mode."""
         return 2 * (self.n + 2 * self.m) + 1
 
     def spread(self, values: np.ndarray) -> np.ndarray:
@@ -104,7 +104,7 @@ class Layout(Frozen):
 
     @property
     def at_delays(self) -> slice:
-        """Where the delays lie."""
+        """The places of the delays, as a slice."""
         return slice(self.size - self.delays, self.size)
 
     def join(self, A: np.ndarray, B: np.ndarray, delays: np.ndarray) -> Vector:
@@ -130,7 +130,7 @@ class Layout(Frozen):
         return theta[self.of_constant].sum(axis=2)
 
     def without_constant(self) -> tuple[Layout, Int[np.ndarray, " kept"]]:
-        """The layout that has no constant term, and which places of this vector it keeps."""
+        """The layout without constant terms, and the places of this vector that it keeps."""
         kept = np.setdiff1d(np.arange(self.size), self.of_constant)
         return replace(self, constant=False), kept
 
@@ -141,7 +141,7 @@ class Layout(Frozen):
         return theta[self.of_A], theta[self.of_B], theta[self.of_delay]
 
     def of_each(self, count: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"]) -> Vector:
-        """Of every unknown a count of its mode's; of a delay that modes share that of all."""
+        """A count of each mode for every unknown; for a delay of all modes the total."""
         result = np.empty(self.size)
         result[self.at_delays] = count.sum()
         for i in range(self.modes):

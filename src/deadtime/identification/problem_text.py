@@ -1,4 +1,4 @@
-"""An identified plant as a problem file, and the process noise that its observer is designed on.
+"""The text of a problem file of an identified plant, and the process noise of its observer.
 
 If a disturbance is not significant, its likeliest intensity may be nearly 0. A Kalman filter
 designed on it trusts its model alone: its error decays at the rate of the plant, or not at all.
@@ -11,14 +11,12 @@ q, like q^(1/2k) in a chain of k states, up to the limit of sampling.
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.base.files import replacing
 from deadtime.base.wording import amount, one_line
 from deadtime.estimation import kalman
 from deadtime.gains import lqr
@@ -30,8 +28,8 @@ if TYPE_CHECKING:
 
 
 _LEFT_OUT = "# Noise of the sensors is left out: it is of y = C x, and the file's would be of x."
-_DELAYS = 20.0  # a run lasts so many of the longest one,
-_SOJOURNS = 5.0  # and so many mean ones of the mode that lasts longest
+_DELAYS = 20.0  # longest delays in a run, at least
+_SOJOURNS = 5.0  # mean sojourns in the mode that lasts longest, at least
 _MOST = 60  # factors of 4
 
 
@@ -39,8 +37,13 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
     """The problem file of an identification, with its intervals as comments."""
     plant, n, m = fit.plant, fit.plant.states, fit.plant.inputs
     filtered = filter_noise(fit) if _alone(fit) else (fit.disturbance[0], "")
-    length = _length(fit) if horizon is None else positive("horizon", horizon)
+    if horizon is None:  # many delays, and several sojourns of every mode
+        sojourn = 0.0 if fit.model is None else float(fit.model.mean.max())
+        length = max(_DELAYS * plant.longest_delay, _SOJOURNS * sojourn)
+    else:
+        length = positive("horizon", horizon)
     length = round(fit.step * float(np.ceil(length / fit.step - 1e-9)), 12)
+    numbers = tuple(map(str, range(plant.modes)))  # the names that a file gives modes by default
     named = _text(title or f"Identified from {fit.samples} samples")
     lines = [f"# {one_line(sentence)}" for sentence in fit.sentences]
     lines += ["", f"title = {named}", "", "[plant]", *_delay_lines(fit)]
@@ -49,7 +52,7 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
     lines += [
         f"states = {_texts(fit.states)}",
         f"inputs = {_texts(fit.inputs)}",
-        *([] if _by_number(fit) else [f"modes = {_texts(fit.modes)}"]),
+        *([] if fit.modes == numbers else [f"modes = {_texts(fit.modes)}"]),
         "",
         *_operating_point(fit),
         *_uncertainty(fit),
@@ -67,17 +70,6 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
     return "\n".join([*lines, ""])
 
 
-def _length(fit: Findings) -> float:
-    """The length of a run, seconds: many delays, and several sojourns of every mode."""
-    longest = 0.0 if fit.model is None else float(fit.model.mean.max())
-    return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * longest)
-
-
-def _by_number(fit: Findings) -> bool:
-    """Whether modes have no names but the numbers that a problem file gives them anyway."""
-    return list(fit.modes) == [str(i) for i in range(fit.plant.modes)]
-
-
 def _delay_lines(fit: Findings) -> list[str]:
     """The delays, and their intervals as a comment."""
     D, ends = fit.delays, fit.delay_interval
@@ -89,7 +81,7 @@ def _delay_lines(fit: Findings) -> list[str]:
 
 
 def _operating_point(fit: Findings) -> list[str]:
-    """Where the plant rests, and what modes add there, where that is not 0."""
+    """The operating point, and the offsets of modes there, unless they are 0."""
     if (point := fit.operating_point) is None:
         return []
     lines = ["[operating_point]    # all states and inputs of this file are deviations from it"]
@@ -109,7 +101,7 @@ def _uncertainty(fit: Findings) -> list[str]:
 
 
 def _switching(fit: Findings, filtered: tuple[np.ndarray, str]) -> list[str]:
-    """How the mode switches: the fitted model, or a constant mode where there is none."""
+    """The switching: the fitted model, or a constant mode without one."""
     if fit.model is None:
         return ["[signal]", 'kind = "constant"', "mode = 0", ""]
     lines = [fit.model.section(), ""]
@@ -186,11 +178,6 @@ def _texts(names: tuple[str, ...]) -> str:
     return f"[{', '.join(map(_text, names))}]"
 
 
-def write_problem(text: str, path: str | PathLike[str]) -> None:
-    with replacing(path) as place:
-        place.write_text(text, encoding="utf-8")
-
-
 def filter_noise(fit: Findings) -> tuple[Square, str]:
     """W for the observer, and the reason in a sentence if it is not the likeliest.
 
@@ -198,7 +185,7 @@ def filter_noise(fit: Findings) -> tuple[Square, str]:
     smallest power of 4 for which the observer's error decays, in every constant mode, at least as
     fast as the loop with the file's gains.
     """
-    W, shape = fit.disturbance[0], fit._found.of_outputs and fit._found.of_outputs.embedding
+    W, shape = fit.disturbance[0], fit._estimate.of_outputs and fit._estimate.of_outputs.embedding
     if shape is None or not fit.noise.all():
         return W, ""
     ends = np.array([fit.interval(f"disturbance[0][{a},{a}]") for a in shape.last])
@@ -223,7 +210,7 @@ def filter_noise(fit: Findings) -> tuple[Square, str]:
 
 
 def _loop_pace(plant: SwitchedSystem) -> float | None:
-    """How fast the slowest mode decays under the file's gains, 1/s; None where there are none."""
+    """The decay rate of the slowest mode with the file's gains, 1/s; None without gains."""
     try:
         gains = lqr(plant, np.eye(plant.states), np.eye(plant.inputs))
     except ArgumentError:
@@ -232,7 +219,7 @@ def _loop_pace(plant: SwitchedSystem) -> float | None:
 
 
 def _decay(fit: Findings, W: np.ndarray) -> float:
-    """How fast the error of an observer designed on W decays in the slowest mode, 1/s; 0: none."""
+    """The decay rate of the error of an observer designed on W in the slowest mode, 1/s; or 0."""
     try:
         return -float(kalman(fit.plant, fit.C, W, np.diag(fit.noise**2), fit.step).rates.max())
     except ArgumentError:

@@ -1,4 +1,8 @@
-"""Residuals of a model, and tests of their whiteness."""
+"""Residuals of an identified plant: one-step predictions of a log, and tests of their whiteness.
+
+The test of Ljung and Box (Biometrika 65(2), 1978) over ten lags, and the largest correlation with
+an input at any lag of the delays searched, at Bonferroni's level.
+"""
 
 from __future__ import annotations
 
@@ -60,12 +64,12 @@ class FittedModel(NamedTuple):
             own = k[start : start + _BLOCK]
             mode = part.mode[own]
             over = interpolation(nodes, part.time[own + 1] - part.time[own])
-            held = acting_in(part, own, plant.delays, nodes).held
+            acting = acting_in(part, own, plant.delays, nodes).value
             for i in np.unique(mode):
                 at = np.flatnonzero(mode == i)
                 x = states[start + at]
                 free = np.einsum("kq,qab,kb->ka", over[at], Phi_at[i], x, optimize=True)
-                forced = np.tensordot(held[at], W_at[i] @ plant.B[i], axes=([1, 2], [0, 2]))
+                forced = np.tensordot(acting[at], W_at[i] @ plant.B[i], axes=([1, 2], [0, 2]))
                 result[start + at] = free + forced + over[at] @ (W_at[i] @ self.constant[i])
         return result
 
@@ -73,7 +77,7 @@ class FittedModel(NamedTuple):
         self, recording: Recording, within: bool, roots: Squares
     ) -> list[Float[np.ndarray, "sample n"]]:
         """Of every part x_k less its prediction from x_{k−1}, whitened by the roots; else NaN."""
-        delays, found = self.plant.delays, []
+        delays, residuals = self.plant.delays, []
         for part in recording.parts:
             good = known_ends(part, within) & fed(part, float(delays.max()), float(delays.min()))
             k = np.flatnonzero(good)
@@ -83,8 +87,8 @@ class FittedModel(NamedTuple):
             for i in range(self.plant.modes):
                 own = part.mode[k] == i
                 white[k[own] + 1] = np.linalg.solve(roots[i], rest[own].T).T
-            found.append(white)
-        return found
+            residuals.append(white)
+        return residuals
 
     def forecast(
         self, part: Part, C: SensorMatrix
@@ -142,23 +146,19 @@ def judge_residuals(
 def with_inputs(
     white: list[Float[np.ndarray, "sample n"]], recording: Recording, longest: float
 ) -> tuple[Float[np.ndarray, "lag n m"], Float[np.ndarray, " lag"]]:
-    """The residuals' correlation with inputs of 1, 2, … samples before; the pairs it rests on."""
+    """The residuals' correlation with inputs 1, 2, … samples before, and the number of pairs."""
     lags = min(int(np.ceil(longest / recording.step)) + LAGS, _MOST_LAGS)
-    inputs = [_centred(part.input, recording) for part in recording.parts]
-    found = [_correlation(white, inputs, lag) for lag in range(1, lags + 1)]
-    return np.array([r for r, _ in found]), np.array([float(count) for _, count in found])
-
-
-def _centred(u: np.ndarray, recording: Recording) -> np.ndarray:
-    """Inputs less their mean, in units of their deviation."""
     every = np.vstack([part.input for part in recording.parts])
-    return (u - np.nanmean(every, axis=0)) / np.nanstd(every, axis=0)
+    mean, deviation = np.nanmean(every, axis=0), np.nanstd(every, axis=0)
+    inputs = [(part.input - mean) / deviation for part in recording.parts]
+    r, count = zip(*(_correlation(white, inputs, lag + 1) for lag in range(lags)), strict=True)
+    return np.array(r), np.array(count, float)
 
 
 def _correlation(
     late: list[np.ndarray], early: list[np.ndarray], lag: int
 ) -> tuple[np.ndarray, int]:
-    """The correlation of samples with those `lag` before, where both are known; how many."""
+    """The correlation of samples with those `lag` before, and the number of known pairs."""
     total, count = np.zeros((late[0].shape[1], early[0].shape[1])), 0
     for after, before in zip(late, early, strict=True):
         if len(after) <= lag:
@@ -173,9 +173,9 @@ def _correlation(
 def autocorrelation(
     white: list[Float[np.ndarray, "sample n"]],
 ) -> tuple[Float[np.ndarray, "lag n"], Float[np.ndarray, " lag"]]:
-    """Of each residual with itself, and how many pairs that rests on."""
-    found = [_correlation(white, white, lag) for lag in range(1, LAGS + 1)]
-    return np.array([np.diagonal(r) for r, _ in found]), np.array([float(c) for _, c in found])
+    """The correlation of each residual with itself, and the number of pairs for it."""
+    r, count = zip(*(_correlation(white, white, lag + 1) for lag in range(LAGS)), strict=True)
+    return np.diagonal(r, axis1=1, axis2=2), np.array(count, float)
 
 
 def alternates(white: list[Float[np.ndarray, "sample n"]]) -> bool:

@@ -12,7 +12,7 @@ For all delays of a window this depends on the log of a mode only through one tr
 x_{k+1}, x_k and the inputs of all lags. A likelihood has a kink at every whole number of periods.
 
 **Uneven.** A period is cut where each input arrives, at t_i + D. With c the arrivals within
-(t_k, t_{k+1}) and Δu what each of them changes,
+(t_k, t_{k+1}) and Δu the change of the input at each of them,
 
     x_{k+1} = Φ(τ_k) x_k + Σ_j [W(τ_k) b_j u_j(t_k − D_j) + Σ_c W(t_{k+1} − c) b_j Δu_j(c)] + w_k,
 
@@ -50,7 +50,7 @@ from deadtime.identification.transition import interpolation, nodes_of, noise_ta
 _BLOCK = 2_000_000  # numbers stacked at a time, which bounds memory
 _ROUND_OFF = 1e-9  # of a period: an arrival this close to a sample counts as at it
 
-Roots = Callable[[np.ndarray], list[np.ndarray]]  # of what modes read, a root for each
+Roots = Callable[[np.ndarray], list[np.ndarray]]  # from the reads of modes to a root of each
 
 
 class WeightMap(NamedTuple):
@@ -80,7 +80,7 @@ TermsIn = Callable[[np.ndarray], Callable[[np.ndarray], list[Term]]]  # of cells
 
 
 class FilterPeriods(NamedTuple):
-    """The periods that lead to samples.
+    """The periods before samples, each from the sample before to its own.
 
     mode : (T,), and kind : (T,), the row of the next four
     Phi, Q : (kinds, n, n); by_Phi : (kinds, n², n, n) by its mode's A; by_Q : by A and then by L,
@@ -98,26 +98,26 @@ class FilterPeriods(NamedTuple):
     by_added: Float[np.ndarray, "T own n"]
 
 
-# Of a part's samples, and which of them nothing leads to
+# From a part, its samples, and whether the filter starts from the prior there
 PeriodsOf = Callable[[Part, Int[np.ndarray, " T"], Bool[np.ndarray, " T"]], FilterPeriods]
 
 
 class UsablePeriods(NamedTuple):
-    """The usable periods k of every part, and how likely each is in a mode; None: as logged."""
+    """The usable periods k of every part, and the probabilities of their modes; None: as logged."""
 
     parts: tuple[Part, ...]
     k: Sequence[Int[np.ndarray, " period"]]
     weight: Float[np.ndarray, "every mode"] | None = None
 
     def counts(self, modes: int) -> list[float]:
-        """How many each mode has, or the sum of their weights."""
+        """The number of periods of each mode, or the sum of their weights."""
         if self.weight is not None:
             return self.weight.sum(axis=0).tolist()
         own = [part.mode[k] for part, k in zip(self.parts, self.k, strict=True)]
         return np.bincount(np.concatenate(own), minlength=modes).tolist()
 
     def blocks(self, mode: int, most: int) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
-        """Of a mode, block by block, its periods and the roots of their weights."""
+        """The periods of a mode and the roots of their weights, block by block."""
         first = 0
         for part, every in zip(self.parts, self.k, strict=True):
             own = every if self.weight is not None else every[part.mode[every] == mode]
@@ -158,11 +158,11 @@ class Sampling(Frozen, ABC):
 
     @abstractmethod
     def window(self, low: float, high: float) -> Window:
-        """The widest range of delays that has the usable periods of one, seconds."""
+        """The widest range of delays with the same usable periods as a given range, seconds."""
 
     @abstractmethod
     def span(self, reads: np.ndarray) -> Window:
-        """The range of delays that have such reads, seconds."""
+        """The range of delays with given reads, seconds."""
 
     @abstractmethod
     def usable(self, part: Part, within: bool, low: float, high: float) -> Int[np.ndarray, " k"]:
@@ -196,14 +196,14 @@ class Sampling(Frozen, ABC):
     def periods_of(
         self, layout: Layout, theta: Vector, L: Square, cells: Cells, slopes: bool = True
     ) -> PeriodsOf:
-        """The periods that lead a filter from sample to sample, W = L Lᵀ, delays in given cells.
+        """The periods between the samples of a filter, W = L Lᵀ, delays in given cells.
 
         Without `slopes` they have no derivatives, which take most of the time.
         """
 
     @abstractmethod
     def climb(self, within: EvaluateIn, theta: Vector, window: Window, how: Climb) -> Maximum:
-        """The maximum that a start leads to with delays in a window."""
+        """The maximum near a start with delays in a window."""
 
     @abstractmethod
     def to_kink(self, delay: float) -> float:
@@ -328,9 +328,9 @@ class UnevenSampling(Sampling):
         one = part._replace(mode=np.zeros(part.time.size, np.int64))
         acts = acting_in(one, k, reads[None], self.nodes)
         over = interpolation(self.nodes, length)[:, :, None]
-        held = np.concatenate((acts.held, over), axis=2) if constant else acts.held
+        u = np.concatenate((acts.value, over), axis=2) if constant else acts.value
         x = over * part.output[k][:, None]
-        flat = (one.reshape(k.size, -1) for one in (x, held, acts.moved))
+        flat = (one.reshape(k.size, -1) for one in (x, u, acts.change))
         return np.hstack((part.output[k + 1], *flat)) / np.sqrt(length / self.step)[:, None]
 
     def maps(
@@ -363,30 +363,30 @@ class UnevenSampling(Sampling):
 
         def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
             mode = part.mode[np.maximum(rows - 1, 0)]
-            found = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
+            interpolated = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
             added = np.zeros((rows.size, n))
             by_added = np.zeros((rows.size, (n * (n + acting) + m) * slopes, n))
             for i in np.unique(mode):
                 own = np.flatnonzero(~fresh & (mode == i))
                 k = rows[own] - 1
                 weight = interpolation(self.nodes, part.time[k + 1] - part.time[k])
-                for result, table in zip(found, tables[i], strict=True):
+                for result, table in zip(interpolated, tables[i], strict=True):
                     result[own] = np.tensordot(weight, table, (1, 0))
-                held, moved = acting_in(part, k, delays, self.nodes)
+                u, change = acting_in(part, k, delays, self.nodes)
                 if layout.constant:
-                    held = np.concatenate((held, weight[:, :, None]), axis=2)
+                    u = np.concatenate((u, weight[:, :, None]), axis=2)
                 steady, by_A, pushed = forced[i]
-                added[own] = np.tensordot(held, steady, ((1, 2), (0, 2)))
+                added[own] = np.tensordot(u, steady, ((1, 2), (0, 2)))
                 if not slopes:
                     continue
-                by_added[own, : n * n] = np.tensordot(held, by_A, ((1, 2), (0, 3)))
+                by_added[own, : n * n] = np.tensordot(u, by_A, ((1, 2), (0, 3)))
                 for j in range(acting):  # places as in `Layout.of_mode`: A, B by rows, then D
-                    by_B = np.tensordot(held[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
+                    by_B = np.tensordot(u[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
                     by_added[own[:, None], n * n + np.arange(n) * acting + j] = by_B
                 for j in range(m):
-                    by_D = -np.tensordot(moved[:, :, j], pushed[:, :, j], (1, 0))
+                    by_D = -np.tensordot(change[:, :, j], pushed[:, :, j], (1, 0))
                     by_added[own, n * (n + acting) + j] = by_D
-            Phi, by_Phi, Q, by_Q = found
+            Phi, by_Phi, Q, by_Q = interpolated
             kind = np.arange(rows.size)
             return FilterPeriods(mode, kind, Phi, by_Phi, Q, by_Q, added, by_added)
 
@@ -469,10 +469,10 @@ def acting_evenly(
 
 
 class ActingInputs(NamedTuple):
-    """Weights of what acts in periods: `held` (periods, nodes, m), of W; `moved`, of −∂/∂D."""
+    """Inputs that act in periods, weighted over nodes: `value` times W, `change` times −∂W/∂D."""
 
-    held: Float[np.ndarray, "period node m"]
-    moved: Float[np.ndarray, "period node m"]
+    value: Float[np.ndarray, "period node m"]
+    change: Float[np.ndarray, "period node m"]
 
 
 def acting_in(
@@ -483,29 +483,28 @@ def acting_in(
     Before the part's first row its first inputs act: such periods are used where it rests there.
     """
     t, m = part.time, part.input.shape[1]
-    held = np.zeros((k.size, nodes.size, m))
-    moved = np.zeros(held.shape)
+    value, change = np.zeros((2, k.size, nodes.size, m))
     if k.size == 0:
-        return ActingInputs(held, moved)
+        return ActingInputs(value, change)
     slack = _ROUND_OFF * float(np.median(t[k + 1] - t[k]))
     over = interpolation(nodes, t[k + 1] - t[k])
     for j in range(m):
         u, D = part.input[:, j], delays[part.mode[k], j]
         first = np.maximum(np.searchsorted(t, t[k] - D + slack, side="right") - 1, 0)
         last = np.searchsorted(t, t[k + 1] - D - slack, side="left") - 1
-        held[:, :, j] = over * u[first][:, None]
+        value[:, :, j] = over * u[first][:, None]
         for later in range(1, int((last - first).max(initial=0)) + 1):
             has = np.flatnonzero(first + later <= last)
             index = first[has] + later
-            change = (u[index] - u[index - 1])[:, None]
-            weight = interpolation(nodes, t[k[has] + 1] - t[index] - D[has]) * change
-            held[has, :, j] += weight
-            moved[has, :, j] += weight
-    return ActingInputs(held, moved)
+            weight = interpolation(nodes, t[k[has] + 1] - t[index] - D[has])
+            weight *= (u[index] - u[index - 1])[:, None]
+            value[has, :, j] += weight
+            change[has, :, j] += weight
+    return ActingInputs(value, change)
 
 
 def nodes_for(parts: tuple[Part, ...], A: Squares) -> np.ndarray:
-    """Nodes that serve plants about A over all periods of a recording."""
+    """Nodes accurate for plants near A over all periods of a recording."""
     longest = max(float(np.diff(part.time).max()) for part in parts)
     rate = 2.0 * float(np.abs(np.linalg.eigvals(A)).max()) + 1.0 / longest
     return nodes_of(longest * (1.0 + 1e-9), min(rate, 200.0 / longest))

@@ -36,7 +36,8 @@ class Maximum(NamedTuple):
     """A maximum of a likelihood; `bound`: whether each unknown is at a bound."""
 
     theta: Vector
-    found: Evaluation
+    value: float
+    information: FisherMatrix
     bound: Bool[np.ndarray, " size"]
 
 
@@ -72,12 +73,12 @@ class Climb(NamedTuple):
 
 
 def best_in_turn(
-    begin: tuple[int | None, ...],
+    best: tuple[int | None, ...],
     options: Sequence[int],
-    worth: Callable[[tuple[int | None, ...]], float],
+    value: Callable[[tuple[int | None, ...]], float],
     sweeps: int,
 ) -> tuple[int | None, ...]:
-    """Coordinate search: the best option of each choice in turn, in several sweeps.
+    """Coordinate search from `best`: the option of largest value for each choice in turn.
 
     Examples
     --------
@@ -85,15 +86,15 @@ def best_in_turn(
     (2, 0)
     """
     for _ in range(sweeps):
-        before = begin
-        for j in range(len(begin)):
-            begin = max(((*begin[:j], c, *begin[j + 1 :]) for c in options), key=worth)
-        if begin == before:
+        before = best
+        for j in range(len(best)):
+            best = max(((*best[:j], c, *best[j + 1 :]) for c in options), key=value)
+        if best == before:
             break
-    return begin
+    return best
 
 
-@np.errstate(all="ignore")  # of trials far out, whose exponentials overflow
+@np.errstate(all="ignore")  # exponentials of trials far from the maximum overflow
 def climb(
     evaluate: Evaluate,
     theta: Vector,
@@ -117,11 +118,11 @@ def climb(
     theta = np.clip(theta, low, high)
     now, damping = evaluate(theta), 1e-3
     if not np.isfinite(now.value):
-        return Maximum(theta, now, np.zeros(theta.size, bool))
+        return Maximum(theta, now.value, now.information, np.zeros(theta.size, bool))
     for _ in range(steps):
-        held = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
+        blocked = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
         reach = np.inf if stride is None else stride(theta)
-        trial, rise = _step(theta, now, held | (low == high), damping, low, high, reach)
+        trial, rise = _step(theta, now, blocked | (low == high), damping, low, high, reach)
         if rise < gain:
             break
         after = evaluate(trial)
@@ -133,20 +134,20 @@ def climb(
             break
         else:
             damping = max(10.0 * damping, 1e-6)
-    return Maximum(theta, now, (theta <= low) | (theta >= high))
+    return Maximum(theta, now.value, now.information, (theta <= low) | (theta >= high))
 
 
 def _step(
     theta: np.ndarray,
     now: Evaluation,
-    held: np.ndarray,
+    fixed: np.ndarray,
     damping: float,
     low: np.ndarray,
     high: np.ndarray,
     stride: np.ndarray | float,
 ) -> tuple[np.ndarray, float]:
-    """The next vector, and the rise predicted by the quadratic model."""
-    free = np.flatnonzero(~held)
+    """The next vector, and the rise of log likelihood that the quadratic model predicts."""
+    free = np.flatnonzero(~fixed)
     if free.size == 0:
         return theta, 0.0
     F = now.information[np.ix_(free, free)]
@@ -186,7 +187,7 @@ def climb_cells(
             if reach and tuple(beyond) not in tried:
                 tried.add(tuple(beyond))
                 options.append((highest(beyond, best.theta), beyond))
-        better = [o for o in options if o[0].found.value > best.found.value + gain]
+        better = [o for o in options if o[0].value > best.value + gain]
         if not better:
             return best, cells
-        best, cells = max(better, key=lambda option: option[0].found.value)
+        best, cells = max(better, key=lambda option: option[0].value)

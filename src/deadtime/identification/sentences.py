@@ -1,9 +1,13 @@
-"""Sentences on an estimate, and the verdict: whether a law tolerates all that a log allows."""
+"""Sentences on an estimate, and the verdict: whether a law tolerates all delays in the intervals.
+
+The verdict compares intervals with a delay margin, and tests the corners of the box of intervals by
+the growth rate of the loop in every constant mode.
+"""
 
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,6 +23,7 @@ from deadtime.plant import SwitchedSystem
 if TYPE_CHECKING:
     from deadtime.feedback import Law
     from deadtime.identification.identified_plant import Findings
+    from deadtime.margins import DelayMargin
 
 
 _EDGE = 1e-6  # of the range searched
@@ -32,118 +37,107 @@ _FAINT = 1e-3  # of a column's deviation: smaller errors are round-off
 _COARSE = 0.8  # of half a turn per period: faster oscillations may be aliases
 
 
-class OddReadings(NamedTuple):
-    """Sentences on outputs that repeat earlier values, and on a row far from its prediction."""
-
-    repeats: list[str]
-    far_off: list[str]
-
-
-def odd_readings(found: Estimate, recording: Recording, C: SensorMatrix) -> OddReadings:
-    """Readings that no noise explains."""
-    return OddReadings(_repeats(recording), _far_off(found, recording, C))
-
-
 def sentences_of(
-    found: Estimate,
+    estimate: Estimate,
     recording: Recording,
+    C: SensorMatrix,
     why: str,
     rest: Rest | None,
     states: tuple[str, ...],
-    odd: OddReadings,
-) -> tuple[str, ...]:
-    """Sentences on delays, operating point, noise, residuals, and assumptions."""
-    said = [*_delays(found, recording), *_levels(found, recording, rest, states)]
-    said += [*_noise(found), *_tests(found, recording, odd)]
-    said += _period(found, recording)
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Sentences on delays, operating point, noise, residuals and assumptions; and doubts.
+
+    why : there is no switching model
+    """
+    repeats, outliers = _repeats(recording), _outliers(estimate, recording, C)
+    sentences = [*_delays(estimate, recording), *_levels(estimate, recording, rest, states)]
+    sentences += [*_noise(estimate), *_tests(estimate, recording, [*repeats, *outliers])]
+    sentences += _period(estimate, recording)
     for name in recording.absent:
-        said.append(
+        sentences.append(
             f"Mode {name!r} is declared and never visited: nothing is known of it, and the plant "
             "has no such mode."
         )
-    said += _states(found, recording)
-    if recording.logged and not found.log.within:
-        said.append("The mode is taken to change at samples only.")
-    return (*said, *([why] if why else []))
+    sentences += _states(estimate, recording)
+    if recording.logged and not estimate.log.within:
+        sentences.append("The mode is taken to change at samples only.")
+    sentences += [why] if why else []
+    doubts = _doubts(estimate, recording)
+    if outliers:
+        doubts.append("a measurement lies farther off than chance makes it")
+    if repeats:
+        doubts.append("measurements are repeated, so that their times are not known")
+    return tuple(sentences), tuple(doubts)
 
 
-def _delays(found: Estimate, recording: Recording) -> list[str]:
-    low, high = _bounds(found, recording)
-    names, said = delay_names(recording, found), []
-    kinds = (_at_edge(found), _cut(found, recording), _open(found))
-    each = zip(names, _values(found), found.intervals, *kinds, strict=True)
-    for place, (name, D, (left, right), edge, cut, hardly) in enumerate(each):
-        left = low if left <= found.log.bounds[0] else left
+def _delays(estimate: Estimate, recording: Recording) -> list[str]:
+    low, high = _bounds(estimate, recording)
+    names, sentences, values = delay_names(recording, estimate), [], _values(estimate)
+    each = zip(names, values, estimate.intervals, *_range_flags(estimate, recording), strict=True)
+    for place, (name, D, (left, right), at_edge, cut, vague) in enumerate(each):
+        left = low if left <= estimate.log.bounds[0] else left
         digits = _digits(D, right - left)
         ends = f"{left:.{digits}g} … {right:.{digits}g} s"
-        said.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
-        if edge:
-            said.append(
+        sentences.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
+        if at_edge:
+            sentences.append(
                 f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
                 "delay=(low, high), --delay LOW HIGH."
             )
-        elif cut and not hardly:
-            said.append(
+        elif cut and not vague:
+            sentences.append(
                 f"The interval of {name[0].lower()}{name[1:]} ends where the range searched does: "
                 "if the delay may lie beyond, widen delay=(low, high), --delay LOW HIGH."
             )
-        if hardly:
-            several = bool(found.several[place])
+        if vague:
+            several = bool(estimate.several[place])
             apart = ", and others that lie apart explain it nearly as well" if several else ""
-            identified = f"The log hardly tells {name[0].lower()}{name[1:]}{apart}"
+            sentence = f"The log hardly tells {name[0].lower()}{name[1:]}{apart}"
             why = reasons(recording, place % len(recording.inputs), high - low)
-            advice = "" if why else ": move the input more, or log for longer"
-            said += [f"{identified}{advice}{_beyond(right, high, _EDGE * (high - low))}.", *why]
-        elif edge and counts_milliseconds(recording):
-            said += reasons(recording, place % len(recording.inputs), high - low)
-    return said
+            sentence += "" if why else ": move the input more, or log for longer"
+            if right >= high - _EDGE * (high - low):
+                sentence += f"; if it may be longer than {high:.4g} s, widen delay=(low, high), "
+                sentence += "--delay LOW HIGH"
+            sentences += [f"{sentence}.", *why]
+        elif at_edge and counts_milliseconds(recording):
+            sentences += reasons(recording, place % len(recording.inputs), high - low)
+    return sentences
 
 
-def _at_edge(found: Estimate) -> Bool[np.ndarray, " delay"]:
-    """Which delays lie at the edge of the range searched."""
-    low, high = found.log.bounds
-    margin, D = _EDGE * (high - low), _values(found)
-    return (low + margin > D) | (high - margin < D)
+def _range_flags(
+    estimate: Estimate, recording: Recording
+) -> tuple[Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"]]:
+    """Which delays lie at the edge of the range, whose intervals it cuts, which it leaves open."""
+    low, high = estimate.log.bounds
+    margin, D, (left, right) = _EDGE * (high - low), _values(estimate), estimate.intervals.T
+    least = -np.inf if _bounds(estimate, recording)[0] == 0.0 else low  # no delay is less than 0
+    at_edge = (low + margin > D) | (high - margin < D)
+    vague = estimate.several | (right - left > _WIDE * (high - low))
+    return at_edge, (left <= least) | (right >= high), vague
 
 
-def _cut(found: Estimate, recording: Recording) -> Bool[np.ndarray, " delay"]:
-    """Which intervals the range searched cuts; no delay is less than 0."""
-    low, high = found.log.bounds
-    least = -np.inf if _bounds(found, recording)[0] == 0.0 else low
-    return (found.intervals[:, 0] <= least) | (found.intervals[:, 1] >= high)
-
-
-def _open(found: Estimate) -> Bool[np.ndarray, " delay"]:
-    low, high = found.log.bounds
-    return found.several | (np.diff(found.intervals)[:, 0] > _WIDE * (high - low))
-
-
-def doubts_of(found: Estimate, recording: Recording, odd: OddReadings) -> tuple[str, ...]:
+def _doubts(estimate: Estimate, recording: Recording) -> list[str]:
     """Reasons why intervals may not contain the delays, as ends of a sentence."""
-    names = delay_names(recording, found)
+    names, tests = delay_names(recording, estimate), estimate.tests
     names = [f"{name[0].lower()}{name[1:]}" for name in names] if len(names) == 1 else names
-    kinds = (_at_edge(found), _cut(found, recording), _open(found))
-    said = []
-    for name, edge, ends, hardly in zip(names, *kinds, strict=True):
-        if edge or ends:
-            what = name if edge else f"the interval of {name}"
-            where = "lies at the edge of" if edge else "ends at the edge of"
-            said.append(f"{what} {where} the range searched")
-        said += [f"the log hardly tells {name}"] if hardly else []
-    if not found.tests.white:
-        said.append("what is left of the log is not white, and intervals are too narrow then")
-    if not found.tests.unrelated:
-        said.append(f"what is left still has {recording.inputs[found.tests.input]} in it")
-    if odd.far_off:
-        said.append("a measurement lies farther off than chance makes it")
-    if odd.repeats:
-        said.append("measurements are repeated, so that their times are not known")
-    return tuple(said)
+    doubts = []
+    each = zip(names, *_range_flags(estimate, recording), strict=True)
+    for name, at_edge, cut, vague in each:
+        if at_edge:
+            doubts.append(f"{name} lies at the edge of the range searched")
+        elif cut:
+            doubts.append(f"the interval of {name} ends at the edge of the range searched")
+        doubts += [f"the log hardly tells {name}"] if vague else []
+    if not tests.white:
+        doubts.append("what is left of the log is not white, and intervals are too narrow then")
+    if not tests.unrelated:
+        doubts.append(f"what is left still has {recording.inputs[tests.input]} in it")
+    return doubts
 
 
-def _bounds(found: Estimate, recording: Recording) -> tuple[float, float]:
+def _bounds(estimate: Estimate, recording: Recording) -> tuple[float, float]:
     """The range searched as given: its shortest delay is 0 where the search replaced 0."""
-    low, high = found.log.bounds
+    low, high = estimate.log.bounds
     return (low if low > _EDGE * recording.step * (1.0 + _EDGE) else 0.0), high
 
 
@@ -154,20 +148,13 @@ def _digits(D: float, width: float) -> int:
     return min(max(4, 1 + int(np.ceil(np.log10(abs(D) / width)))), 12)
 
 
-def _beyond(right: float, high: float, margin: float) -> str:
-    """Advice where the interval ends at the longest delay searched."""
-    if right < high - margin:
-        return ""
-    return f"; if it may be longer than {high:.4g} s, widen delay=(low, high), --delay LOW HIGH"
+def _values(estimate: Estimate) -> np.ndarray:
+    return estimate.best.theta[estimate.log.layout.at_delays]
 
 
-def _values(found: Estimate) -> np.ndarray:
-    return found.best.theta[found.log.layout.at_delays]
-
-
-def delay_names(recording: Recording, found: Estimate) -> list[str]:
+def delay_names(recording: Recording, estimate: Estimate) -> list[str]:
     """Names of delays, as subjects of sentences."""
-    layout = found.log.layout
+    layout = estimate.log.layout
     if layout.delays == 1:
         return ["The delay"]
     inputs = [f"The delay of {name}" for name in recording.inputs]
@@ -177,10 +164,10 @@ def delay_names(recording: Recording, found: Estimate) -> list[str]:
 
 
 def _levels(
-    found: Estimate, recording: Recording, rest: Rest | None, states: tuple[str, ...]
+    estimate: Estimate, recording: Recording, rest: Rest | None, states: tuple[str, ...]
 ) -> list[str]:
     """Sentences on the operating point and on assumptions about inputs."""
-    said = []
+    sentences = []
     if rest is not None:
         names, values = (*states, *recording.inputs), (*rest.point.x, *rest.point.u)
         each = [
@@ -188,31 +175,33 @@ def _levels(
             for name, v, e in zip(names, values, rest.error, strict=True)
         ]
         there, given = ", ".join(each[: len(states)]), ", ".join(each[len(states) :])
-        said.append(
+        sentences.append(
             f"The plant rests at {there} with {given}: its states and inputs are deviations from "
             "this operating point."
         )
-        said += _apart(found, recording, rest, states)
+        sentences += _apart(estimate, recording, rest, states)
     if any(part.rests for part in recording.parts):
-        said.append(
+        sentences.append(
             "Inputs before the log are taken for those of its first row, where it begins at rest: "
             "if they were others, say rest=False, --no-rest."
         )
     for name, value in recording.constants:
-        said.append(
+        sentences.append(
             f"{name} is {value:.6g} throughout: the log tells nothing of what it does, and the "
             "plant has no such input."
         )
-    return said
+    return sentences
 
 
-def _apart(found: Estimate, recording: Recording, rest: Rest, states: tuple[str, ...]) -> list[str]:
+def _apart(
+    estimate: Estimate, recording: Recording, rest: Rest, states: tuple[str, ...]
+) -> list[str]:
     """Sentences on the rest of each mode with the same inputs, if they differ."""
     if not rest.offset.any():
         return []
     where = []
     for i, mode in enumerate(recording.modes):
-        A, c = found.plant.A[i], rest.offset[i]
+        A, c = estimate.plant.A[i], rest.offset[i]
         if np.linalg.cond(A) < _SINGULAR:
             at = rest.point.x - np.linalg.solve(A, c)
             each = [f"{name} = {v:.4g}" for name, v in zip(states, at, strict=True)]
@@ -221,30 +210,31 @@ def _apart(found: Estimate, recording: Recording, rest: Rest, states: tuple[str,
     return [f"With these inputs modes rest apart{listed}. What each adds there is its offset."]
 
 
-def _noise(found: Estimate) -> list[str]:
-    if not found.noise.any():
+def _noise(estimate: Estimate) -> list[str]:
+    if not estimate.noise.any():
         return ["Measurements are taken as exact, and all noise as the plant's."]
-    each = zip(found.noise.tolist(), found.sensor_intervals, strict=True)
+    each = zip(estimate.noise.tolist(), estimate.sensor_intervals, strict=True)
     deviations = [
         amount(v) if low > 0.0 else f"less than {amount(high)}" for v, (low, high) in each
     ]
     return [f"Measurements are noisy: standard deviation {', '.join(deviations)}."]
 
 
-def _tests(found: Estimate, recording: Recording, odd: OddReadings) -> list[str]:
-    tests, said = found.tests, [*odd.repeats, *odd.far_off]
-    if tests.white and tests.unrelated and not said:
+def _tests(estimate: Estimate, recording: Recording, odd: list[str]) -> list[str]:
+    """Sentences on residuals, after those on odd readings."""
+    tests, sentences = estimate.tests, odd
+    if tests.white and tests.unrelated and not sentences:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
-        cause = "noise is not white." if found.noise.any() else "sensors are noisy (noise=True)."
-        said.append(
+        cause = "noise is not white." if estimate.noise.any() else "sensors are noisy (noise=True)."
+        sentences.append(
             f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
             f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing"
-            f"{_larger(found)}, the plant is not linear, or "
+            f"{_larger(estimate)}, the plant is not linear, or "
             f"{cause}"
         )
     if not tests.unrelated:
-        name, (low, high) = recording.inputs[tests.input], _bounds(found, recording)
+        name, (low, high) = recording.inputs[tests.input], _bounds(estimate, recording)
         outside = not low - recording.step < tests.input_delay < high + recording.step
         cause = (
             f"a delay outside the range searched, {low:.4g} … {high:.4g} s: widen "
@@ -253,15 +243,15 @@ def _tests(found: Estimate, recording: Recording, odd: OddReadings) -> list[str]
             else "a second path of that input, a delay that is not constant, or a state that is "
             "missing."
         )
-        said.append(
+        sentences.append(
             f"What is left still has {name} of {tests.input_delay:.4g} s before in it: {cause}"
         )
-    return said
+    return sentences
 
 
 def _repeats(recording: Recording) -> list[str]:
     """Sentences on outputs that often repeat the value before, though values are not rounded."""
-    said = []
+    sentences = []
     for column, name in enumerate(recording.outputs):
         each = [part.output[:, column] for part in recording.parts]
         same = [np.append(False, y[1:] == y[:-1]) for y in each]
@@ -270,14 +260,14 @@ def _repeats(recording: Recording) -> list[str]:
         if runs < _OFTEN * rows:
             continue
         if len(np.unique(np.concatenate(each))) >= _OWN * (rows - again):
-            said.append(
+            sentences.append(
                 f"{100.0 * again / rows:.0f} % of rows repeat the {name} before, as of a sensor "
                 "slower than the rows: its times are not known. Leave those cells empty."
             )
-    return said
+    return sentences
 
 
-def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str]:
+def _outliers(estimate: Estimate, recording: Recording, C: SensorMatrix) -> list[str]:
     """A sentence on the row farthest from its prediction, if that is significant.
 
     Errors below a thousandth of a column's deviation are ignored: without noise they are round-off,
@@ -285,7 +275,7 @@ def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str
     """
     from scipy.stats import norm
 
-    z = np.abs(np.nan_to_num(np.vstack(found.white)))
+    z = np.abs(np.nan_to_num(np.vstack(estimate.white)))
     far = np.argwhere(z > norm.isf(0.5 * _NEVER / z.size)).tolist()
     if not far:
         return []
@@ -293,9 +283,9 @@ def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str
     if [row - 1, column] in far:  # a wrong reading also spoils the prediction of the next one
         row -= 1
     moves = np.nanstd(np.vstack([part.output for part in recording.parts]), axis=0)
-    size, W = z[:, column].max(), found.disturbance.max(axis=0)
+    size, W = z[:, column].max(), estimate.disturbance.max(axis=0)
     added = np.sqrt(C[column] @ W @ C[column] * recording.step)
-    if size * np.hypot(added, found.noise[column]) < _FAINT * moves[column]:
+    if size * np.hypot(added, estimate.noise[column]) < _FAINT * moves[column]:
         return []
     name, time = recording.outputs[column], np.concatenate([p.time for p in recording.parts])[row]
     return [
@@ -305,36 +295,36 @@ def _far_off(found: Estimate, recording: Recording, C: SensorMatrix) -> list[str
     ]
 
 
-def _states(found: Estimate, recording: Recording) -> list[str]:
-    """Sentences on states, where there are more of them than outputs."""
-    shape = found.of_outputs and found.of_outputs.embedding
+def _states(estimate: Estimate, recording: Recording) -> list[str]:
+    """Sentences on the states of outputs alone."""
+    shape = estimate.of_outputs and estimate.of_outputs.embedding
     if shape is None:
         return []
     each = zip(recording.outputs, shape.order, strict=True)
     named = [f"{name}{_DERIVATIVES[min(count, 3)].format(count - 1)}" for name, count in each]
-    said = [f"The states are {' and '.join(named)}."]
+    sentences = [f"The states are {' and '.join(named)}."]
     if shape.zeros and shape.upper.size:
-        said = [
+        sentences = [
             f"The states are {' and '.join(named)}, less what inputs add to these: they act on all "
             "of them."
         ]
     if shape.jumps:
-        said.append(
+        sentences.append(
             f"So they are in mode {recording.modes[0]!r}; in other modes derivatives are sums of "
             "them, so that an output's derivative jumps at a switch. The log asks for that."
         )
-    elif found.plant.modes > 1:
-        tested = "" if found.log.within else ": the log does not say otherwise"
-        said.append(
+    elif estimate.plant.modes > 1:
+        tested = "" if estimate.log.within else ": the log does not say otherwise"
+        sentences.append(
             "They are taken to be the same in all modes, and not to jump at a switch, as position "
             f"and speed do not{tested}."
         )
-    return said
+    return sentences
 
 
-def _larger(found: Estimate) -> str:
+def _larger(estimate: Estimate) -> str:
     """Advice on the option for one more state."""
-    shape = found.of_outputs and found.of_outputs.embedding
+    shape = estimate.of_outputs and estimate.of_outputs.embedding
     if shape is None:
         return " (if not all states are logged, say how many each column has: order=2, --order 2)"
     more = tuple(count + 1 for count in shape.order)
@@ -342,41 +332,25 @@ def _larger(found: Estimate) -> str:
     return f" (raise order, --order, to {text})"
 
 
-def _period(found: Estimate, recording: Recording) -> list[str]:
+def _period(estimate: Estimate, recording: Recording) -> list[str]:
     """Sentences on uneven rows and on oscillations that may be aliases."""
-    said = []
+    sentences = []
     if not recording.even:
-        said.append(f"Rows are unevenly spaced, {recording.step:.4g} s apart by their median.")
-    turn = np.abs(np.linalg.eigvals(found.plant.A).imag).max() * recording.step
+        sentences.append(f"Rows are unevenly spaced, {recording.step:.4g} s apart by their median.")
+    turn = np.abs(np.linalg.eigvals(estimate.plant.A).imag).max() * recording.step
     if turn > _COARSE * np.pi:
-        said.append(
+        sentences.append(
             f"A mode turns by {np.degrees(turn):.0f}° in a period: one that turns by "
             f"{np.degrees(2.0 * np.pi - turn):.0f}° the other way looks the same. Sample faster."
         )
-    return said
+    return sentences
 
 
 _NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
 MOST_INPUTS = 4  # of a box whose 2^m corners are all tested
 
 
-@runtime_checkable
-class Margin(Protocol):
-    """A margin of a law's delay, as `margins.DelayMargin` is."""
-
-    @property
-    def lower(self) -> float | None: ...
-    @property
-    def upper(self) -> float | None: ...
-    @property
-    def nominal(self) -> float: ...
-    @property
-    def input(self) -> int | None: ...
-    @property
-    def certified(self) -> bool: ...
-
-
-def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> str:
+def verdict_of(fit: Findings, margin: DelayMargin, law: Law | None, step: float) -> str:
     """The text of `Identification.verdict`, of a law that acts every `step` seconds."""
     from deadtime.margins import drawn_stability
 
@@ -386,21 +360,21 @@ def verdict_of(fit: Findings, margin: Margin, law: Law | None, step: float) -> s
     several = "delay" not in fit.names and fit.plant.inputs <= MOST_INPUTS
     if law is not None and several and margin.lower is not None:
         failure = failure_of(fit.plant, fit.delay_interval, law, step)
-    said = delays_beside(fit.delays, fit.delay_interval, margin, failure)
+    text = delays_beside(fit.delays, fit.delay_interval, margin, failure)
     if law is None or margin.lower is None or not law.is_linear:
-        return said
+        return text
     drawn = drawn_stability(fit.uncertain, law, step)
     if drawn.stable == len(drawn.growth):
-        return f"{said} {drawn.sentence}"
+        return f"{text} {drawn.sentence}"
     return (
-        f"{said} {drawn.sentence} Not enough: log for longer, or design a law that tolerates more."
+        f"{text} {drawn.sentence} Not enough: log for longer, or design a law that tolerates more."
     )
 
 
 def delays_beside(
     delays: np.ndarray,
     interval: np.ndarray,
-    margin: Margin,
+    margin: DelayMargin,
     failure: str | None = None,
     doubt: str = "",
 ) -> str:
@@ -418,30 +392,30 @@ def delays_beside(
     one = D.size == 1
     if one:
         low, high = ends[0, 0]
-        said = f"Delay {D[0, 0]:.4g} s ({low:.4g} … {high:.4g})"
+        text = f"Delay {D[0, 0]:.4g} s ({low:.4g} … {high:.4g})"
     else:
         off = ends - D[..., None]
-        said = f"Delays are off by {off.min():+.2g} … {off.max():+.2g} s at 95 %"
+        text = f"Delays are off by {off.min():+.2g} … {off.max():+.2g} s at 95 %"
     if margin.lower is None or margin.upper is None:
-        return f"{said}; the law tolerates no delay at all, not even the likeliest: design another."
+        return f"{text}; the law tolerates no delay at all, not even the likeliest: design another."
     shift = margin.lower - margin.nominal, margin.upper - margin.nominal
     left, right = float((ends[..., 0] - D).min()), float((ends[..., 1] - D).max())
     enough = shift[0] <= left and right <= shift[1] and not doubt
     why = f"not enough, for {doubt}" if doubt else _end(enough, interval.shape[1] > 1)
     if one:
-        return f"{said}; the law tolerates {margin.lower:.4g} … {margin.upper:.4g} s: {why}."
+        return f"{text}; the law tolerates {margin.lower:.4g} … {margin.upper:.4g} s: {why}."
     together = "" if j is not None else ", of all together"
-    said = f"{said}; the law tolerates {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
+    text = f"{text}; the law tolerates {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
     if failure is None or not enough:
         alike = (
             "enough if all err alike; nothing is said of errors that differ: verdict(margin, law) "
             "looks at them"
         )
-        return f"{said}: {alike if enough else why}."
+        return f"{text}: {alike if enough else why}."
     if failure:
-        return f"{said}, but errors differ: {failure}: {_end(False)}."
+        return f"{text}, but errors differ: {failure}: {_end(False)}."
     return (
-        f"{said}, in each mode held the error of every input's delay alone, and every corner of "
+        f"{text}, in each mode held the error of every input's delay alone, and every corner of "
         f"the box of intervals: {_end(True)}{_NO_SWITCHES if margin.certified else ''}."
     )
 

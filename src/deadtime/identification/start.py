@@ -1,4 +1,4 @@
-"""Where to begin: a linear regression at every whole number of periods, and its logarithm.
+"""A first guess of the plant: a linear regression in every cell of the delays, and its logarithm.
 
 With D in the cell [(N − 1) h, N h] only u_{k−N} and u_{k−N+1} act, so x_{k+1} is linear in x_k and
 those for every D in the cell. The N with the likeliest residuals is taken; A = log Φ / h, and the
@@ -40,7 +40,7 @@ class Start(NamedTuple):
     """A first guess, and the log likelihood of every cell of each delay.
 
     theta : of the `Layout`; cells : of each of its delays
-    scanned : (delays, cells), log likelihood with other delays in their cells, from cell `first` on
+    curves : (delays, cells), log likelihood with other delays in their cells, from cell `first` on
     weights : the number of free weights of an input in each mode
     vectors : (delays, cells, size), the maximum in each cell, if it was searched
     """
@@ -48,7 +48,7 @@ class Start(NamedTuple):
     theta: Vector
     cells: Cells
     first: int
-    scanned: Float[np.ndarray, "delay cell"]
+    curves: Float[np.ndarray, "delay cell"]
     weights: int
     vectors: Float[np.ndarray, "delay cell unknown"] | None = None
 
@@ -58,13 +58,12 @@ def start_of(recording: Recording, layout: Layout, bounds: Window, within: bool)
     h = recording.step
     first, last = cell_range(h, bounds, layout.m)
     scan = _CellScan(_sums_of(recording, layout, first, last, within), layout, first, last)
-    cells, scanned = scan.best()
-    own = [scan.own(cells, i) for i in range(layout.modes)]
-    count = np.array([scan.periods(i, one) for i, one in enumerate(own)])
-    require_enough(recording, layout, count, last * h)
-    P = [scan.weights(i, one) for i, one in enumerate(own)]
-    theta = plant_of(P, layout.spread(cells), count, layout, h, bounds)
-    return Start(theta, cells, first, scanned, 2 * layout.n)
+    cells, curves = scan.best()
+    by_mode = layout.spread(cells)
+    P, count = zip(*(scan.regression(i, own) for i, own in enumerate(by_mode)), strict=True)
+    require_enough(recording, layout, np.array(count), last * h)
+    theta = plant_of(P, by_mode, np.array(count), layout, h, bounds)
+    return Start(theta, cells, first, curves, 2 * layout.n)
 
 
 def _sums_of(
@@ -72,7 +71,7 @@ def _sums_of(
 ) -> _CommonPeriods | _OwnPeriods:
     """The periods by which a scan compares cells: common ones if these are most of all.
 
-    Also if the log is shorter than twice the range of delays: it is refused later as too short.
+    A log shorter than twice the range of delays has common ones, too: it is refused later.
     """
     usable = [usable_lags(part, within, first - 1, last) for part in recording.parts]
     periods = UsablePeriods(recording.parts, usable)
@@ -100,21 +99,21 @@ class _CommonPeriods(NamedTuple):
     periods: Int[np.ndarray, " mode"]
 
     def of(self, mode: int, columns: list[int]) -> tuple[np.ndarray, int]:
-        """Σ z zᵀ of some columns, and over how many periods."""
+        """Σ z zᵀ of some columns, and the number of periods."""
         return self.gram[mode][np.ix_(columns, columns)], int(self.periods[mode])
 
     def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
-        """The log likelihood of all other periods: there are none."""
+        """The log likelihood of excluded periods: there are none."""
         return 0.0
 
 
 class _OwnPeriods:
-    """For each cell the periods whose inputs are known there.
+    """The periods of each cell whose inputs are known.
 
-    A delay that leaves out periods in which a state answers an input would explain the rest as well
-    as the true one explains all. The likeliest is sought with what it leaves out as likely as a
-    regression on the states alone makes it; but it stays plausible where unknown inputs may have
-    done what is left out, so that this counts as all else does.
+    A delay that excludes the periods in which a state responds to an input would explain the rest
+    as well as the true delay explains all. So in the search for the likeliest delay, excluded
+    periods count with the likelihood of a regression on the states alone. In the search for
+    plausible ones they count like the others, because unknown inputs may explain the response.
     """
 
     def __init__(self, z: list[Float[np.ndarray, "period z"]], n: int, constant: bool) -> None:
@@ -122,13 +121,13 @@ class _OwnPeriods:
         self._alone = [*range(2 * n), *([z[0].shape[1] - 1] if constant else [])]
 
     def of(self, mode: int, columns: list[int]) -> tuple[np.ndarray, int]:
-        """Σ z zᵀ of some columns, and over how many periods."""
+        """Σ z zᵀ of some columns, and the number of periods."""
         z = self._z[mode][:, columns]
         z = z[np.isfinite(z).all(axis=1)]
         return z.T @ z, len(z)
 
     def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
-        """The log likelihood of all periods but so many, of which `each` is the others' mean."""
+        """The log likelihood of excluded periods; `each` is the mean over the `count` others."""
         M, every = self.of(mode, self._alone)
         if not plausible:
             each = _mean_likelihood(M, every, self._n)
@@ -179,15 +178,11 @@ class _CellScan:
         self.sums, self.layout, self.first = sums, layout, first
         self.cells = np.arange(first, last + 1)
 
-    def own(self, cells: np.ndarray, mode: int) -> np.ndarray:
-        m = self.layout.m
-        return cells[mode * m : (mode + 1) * m] if self.layout.per_mode else cells
-
     def best(self) -> tuple[np.ndarray, np.ndarray]:
         """The likeliest cells, and the log likelihood of all cells of each delay."""
         groups = range(self.layout.modes) if self.layout.per_mode else [None]
-        found = [self._best_of(group) for group in groups]
-        return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+        cells, curves = zip(*(self._best_of(group) for group in groups), strict=True)
+        return np.concatenate(cells), np.concatenate(curves)
 
     def _best_of(self, mode: int | None) -> tuple[np.ndarray, np.ndarray]:
         m, count = self.layout.m, self.cells.size
@@ -201,11 +196,11 @@ class _CellScan:
             best = max(table, key=lambda c: table[c])
         else:
             best = best_in_turn((None,) * m, self.cells.tolist(), likelihood, _SWEEPS)
-        scanned = [
+        curves = [
             [likelihood((*best[:j], c, *best[j + 1 :]), True) for c in self.cells.tolist()]
             for j in range(m)
         ]
-        return np.array(best), np.array(scanned)
+        return np.array(best), np.array(curves)
 
     def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> tuple[np.ndarray, int]:
         n, m = self.layout.n, self.layout.m
@@ -217,9 +212,10 @@ class _CellScan:
             columns.append(2 * n + (self.cells.size + 1) * m)
         return self.sums.of(mode, columns)
 
-    def periods(self, mode: int, chosen: np.ndarray) -> int:
-        """The number of periods of a mode in the regression with these cells."""
-        return self._sums(mode, tuple(chosen.tolist()))[1]
+    def regression(self, mode: int, cells: np.ndarray) -> tuple[Float[np.ndarray, "n r"], int]:
+        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1; and the number of periods."""
+        M, count = self._sums(mode, tuple(cells.tolist()))
+        return _regressed(M, self.layout.n)[0], count
 
     def _likelihood(self, mode: int, chosen: tuple[int | None, ...], plausible: bool) -> float:
         M, count = self._sums(mode, chosen)
@@ -228,14 +224,9 @@ class _CellScan:
         each = _mean_likelihood(M, count, self.layout.n)
         return count * each + self.sums.unseen(mode, count, each, plausible)
 
-    def weights(self, mode: int, chosen: np.ndarray) -> Float[np.ndarray, "n r"]:
-        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1, by least squares."""
-        M, _ = self._sums(mode, tuple(chosen.tolist()))
-        return _regressed(M, self.layout.n)[0]
-
 
 def _mean_likelihood(M: Float[np.ndarray, "z z"], count: int, n: int) -> float:
-    """The log likelihood of each of so many periods, but for a constant, from Σ z zᵀ."""
+    """The mean log likelihood of `count` periods, up to a constant, from Σ z zᵀ."""
     spare = max(count - (len(M) - n), 1)
     return -0.5 * (_regressed(M, n)[1] - n * float(np.log(spare)))
 
@@ -266,8 +257,7 @@ def _logarithm(
 
 def matrix_logarithm(Phi: Square) -> Square:
     """log Φ where it is real; else of the nearest Φ that has one: eigenvalues to positive parts."""
-    found = np.linalg.eig(Phi)
-    values, vectors = np.asarray(found[0], complex), np.asarray(found[1], complex)
+    values, vectors = (np.asarray(one, complex) for one in np.linalg.eig(Phi))
     size = max(1.0, float(np.abs(values).max()))
     bad = (np.abs(np.imag(values)) < 1e-9 * size) & (np.real(values) < 1e-3 * size)
     values = np.where(bad, 1e-3 * size, values)

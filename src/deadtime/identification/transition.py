@@ -1,4 +1,4 @@
-"""A plant over a while: its transition, what noise adds, and how both move with its matrix.
+"""Transition matrices and noise covariances of a plant over a time τ, and their derivatives by A.
 
     Φ(τ) = e^{Aτ},   W(τ) = ∫₀^τ e^{As} ds,   ∂Φ/∂A_ab, ∂W/∂A_ab
 
@@ -124,13 +124,13 @@ def noise_tables(
         return noise_covariances(A[None], L @ L.T, times), np.empty((count, 0, n, n))
     joint, noise = np.zeros((n * n, 2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     a, b = np.divmod(np.arange(n * n), n)
-    # Noise enters the second half alone, so that the corner beside it is what E_ab carries over.
+    # Noise enters the second half only, so the off-diagonal corner is its effect through E_ab.
     joint[:, :n, :n] = joint[:, n:, n:] = A
     joint[np.arange(n * n), a, n + b] = 1.0
     noise[n:, n:] = L @ L.T
-    found = noise_covariances(joint, noise, np.tile(times, n * n))
-    found = found.reshape(n * n, count, 2 * n, 2 * n).swapaxes(0, 1)
-    of_A = found[..., :n, n:] + found[..., n:, :n]
+    Q = noise_covariances(joint, noise, np.tile(times, n * n))
+    Q = Q.reshape(n * n, count, 2 * n, 2 * n).swapaxes(0, 1)
+    of_A = Q[..., :n, n:] + Q[..., n:, :n]
     row, column = np.tril_indices(n)
     change = np.zeros((row.size, n, n))
     change[np.arange(row.size), row] = (
@@ -139,7 +139,7 @@ def noise_tables(
     change += change.swapaxes(1, 2)
     of_L = noise_covariances(np.tile(A, (row.size, 1, 1)), change, np.tile(times, row.size))
     of_L = of_L.reshape(row.size, count, n, n).swapaxes(0, 1)
-    return found[:, 0, n:, n:].copy(), np.concatenate((of_A, of_L), axis=1)
+    return Q[:, 0, n:, n:].copy(), np.concatenate((of_A, of_L), axis=1)
 
 
 def continuous(A: Squares, S: Squares, step: float) -> Squares:
@@ -156,12 +156,12 @@ def continuous(A: Squares, S: Squares, step: float) -> Squares:
         W = np.linalg.lstsq(_images(one, step), S[i].ravel(), rcond=None)[0].reshape(one.shape)
         values, vectors = np.linalg.eigh(0.5 * (W + W.T))
         W = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        result[i] = 0.5 * (W + W.T)  # to the last bit, as who reads it makes it
+        result[i] = 0.5 * (W + W.T)  # symmetric to the last bit
     return result
 
 
 def _images(A: Square, step: float) -> Float[np.ndarray, "nn nn"]:
-    """From W to S, line by line, of a W that is symmetric."""
+    """The matrix of the linear map from a symmetric W to S, both row by row."""
     n = len(A)
     units = np.eye(n * n).reshape(n * n, n, n)
     units = 0.5 * (units + units.transpose(0, 2, 1))
@@ -174,8 +174,8 @@ def intensity_errors(
 ) -> Float[np.ndarray, " variance"]:
     """The standard errors of the diagonals of W, mode by mode, from `spare` periods of each.
 
-    W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. A
-    position has noise in S that its speed has brought there, and with it an error.
+    W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. So
+    W of a position has an error even if it is 0, because noise of the speed enters S of a position.
 
     Examples
     --------

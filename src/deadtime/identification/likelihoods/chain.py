@@ -1,13 +1,13 @@
-"""A hidden Markov chain, for kernels: how likely each mode was, and the likeliest path.
+"""Kernels of a hidden Markov chain: posterior probabilities of modes, and the likeliest path.
 
+The first is the forward–backward recursion, the second Viterbi's (Rabiner, Proc. IEEE 77(2), 1989).
 Sample k has the mode σ_k, and the period from it to the next one the density
 
     b_k(i, j) = exp stay[k, i] if i = j else exp move[k, i, j],
     p(σ) = first(σ_0) Π P_k(σ_k, σ_{k+1}),
 
-P_k the row kind[k] of `chain`: of uneven samples every period has its own.
-
-All is done in logarithms: densities of exact states may differ by e^{1e12}.
+P_k the row kind[k] of `chain`; with uneven samples every period has its own. Probabilities are
+logarithms, because densities of exact states may differ by e^{1e12}.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from deadtime.numerics.kernels import kernel
 
 
 def smooth(stay, move, chain, kind, first, same, node, pairs):
-    """Forward and back: the log likelihood; and in place what each mode's probability was.
+    """The log likelihood; and posterior probabilities of modes, in place.
 
-    stay : (periods, modes), move : (periods, modes, modes), or (periods, modes, 1) where the mode
-    that a period ends in does not matter, log densities; chain : (kinds, modes, modes), first :
-    (modes,), logs of probabilities; kind : (periods,). same : (periods, modes), of a period that
-    begins and ends in a mode; node : (periods + 1, modes), of each sample; pairs : (kinds, modes,
-    modes), how many jumps are expected in periods of each kind.
+    stay : (periods, modes), move : (periods, modes, modes), or (periods, modes, 1) if it does not
+    depend on the mode in which a period ends, log densities; chain : (kinds, modes, modes), first :
+    (modes,), logs of probabilities; kind : (periods,). same : (periods, modes), probability that a
+    period begins and ends in a mode; node : (periods + 1, modes), of each sample; pairs : (kinds,
+    modes, modes), expected numbers of jumps in periods of each kind.
     """
     ahead = np.empty(node.shape)
     value = forward(stay, move, chain, kind, first, ahead)
@@ -38,7 +38,7 @@ def smooth(stay, move, chain, kind, first, same, node, pairs):
 def forward(stay, move, chain, kind, first, ahead):
     """The log likelihood; ahead (periods + 1, modes), in place, of each mode and all before it.
 
-    Of each sample less the largest one, so that no digits are lost to the length of the log.
+    In each sample the largest one is subtracted, so that long logs lose no digits.
     """
     periods, modes = stay.shape
     last = move.shape[2] - 1
@@ -120,7 +120,7 @@ def backward(stay, move, chain, kind, ahead, same, node, pairs):
 def likeliest(stay, move, chain, kind, first, path):
     """Viterbi: the likeliest path (periods + 1,), in place, and its log probability.
 
-    Of paths that are alike the one that stays.
+    Of equally likely paths the one that stays.
     """
     periods, modes = stay.shape
     last = move.shape[2] - 1

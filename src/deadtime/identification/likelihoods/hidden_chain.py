@@ -1,17 +1,17 @@
-"""The chain of a hidden mode, and the periods of a log that tell of it.
+"""The Markov chain of a hidden mode, and the densities of a log's periods in every mode.
 
-A mode jumps by a matrix per period of even rows, by rates where rows are uneven:
+The chain has a matrix per period of even rows, and rates where rows are uneven:
 
     even:      P(σ_{k+1} = j | σ_k = i) = P_ij
     uneven:    P(σ_{k+1} = j | σ_k = i) = (e^{Λ τ_k})_ij,    Λ_ij ≥ 0,    Σ_j Λ_ij = 0
 
-Given how likely every jump of every period is, ξ_k, the rates that are likeliest next are those of
+Given the posterior ξ_k of the jumps in every period, the next rates of expectation–maximisation are
 expected jumps over expected time (Hobolth and Jensen, Statistical Applications in Genetics and
 Molecular Biology 4(1), 2005), Λ_ij ← E N_ij / E T_i,
 
     E N_ij = Λ_ij Σ_k Σ_ab ξ_k(a, b) ∂(e^{Λ τ_k})_ab/∂Λ_ij / (e^{Λ τ_k})_ab,
 
-E T_i the sum for i = j without Λ_ij in front. Of even rows N are jumps, stays too, and T rows.
+E T_i the sum for i = j without the factor Λ_ij. With even rows N counts jumps and stays, T rows.
 
 In each mode a period is normal about the mode's prediction, e = x_{k+1} − P_i r_k ~ N(0, S_i).
 With a `pooled` model the mode may change at any time: a period that begins and ends in different
@@ -23,7 +23,7 @@ of a row holds for its period. A period with missing data has density 1, and the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -44,7 +44,7 @@ _FLOOR = 1e-300  # of a probability, whose logarithm is taken
 
 
 class Counts(NamedTuple):
-    """Expected jumps N (modes, modes), and the time, or the rows, T (modes,) that led to them."""
+    """Expected jumps N (modes, modes), and the time or rows T (modes,) spent in each mode."""
 
     jumps: Float[np.ndarray, "mode mode"]
     spent: Float[np.ndarray, " mode"]
@@ -79,6 +79,11 @@ class Jumps(Frozen):
     @property
     def modes(self) -> int:
         return len(self.matrix)
+
+    @property
+    def first(self) -> Float[np.ndarray, " mode"]:
+        """Logarithms of the probabilities of the first mode, uniform."""
+        return np.full(self.modes, -np.log(self.modes))
 
     @property
     def chain(self) -> Float[np.ndarray, "mode mode"]:
@@ -122,24 +127,22 @@ class Jumps(Frozen):
     def next(self, counts: Counts) -> Jumps:
         """The chain that maximises the likelihood with expected counts."""
         spent = counts.spent[:, None]
-        found = counts.jumps / np.where(spent > 0.0, spent, 1.0)
-        if self.rates:
-            return Jumps(_rates(found), self.step, True)
-        return Jumps(np.where(spent > 0.0, found, np.eye(self.modes)), self.step, False)
+        ratio = counts.jumps / np.where(spent > 0.0, spent, 1.0)
+        matrix = _rates(ratio) if self.rates else np.where(spent > 0.0, ratio, np.eye(self.modes))
+        return replace(self, matrix=matrix)
 
     def scaled(self, factor: Float[np.ndarray, "mode mode"]) -> Jumps:
         """The chain with odds of jumps, or rates, times factors; factors of stays are 1."""
         moved = self.matrix * factor
-        if self.rates:
-            return Jumps(_rates(moved), self.step, True)
-        return Jumps(moved / moved.sum(axis=1, keepdims=True), self.step, False)
+        matrix = _rates(moved) if self.rates else moved / moved.sum(axis=1, keepdims=True)
+        return replace(self, matrix=matrix)
 
     def slope(self, counts: Counts) -> Float[np.ndarray, "mode mode"]:
         """The score in the logarithms of those factors."""
         return counts.jumps - counts.spent[:, None] * self.matrix
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> Jumps:
-        return Jumps(self.matrix[np.ix_(order, order)], self.step, self.rates)
+        return replace(self, matrix=self.matrix[np.ix_(order, order)])
 
 
 def _rates(matrix: np.ndarray) -> np.ndarray:
@@ -298,7 +301,7 @@ def posterior_of(
         logs, kind = jumps.over(part.time)
         same, node = np.empty(stay.shape), np.empty((len(stay) + 1, modes))
         pairs = np.empty(logs.shape)
-        value += smooth(stay, move, logs, kind, _any(modes), same, node, pairs)
+        value += smooth(stay, move, logs, kind, jumps.first, same, node, pairs)
         counts = counts + jumps.counted(part.time, pairs)
         weight.append((same if within else node[:-1])[k])
         nodes.append(node)
@@ -309,14 +312,7 @@ def path_of(
     parts: Sequence[Part], by_part: list[tuple[np.ndarray, np.ndarray]], jumps: Jumps
 ) -> list[Int[np.ndarray, " sample"]]:
     """The likeliest modes of the samples of every part."""
-    found = []
-    for part, (stay, move) in zip(parts, by_part, strict=True):
-        path = np.empty(len(stay) + 1, np.int64)
-        likeliest(stay, move, *jumps.over(part.time), _any(jumps.modes), path)
-        found.append(path)
-    return found
-
-
-def _any(modes: int) -> Float[np.ndarray, " mode"]:
-    """The first mode may be any."""
-    return np.full(modes, -np.log(modes))
+    paths = [np.empty(part.time.size, np.int64) for part in parts]
+    for part, (stay, move), path in zip(parts, by_part, paths, strict=True):
+        likeliest(stay, move, *jumps.over(part.time), jumps.first, path)
+    return paths

@@ -5,16 +5,15 @@ With exact states, in the unknowns of the plant,
     log L(θ, S, P) = log Σ_σ p(σ) Π_k N(x_{k+1} − P_σ(θ) r_k; 0, S_σ),
     ∂ log L = Σ_k Σ_i γ_k(i) ∂ log N_i,k,    γ: how likely the mode is, given all of the log
 
-The second is Fisher's identity. Steps are scaled by the information that the log would hold if the
-modes were known with these weights; what not knowing them takes from it is in `hidden_estimate`.
+The second is Fisher's identity. Steps are scaled by the information with known modes of these
+weights; `hidden_estimate` has the information with unknown ones.
 
-With noisy sensors the exact likelihood is a sum over all paths, each with Kalman's filter of its
-own. Here all filters that lead to a mode are mixed after every sample (`kalman_kernel`), so that
-the modes' filters give densities b_k of what every period leads to, and log L = log Σ_σ p(σ) Π
-b_k(σ_k, σ_{k+1}) as of exact states. A period within which the mode changes from i to j does what a
-share f of i and the rest of j do, f uniform, to first order in the period: with x_i and x_j where
-either alone would lead, its mean is (x_i + x_j)/2, and its covariance that of i and j, halved and
-added, and (x_i − x_j)(x_i − x_j)ᵀ/12.
+With noisy sensors the exact likelihood is a sum over all paths, each with its own Kalman filter.
+Here the filters that lead to a mode are mixed after every sample (`kalman_kernel`). They give the
+density b_k of the measurements after every period, and log L = log Σ_σ p(σ) Π b_k(σ_k, σ_{k+1}) as
+with exact states. A period in which the mode changes from i to j spends a uniformly distributed
+share in i. To first order in the period its mean is (x_i + x_j)/2, x_i and x_j the means in one
+mode, and its covariance the mean of both covariances plus (x_i − x_j)(x_i − x_j)ᵀ/12.
 
 Derivatives are forward differences; the information is that of every sample's own score,
 
@@ -53,7 +52,7 @@ from deadtime.identification.scoring import EvaluateIn, Evaluation
 
 @dataclass(frozen=True, eq=False)
 class HiddenLog(PlantLikelihood):
-    """The likelihood of a recording whose modes are hidden, S of every mode and the chain held.
+    """The likelihood of a recording with hidden modes, S of every mode and the chain fixed.
 
     periods : those that are usable in a window of the delays
     """
@@ -76,7 +75,7 @@ class HiddenLog(PlantLikelihood):
         return max(self.bounds[0], low), min(self.bounds[1], high)
 
     def known(self, weight: Float[np.ndarray, "period mode"]) -> ExactLog:
-        """The likelihood if each period were in a mode as likely as that, its noise eliminated."""
+        """The likelihood with known probabilities of modes in each period, noise eliminated."""
         given = self.recording, self.layout, self.within, self.bounds, self.nodes
         return ExactLog(*given, self.periods.usable, weight)
 
@@ -87,56 +86,51 @@ class HiddenLog(PlantLikelihood):
         return np.column_stack([log_density(z, own.P, S) for z, own, S in each])
 
     def posterior(self, theta: Vector, cells: Cells) -> Posterior:
-        """The modes that the log tells."""
+        """The posterior of modes."""
         return self.periods.posterior(self.densities(theta, cells), self.jumps)
 
-    def path(self, theta: Vector, cells: Cells) -> list[Int[np.ndarray, " sample"]]:
+    def path(self, theta: Vector, _: Window) -> list[Int[np.ndarray, " sample"]]:
         """The likeliest modes of the samples of every part."""
-        return self.periods.path(self.densities(theta, cells), self.jumps)
+        return self.periods.path(self.densities(theta, self.cells(theta)), self.jumps)
 
     def _rows(self, theta: Vector, cells: Cells) -> list[np.ndarray]:
-        """The rows of every mode's regression: all usable periods, as if they were of it."""
+        """The rows of every mode's regression: all usable periods."""
         return self.periods.rows_of_modes(self.sampling.reads(self.layout, theta, cells))
 
     def weighted(self, theta: Vector, cells: Cells) -> tuple[list[Term], Posterior]:
-        """The regressions over the periods of each mode, as likely as that is; and what is said."""
-        found, maps = self.posterior(theta, cells), self.sampling.maps(self.layout, theta, cells)
-        each = zip(self._rows(theta, cells), found.weight.T, maps, strict=True)
-        return [Term(rooted(z, own), float(own.sum()), *one) for z, own, one in each], found
+        """The regressions of all modes, weighted by the posterior of the mode; and that."""
+        posterior, maps = (
+            self.posterior(theta, cells),
+            self.sampling.maps(self.layout, theta, cells),
+        )
+        each = zip(self._rows(theta, cells), posterior.weight.T, maps, strict=True)
+        return [Term(rooted(z, own), float(own.sum()), *one) for z, own, one in each], posterior
 
     def evaluate(self, theta: Vector, cells: Cells) -> Evaluation:
-        """The log likelihood, its score, and the information if the modes were known."""
+        """The log likelihood, its score, and the information with known modes."""
         size = self.layout.size
         score, information = np.zeros(size), np.zeros((size, size))
         with np.errstate(all="ignore"):
             maps = self.sampling.maps(self.layout, theta, cells)
             if not all(np.isfinite(one.P).all() for one in maps):
                 return Evaluation(-np.inf, score, np.eye(size))
-            terms, found = self.weighted(theta, cells)
+            terms, posterior = self.weighted(theta, cells)
             for term, S in zip(terms, self.S, strict=True):
                 e = term.root[:, : len(S)] - term.root[:, len(S) :] @ term.P.T
                 add_score(term, e, np.linalg.cholesky(S), score, information)
-        return Evaluation(found.value, score, information)
+        return Evaluation(posterior.value, score, information)
 
     def evaluate_in(self, low: float, high: float) -> EvaluateIn:
         log = self.over(low, high)
         return lambda cells: lambda theta: log.evaluate(theta, cells)
 
 
-_SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more
-_BLOCK = 4096  # samples whose weights of nodes are there at a time
-
-
-class SingleMode(NamedTuple):
-    """Unknowns of a plant of one mode, L of its noise, W = L Lᵀ, and the cells of its delays."""
-
-    theta: Vector
-    L: Square
-    cells: Int[np.ndarray, " m"]
+_SMALL = 1e-3  # of a standard error: step of differences, and the largest error of a maximum
+_BLOCK = 4096  # samples whose weights of nodes are stored at a time
 
 
 class PartPeriods(NamedTuple):
-    """The periods that lead to the samples of a part, all of one mode.
+    """The periods before the samples of a part, all of one mode.
 
     kind : (T,), the row of Phi and Q, how a state moves, and the noise; added : (T, n), by inputs
     """
@@ -149,9 +143,9 @@ class PartPeriods(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HiddenNoisyLog(SensorLikelihood):
-    """The likelihood of a recording with measurement noise and hidden modes, the chain held.
+    """The likelihood of a recording with measurement noise and hidden modes, the chain fixed.
 
-    errors : standard errors of the vector, about
+    errors : approximate standard errors of the vector
     """
 
     errors: Vector
@@ -162,7 +156,7 @@ class HiddenNoisyLog(SensorLikelihood):
     profiled: ClassVar[bool] = False
 
     def along(self, recording: Recording) -> NoisyLog:
-        """The likelihood if modes were those of a recording, and changed at its samples."""
+        """The likelihood with known modes, those of a recording, which change at samples."""
         return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenNoisyLog:
@@ -171,7 +165,7 @@ class HiddenNoisyLog(SensorLikelihood):
 
     @property
     def most(self) -> Vector:
-        """Steps of noise beyond which differences tell little; of plants there are none."""
+        """The largest steps of noise at which differences are accurate; infinite for the plant."""
         most = self.errors.copy()
         most[: self.layout.size] = np.inf
         return most
@@ -182,17 +176,17 @@ class HiddenNoisyLog(SensorLikelihood):
     def filtered(
         self, vector: Vector, starts: Starts, cells: Cells | None = None
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
-        """Of every part the densities of all periods, stay and change; and what samples add."""
+        """Log densities of every part's periods, with and without a change; and log L by sample."""
         layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
         A, B, delays = layout.split(vector[: layout.size])
         L, R, by_part, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []
-        own = cells if cells is not None and cells.size else self.cells(vector)
-        own = layout.spread(own)
+        own = layout.spread(cells if cells is not None and cells.size else self.cells(vector))
+        modes = [np.s_[i : i + 1] for i in range(layout.modes)]
+        thetas = [one.join(A[i], B[i], delays[i]) for i in modes]
         for number, start in enumerate(starts):
-            each = []
-            for i in range(layout.modes):
-                theta = one.join(A[i : i + 1], B[i : i + 1], delays[i : i + 1])
-                each.append(self._along(SingleMode(theta, L, own[i]), number, start))
+            each = [
+                self._periods(number, start, theta, L, own[i]) for i, theta in enumerate(thetas)
+            ]
             Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
             part = self.recording.parts[number]
             stay = np.empty((part.time.size - 1, layout.modes))
@@ -205,39 +199,42 @@ class HiddenNoisyLog(SensorLikelihood):
             gained.append(adds)
         return by_part, np.concatenate(gained)
 
-    def _along(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
-        """The periods of a part; the last ones are kept: differences ask for few anew."""
-        key = number, start.tobytes(), *(one.tobytes() for one in mode)
-        if key not in self._kept:
-            if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
-                self._kept.clear()
-            self._kept[key] = self._periods(mode, number, start)
-        return self._kept[key]
+    def _periods(
+        self, number: int, start: np.ndarray, theta: Vector, L: Square, cells: Cells
+    ) -> PartPeriods:
+        """The periods of a part in one mode, cached: differences change those of few modes.
 
-    def _periods(self, mode: SingleMode, number: int, start: np.ndarray) -> PartPeriods:
+        theta : of a plant of that mode alone
+        """
+        key = number, *(one.tobytes() for one in (start, theta, L, cells))
+        if key in self._kept:
+            return self._kept[key]
+        if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
+            self._kept.clear()
         part, layout = self.recording.parts[number], replace(self.layout, modes=1, per_mode=False)
         part = part._replace(mode=np.zeros(part.time.size, np.int64))
-        leading = self.sampling.periods_of(layout, *mode, slopes=False)
-        rows, each, tables = np.arange(start.size), [], 0
-        for first in range(0, start.size, _BLOCK):
-            own = rows[first : first + _BLOCK]
-            found = leading(part, own, start[own])
-            each.append((tables + found.kind, found.Phi, found.Q, found.added))
-            tables += len(found.Phi)
-        kind, Phi, Q, added = zip(*each, strict=True)
-        return PartPeriods(np.concatenate(kind), np.vstack(Phi), np.vstack(added), np.vstack(Q))
+        periods_of = self.sampling.periods_of(layout, theta, L, cells, slopes=False)
+        each, tables = [], 0
+        for rows in np.split(np.arange(start.size), range(_BLOCK, start.size, _BLOCK)):
+            block = periods_of(part, rows, start[rows])
+            each.append((tables + block.kind, block.Phi, block.added, block.Q))
+            tables += len(block.Phi)
+        kind, *others = zip(*each, strict=True)
+        self._kept[key] = PartPeriods(np.concatenate(kind), *map(np.vstack, others))
+        return self._kept[key]
 
     def posterior(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> Posterior:
-        """The modes that the log tells; weights are of all periods."""
+        """The posterior of modes; weights are of all periods."""
         by_part, gained = self.filtered(vector, starts, cells)
         parts = self.recording.parts
         every = [np.arange(part.time.size - 1) for part in parts]
-        found = posterior_of(parts, by_part, self.jumps, every, self.within)
-        return found._replace(value=float(gained.sum()))
+        posterior = posterior_of(parts, by_part, self.jumps, every, self.within)
+        return posterior._replace(value=float(gained.sum()))
 
-    def path(self, vector: Vector, starts: Starts) -> list[Int[np.ndarray, " sample"]]:
-        """The likeliest modes of the samples of every part."""
-        return path_of(self.recording.parts, self.filtered(vector, starts)[0], self.jumps)
+    def path(self, vector: Vector, window: Window) -> list[Int[np.ndarray, " sample"]]:
+        """The likeliest modes of the samples of every part, for delays in a window."""
+        densities, _ = self.filtered(vector, self.starts(*window))
+        return path_of(self.recording.parts, densities, self.jumps)
 
     def value(self, vector: Vector, starts: Starts, cells: Cells | None = None) -> float:
         return float(self.filtered(vector, starts, cells)[1].sum())

@@ -1,20 +1,18 @@
-"""Kalman's filter over a log, for kernels: with its derivatives, and side by side for each mode.
+"""Kernels of Kalman's filter over a log: with derivatives by the unknowns, and for hidden modes.
 
     x⁻ = Φ x + a,      P⁻ = Φ P Φᵀ + Q,    g = P⁻ c,    s = cᵀ g + R,    e = y − cᵀ x⁻,
     x = x⁻ + g e/s,    P = P⁻ − g gᵀ/s,
 
-sensor by sensor: they err independently, so one after the other is the same as all at once, and
-nothing is inverted.
+sensor by sensor: their errors are independent, so no matrix is inverted.
 
-`tangents` carries each line's derivative by all unknowns along. Few of them move P: those of A and
-of the noise.
+`tangents` also has the derivatives of each line by all unknowns. P depends on A and the noise only.
 
-`filter_modes` has for each mode i that may be active a normal state x_i, P_i and a probability.
-Over a period it is carried by the filter of the mode in which the period begins, or by halves of
-two where the mode changes within it, and measured. Then all that lead to mode j are mixed to one
-normal of their mean and covariance, as likely as they are (Kim, J. Econometrics 60, 1994; where a
-period depends on the mode it begins in alone that is the filter of Blom and Bar-Shalom, IEEE Trans.
-Automat. Control 33(8), 1988, too).
+`filter_modes` has a normal state x_i, P_i and a probability for each mode i. Each is predicted over
+a period by the filter of the mode in which the period begins, or by halves of two if the mode
+changes within it, and corrected by the measurements. Then the states that lead to mode j are mixed
+to one normal with their mean and covariance (Kim, J. Econometrics 60, 1994; if a period depends on
+the mode at its beginning alone, it is the filter of Blom and Bar-Shalom, IEEE Trans. Automat.
+Control 33(8), 1988).
 """
 
 from __future__ import annotations
@@ -28,8 +26,8 @@ from deadtime.numerics.kernels import kernel
 
 
 @kernel
-def begin(x, P, P0):
-    """Nothing is known of the state but P0."""
+def reset(x, P, P0):
+    """The prior: mean 0 and covariance P0."""
     for i in range(x.size):
         x[i] = 0.0
         for j in range(x.size):
@@ -37,7 +35,7 @@ def begin(x, P, P0):
 
 
 @kernel
-def carry_mean(x, Phi, moved, new_x):
+def predict_mean(x, Phi, moved, new_x):
     n = x.size
     for i in range(n):
         total = moved[i]
@@ -47,7 +45,7 @@ def carry_mean(x, Phi, moved, new_x):
 
 
 @kernel
-def carry_variance(P, Phi, Q, new_P, spare):
+def predict_covariance(P, Phi, Q, new_P, spare):
     n = P.shape[0]
     product(Phi, P, spare)
     for i in range(n):
@@ -86,10 +84,10 @@ def tangents(
     y, start, mode, kind, Phi, by_Phi, Q, by_Q, added, by_added, own, noisy, C, R, of_R, wide, P0,
     now, out,
 ):  # fmt: skip
-    """A stretch of the filter, the state before it in `now`, which is brought to its end.
+    """A stretch of the filter from the state `now`, which is updated to its end in place.
 
-    y : (T, p), NaN where nothing was measured; start : (T,), whether nothing is known of the state
-    of a sample but P0, whatever was before. mode, …, by_added : of the periods that lead to
+    y : (T, p), NaN where nothing was measured; start : (T,), whether the prior of a sample's state
+    is P0 and independent of all before. mode, …, by_added : of the periods that lead to
     samples, see `FilterPeriods`. own, noisy, wide : see `Places`. C : (p, n), R : (p,), of_R :
     (q, p), its derivatives. now : x (n,), P (n, n) and their derivatives (size, n), (q, n, n).
     out : errors and variances (T, p), 0 and 1 where nothing was measured, and their derivatives
@@ -103,15 +101,15 @@ def tangents(
     for k in range(samples):
         i, m = kind[k], mode[k]
         if start[k]:
-            begin(x, P, P0)
+            reset(x, P, P0)
             by_x[:] = 0.0
             by_P[:] = 0.0
         else:
-            carry_mean(x, Phi[i], added[k], led_x)
-            carry_variance(P, Phi[i], Q[i], led_P, spare)
-            carry_mean_tangents(x, by_x, Phi[i], by_Phi[i], by_added[k], own[m])
-            carry_variance_tangents(P, by_P, Phi[i], by_Phi[i], by_Q[i], noisy[m], spare)
-            begin(x, P, led_P)
+            predict_mean(x, Phi[i], added[k], led_x)
+            predict_covariance(P, Phi[i], Q[i], led_P, spare)
+            predict_mean_tangents(x, by_x, Phi[i], by_Phi[i], by_added[k], own[m])
+            predict_covariance_tangents(P, by_P, Phi[i], by_Phi[i], by_Q[i], noisy[m], spare)
+            reset(x, P, led_P)
             for a in range(n):
                 x[a] = led_x[a]
         for s in range(sensors):
@@ -128,7 +126,7 @@ def tangents(
 
 
 @kernel
-def carry_mean_tangents(x, by_x, Phi, by_Phi, by_added, own):
+def predict_mean_tangents(x, by_x, Phi, by_Phi, by_added, own):
     """The derivatives of x over a period, from x before it."""
     n = x.size
     spare = np.empty(n)
@@ -152,7 +150,7 @@ def carry_mean_tangents(x, by_x, Phi, by_Phi, by_added, own):
 
 
 @kernel
-def carry_variance_tangents(P, by_P, Phi, by_Phi, by_Q, noisy, across):
+def predict_covariance_tangents(P, by_P, Phi, by_Phi, by_Q, noisy, across):
     """The derivatives of P over a period, from P before it; `across` is Φ P."""
     n = P.shape[0]
     spare = np.empty((n, n))
@@ -213,10 +211,10 @@ def correct_tangents(e, s, c, of_R, wide, gain, by_x, by_P, by_e, by_s):
 
 @kernel
 def filter_modes(y, start, kind, Phi, moved, Q, C, R, P0, chain, which, within, stay, move, gained):
-    """Log densities of what every period leads to, and what each sample adds to log L, in place.
+    """Log densities of the measurements after every period, and log L by sample, in place.
 
-    y : (T, p), NaN where nothing was measured; start : (T,), whether nothing is known of a state
-    but P0. Phi, Q : (modes, kinds, n, n), moved : (modes, T, n), kind : (T,), of the period that
+    y : (T, p), NaN where nothing was measured; start : (T,), whether the prior of a state is P0.
+    Phi, Q : (modes, kinds, n, n), moved : (modes, T, n), kind : (T,), of the period that
     leads to a sample. C : (p, n), R : (p,). chain : (kinds, modes, modes), logs of probabilities,
     which : (T − 1,); within : whether the mode changes within periods. stay : (T − 1, modes) and
     move : (T − 1, modes, modes), of periods that end in the mode that they begin in, and of others;
@@ -229,8 +227,8 @@ def filter_modes(y, start, kind, Phi, moved, Q, C, R, P0, chain, which, within, 
     density, spare, gain = np.zeros((modes, modes)), np.zeros((3, n, n)), np.zeros((2, n))
     for i in range(modes):
         chance[i] = -math.log(modes)
-        begin(x[i], P[i], P0)
-        gained[0] = measure(x[i], P[i], y[0], C, R, gain[0])
+        reset(x[i], P[i], P0)
+        gained[0] = update(x[i], P[i], y[0], C, R, gain[0])
     for k in range(1, samples):
         at = kind[k]
         for i in range(modes):
@@ -238,15 +236,15 @@ def filter_modes(y, start, kind, Phi, moved, Q, C, R, P0, chain, which, within, 
                 if i != j and not within:
                     continue
                 if start[k]:
-                    begin(led_x[i, j], led_P[i, j], P0)
+                    reset(led_x[i, j], led_P[i, j], P0)
                 elif i == j:
-                    carry_mean(x[i], Phi[i, at], moved[i, k], led_x[i, i])
-                    carry_variance(P[i], Phi[i, at], Q[i, at], led_P[i, i], spare[0])
+                    predict_mean(x[i], Phi[i, at], moved[i, k], led_x[i, i])
+                    predict_covariance(P[i], Phi[i, at], Q[i, at], led_P[i, i], spare[0])
                 else:
                     own = Phi[i, at], moved[i, k], Q[i, at]
                     other = Phi[j, at], moved[j, k], Q[j, at]
-                    carry_halves(x[i], P[i], *own, *other, led_x[i, j], led_P[i, j], spare, gain)
-                density[i, j] = measure(led_x[i, j], led_P[i, j], y[k], C, R, gain[0])
+                    predict_halves(x[i], P[i], *own, *other, led_x[i, j], led_P[i, j], spare, gain)
+                density[i, j] = update(led_x[i, j], led_P[i, j], y[k], C, R, gain[0])
             stay[k - 1, i] = density[i, i]
             for j in range(modes):
                 move[k - 1, i, j] = density[i, j] if within else density[i, i]
@@ -273,16 +271,16 @@ def filter_modes(y, start, kind, Phi, moved, Q, C, R, P0, chain, which, within, 
 
 
 @kernel
-def carry_halves(x, P, Phi, moved, Q, other, other_moved, other_Q, new_x, new_P, spare, ends):
-    """A state over a period that is partly of one mode and partly of another, share unknown."""
+def predict_halves(x, P, Phi, moved, Q, other, other_moved, other_Q, new_x, new_P, spare, ends):
+    """A state over a period that is partly in one mode and partly in another, share unknown."""
     n = x.size
-    carry_mean(x, Phi, moved, ends[0])
-    carry_mean(x, other, other_moved, ends[1])
+    predict_mean(x, Phi, moved, ends[0])
+    predict_mean(x, other, other_moved, ends[1])
     for i in range(n):
         for j in range(n):
             spare[1, i, j] = 0.5 * (Phi[i, j] + other[i, j])
             spare[2, i, j] = 0.5 * (Q[i, j] + other_Q[i, j])
-    carry_variance(P, spare[1], spare[2], new_P, spare[0])
+    predict_covariance(P, spare[1], spare[2], new_P, spare[0])
     for i in range(n):
         new_x[i] = 0.5 * (ends[0, i] + ends[1, i])
         for j in range(n):
@@ -290,20 +288,20 @@ def carry_halves(x, P, Phi, moved, Q, other, other_moved, other_Q, new_x, new_P,
 
 
 @kernel
-def measure(x, P, y, C, R, gain):
+def update(x, P, y, C, R, gain):
     """A state corrected by its measurements, in place; their log density."""
-    found = 0.0
+    density = 0.0
     for s in range(y.size):
         if y[s] == y[s]:
             e, whole = innovation(y[s], R[s], C[s], x, P, gain)
             correct(x, P, gain, e, whole)
-            found -= 0.5 * (e * e / whole + math.log(2.0 * math.pi * whole))
-    return found
+            density -= 0.5 * (e * e / whole + math.log(2.0 * math.pi * whole))
+    return density
 
 
 @kernel
 def mix(led_x, led_P, share, j, within, x, P):
-    """The mean and covariance of what leads to mode j, in place."""
+    """The mean and covariance of the states that lead to mode j, in place."""
     n = x.size
     for a in range(n):
         x[a] = 0.0

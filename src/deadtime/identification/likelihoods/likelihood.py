@@ -1,4 +1,4 @@
-"""The likelihood of a log: value, score and information over unknowns that begin with a plant's.
+"""The likelihood of a log: value, score and information over a plant's unknowns and others.
 
 Where states are measured exactly, a period adds noise of any covariance:
 
@@ -58,7 +58,7 @@ class Likelihood(Frozen, ABC):
     within : whether the mode may change within periods
     bounds : of the delays, seconds
     nodes : of interpolation, for uneven samples
-    gain : the rise of log likelihood that is worth a step
+    gain : the least rise of log likelihood of a step
     profiled : whether it is quick enough to be maximised at many delays, for a profile
     """
 
@@ -193,7 +193,7 @@ def floored(S: Square, Phi: Square, y: np.ndarray, total: float) -> Square:
     """The covariance S of residuals of y, of weight `total`, made regular.
 
     A state without noise beside noisy ones, or noises that are multiples of each other, would
-    determine some combinations of unknowns so well that others are lost to round-off. So 1e-4 of
+    determine some combinations of unknowns so well that round-off hides others. So 1e-4 of
     the deviation of each state's noise is added as independent noise, spread from state to state by
     powers of Φ − I, as noise in dx/dt spreads.
     """

@@ -1,4 +1,4 @@
-"""The likelihood of noisy measurements, of all states or of outputs alone: Kalman's innovations.
+"""The likelihood of noisy measurements, of all states or of outputs alone, by Kalman's filter.
 
     dx = (A x + Σ b_j u_j(t − D_j)) dt + dβ,    E dβ dβᵀ = W dt,
     y_k = C x_k + v_k,    v ~ N(0, V)
@@ -8,10 +8,10 @@ W is one for all modes, V diagonal. With the innovation e of every measurement a
     log L = −½ Σ (log 2π s + e²/s),
     score = Σ (∂s (e²/s − 1)/2 − e ∂e)/s,    F = Σ (∂s²/2s² + ∂e²/s).
 
-The filter carries ∂e and ∂s along with e and s (`switched_filter`).
+The filter computes ∂e and ∂s with e and s (`switched_filter`).
 
 **Outputs alone.** From y = C x with fewer outputs than states, A and B are known only up to a
-change of states. It is fixed by `order`, how many states n_j each output y_j has, in one chain:
+change of states. It is fixed by `order`, the number n_j of states of each output y_j, in a chain:
 
     x_j,1 = y_j,    dx_j,k/dt = x_j,k+1 + (b u)_j,k,    k < n_j,
 
@@ -22,10 +22,11 @@ alone: then the states are the outputs and their derivatives.
 
 Several modes have the same states if all share the C_j A^k, k < n_j, as position and speed do; else
 a chain of each mode jumps at a switch. So with `jumps` the chains are those of the first mode, and
-all of A is free in the others, where of B the inputs' weights in y_j' alone are known to be 0.
+all of A is free in the others; of B only the weights of inputs in y_j' are known to be 0.
 
-W is diagonal, but for the last states of all chains, whose forces may be correlated: with a
-deviation of each sensor no more numbers than what outputs tell, n p + p (p + 1)/2.
+W is diagonal except for the last states of the chains, whose noise may be correlated. With the
+sensors' deviations the noise then has at most the n p + p (p + 1)/2 parameters that outputs can
+determine.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ _UNIDENTIFIED = 1e-4  # information on the logarithm of a noise below which the 
 _STRIDE = 1.5  # largest step of the logarithm of a noise
 
 
-Starts = list[np.ndarray]  # of every part, which of its samples nothing leads to
+Starts = list[np.ndarray]  # of every part: at which samples a filter starts from the prior
 
 
 class NoiseLevels(NamedTuple):
@@ -154,9 +155,9 @@ class NoiseLevels(NamedTuple):
 class SensorLikelihood(Likelihood):
     """A likelihood in the unknowns of a plant, of its noise, and of the noise of sensors.
 
-    Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, the logarithms of its
-    diagonal, and those of the sensors' standard deviations. With an `embedding` the states are
-    those that outputs alone have, and some of the vector is known.
+    Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, its diagonal as
+    logarithms, and the logarithms of the sensors' standard deviations. With an `embedding` the
+    states are those of outputs alone, and some of the vector is known.
     """
 
     C: SensorMatrix
@@ -164,7 +165,7 @@ class SensorLikelihood(Likelihood):
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        # Noise is within 1e-6 … 1e6 of what is measured.
+        # Noise is within 1e-6 … 1e6 of the measurements.
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         at = self.logarithms
         size = 0.5 * np.log(np.diagonal(self.P0) / _VAGUE)
@@ -177,7 +178,7 @@ class SensorLikelihood(Likelihood):
 
     @property
     def logarithms(self) -> Int[np.ndarray, " log"]:
-        """Where logarithms lie: of the diagonal of L, and of the sensors' deviations."""
+        """The places of logarithms: of the diagonal of L, and of the sensors' deviations."""
         i, j = self.places
         at = np.append(np.flatnonzero(i == j), i.size + np.arange(len(self.C)))
         return self.layout.size + at
@@ -196,7 +197,7 @@ class SensorLikelihood(Likelihood):
         return free[(free < self.layout.size) | identified[free]]
 
     def starts(self, low: float, high: float) -> Starts:
-        """The samples before which nothing is known, for delays between two; of every part."""
+        """The samples at which the filter starts from the prior, for a range of delays."""
         starts = []
         for part in self.recording.parts:
             start = np.ones(part.time.size, bool)
@@ -310,8 +311,8 @@ class NoisyLog(SensorLikelihood):
     def innovations(self, vector: Vector, starts: Starts) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
         blocks = self.filter(vector, starts).innovations(Places.none(self.layout.modes))
-        found = [(block.e, block.s) for block in blocks]
-        return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
+        e, s = zip(*((block.e, block.s) for block in blocks), strict=True)
+        return np.vstack(e), np.vstack(s)
 
     def value(self, vector: Vector, starts: Starts) -> float:
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
@@ -320,11 +321,11 @@ class NoisyLog(SensorLikelihood):
         free = self.free
         places = Places.of(self.layout, len(self.C), free)
         with np.errstate(all="ignore"):
-            found = self.filter(vector, starts, cells).evaluate(places)
+            now = self.filter(vector, starts, cells).evaluate(places)
         score, information = np.zeros(self.size), np.zeros((self.size, self.size))
-        score[free], information[np.ix_(free, free)] = found.score, found.information
+        score[free], information[np.ix_(free, free)] = now.score, now.information
         known = np.isfinite(score).all() and np.isfinite(information).all()
-        return Evaluation(found.value if known else -np.inf, score, information)
+        return Evaluation(now.value if known else -np.inf, score, information)
 
 
 _MOST = 10_000  # samples of a long log whose states are computed

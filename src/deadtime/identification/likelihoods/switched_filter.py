@@ -1,12 +1,12 @@
-"""Kalman's filter of a plant that switches between modes, its derivatives, and back again.
+"""Kalman's filter of a plant that switches between modes, its derivatives, and its smoother.
 
     x_{k+1} = Φ x_k + a_k + w_k,    w_k ~ N(0, Q),    y_k = C x_k + v_k,    v_k ~ N(0, R)
 
-Even periods repeat: Φ, Q and their derivatives are one table for each mode. Of uneven ones each
-period has its own, interpolated between nodes to round-off (`sampling`).
+Even periods repeat: Φ, Q and their derivatives are one table for each mode. Uneven periods have
+their own, interpolated between nodes to round-off (`sampling`).
 
-The filter carries its own derivatives by what is unknown, which are exact. Blocks of samples are
-summed up as they come, so that memory is bounded. States given all of the log are
+Derivatives by the unknowns are propagated with the filter and exact. Samples are processed in
+blocks, so that memory is bounded. States given all of the log are
 
     x̂_k = x⁻_k + P⁻_k r_k,    r⁻ = c e/s + (I − c gᵀ/s) r,    r_{k−1} = Φ_kᵀ r⁻_k
 
@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from deadtime.identification.likelihoods.kalman_kernel import tangents
 from deadtime.identification.log.recording import Part
@@ -29,16 +29,16 @@ from deadtime.identification.sampling import FilterPeriods, PeriodsOf
 from deadtime.identification.scoring import Evaluation
 
 _BLOCK = 4096  # samples whose derivatives are kept at a time, at most
-_NUMBERS = 2_000_000  # of them
+_NUMBERS = 2_000_000  # numbers kept at a time, at most
 
 
 class Places(NamedTuple):
-    """Where the unknowns of a filter lie: some of a plant's, of the triangle of L, and the sensors.
+    """Places of a filter's unknowns: some of the plant's, of the triangle of L, and the sensors.
 
-    size : of them all
-    own : those of A, B and the delays of each mode, −1 for what is known
-    wide : those that variances depend on, A and all of the noise
-    noisy : where in `wide` A and L of each mode are, −1 for what is known
+    size : of all unknowns
+    own : those of A, B and the delays of each mode, −1 for known entries
+    wide : those on which variances depend: A and all of the noise
+    noisy : the places in `wide` of A and L of each mode, −1 for known entries
     """
 
     size: int
@@ -48,7 +48,7 @@ class Places(NamedTuple):
 
     @classmethod
     def of(cls, layout: Layout, sensors: int, free: Int[np.ndarray, " free"]) -> Places:
-        """Those of a layout with so many sensors, of which some are free, the sensors among them.
+        """The places for a layout and a number of sensors; `free` includes all sensors.
 
         Examples
         --------
@@ -77,7 +77,7 @@ class Places(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """C (p, n), the variances R (p,) of the errors, and P0 (n, n) of a state that is not known."""
+    """C (p, n), the variances R (p,) of the errors, and the prior covariance P0 of a state."""
 
     C: SensorMatrix
     R: Float[np.ndarray, " p"]
@@ -85,7 +85,7 @@ class Sensors(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """Of a block's measurements the errors and variances, with their derivatives."""
+    """The errors and variances of a block's measurements, with their derivatives."""
 
     y: Float[np.ndarray, "T p"]
     e: Float[np.ndarray, "T p"]
@@ -95,9 +95,9 @@ class Filtered(NamedTuple):
 
 
 class SwitchedKalmanFilter(NamedTuple):
-    """The filter over logs; what it knows begins anew at `starts`.
+    """The filter over logs, which starts anew from the prior at `starts`.
 
-    left_out : measurements that tell where the state begins, and count for nothing else
+    left_out : measurements that determine the initial state, and are not in the likelihood
     """
 
     parts: tuple[Part, ...]
@@ -149,10 +149,36 @@ class SwitchedKalmanFilter(NamedTuple):
         return Evaluation(value, score, F)
 
     def states(self, number: int) -> StatesOfPart:
-        part, start = self.parts[number], self.starts[number]
+        """The states of a part: Kalman's filter forwards, then de Jong's recursion backwards."""
+        part, start, (C, R, P0) = self.parts[number], self.starts[number], self.sensors
         periods = self.periods_of(part, np.arange(start.size), start)
-        found = _predicted(part.output, start, periods, self.sensors)
-        return StatesOfPart(found.state, _smoothed(found, start, periods, self.sensors), periods)
+        (count, p), n, unit = part.output.shape, C.shape[1], np.eye(C.shape[1])
+        ahead, covariance = np.empty((count, n)), np.empty((count, n, n))
+        # e = 0, s = 1 and g = 0 where nothing was measured.
+        error, variance, gain = np.zeros((count, p)), np.ones((count, p)), np.zeros((count, p, n))
+        x, P = np.zeros(n), P0
+        for k in range(count):
+            if start[k]:
+                x, P = np.zeros(n), P0
+            else:
+                Phi = periods.Phi[periods.kind[k]]
+                x, P = Phi @ x + periods.added[k], Phi @ P @ Phi.T + periods.Q[periods.kind[k]]
+            ahead[k], covariance[k] = x, P
+            for j in np.flatnonzero(np.isfinite(part.output[k])):
+                c = C[j]
+                g = P @ c
+                s = c @ g + R[j]
+                e, own = part.output[k, j] - c @ x, g / s
+                rest = unit - np.outer(own, c)  # Joseph's form: a vague P stays positive
+                x, P = x + own * e, rest @ P @ rest.T + R[j] * np.outer(own, own)
+                error[k, j], variance[k, j], gain[k, j] = e, s, own
+        smoothed, r = np.empty((count, n)), np.zeros(n)
+        for k in range(count - 1, -1, -1):
+            for j in range(p - 1, -1, -1):
+                r = r + C[j] * (error[k, j] / variance[k, j] - gain[k, j] @ r)
+            smoothed[k] = ahead[k] + covariance[k] @ r
+            r = np.zeros(n) if start[k] else periods.Phi[periods.kind[k]].T @ r
+        return StatesOfPart(ahead, smoothed, periods)
 
 
 class StatesOfPart(NamedTuple):
@@ -161,61 +187,3 @@ class StatesOfPart(NamedTuple):
     ahead: Float[np.ndarray, "sample n"]
     smoothed: Float[np.ndarray, "sample n"]
     periods: FilterPeriods
-
-
-class _Predicted(NamedTuple):
-    """States and covariances before each sample, then of each sensor e, s and g/s."""
-
-    state: Float[np.ndarray, "sample n"]
-    covariance: Float[np.ndarray, "sample n n"]
-    error: Float[np.ndarray, "sample p"]
-    variance: Float[np.ndarray, "sample p"]
-    gain: Float[np.ndarray, "sample p n"]
-
-
-def _predicted(
-    output: Float[np.ndarray, "sample p"],
-    start: Bool[np.ndarray, " sample"],
-    periods: FilterPeriods,
-    sensors: Sensors,
-) -> _Predicted:
-    """The filter over a log.
-
-    e = 0, s = 1 and g = 0 where nothing was measured.
-    """
-    (count, p), n = output.shape, sensors.C.shape[1]
-    state, covariance = np.empty((count, n)), np.empty((count, n, n))
-    error, variance, gain = np.zeros((count, p)), np.ones((count, p)), np.zeros((count, p, n))
-    x, P, unit = np.zeros(n), sensors.P0, np.eye(n)
-    for k in range(count):
-        if start[k]:
-            x, P = np.zeros(n), sensors.P0
-        else:
-            Phi = periods.Phi[periods.kind[k]]
-            x, P = Phi @ x + periods.added[k], Phi @ P @ Phi.T + periods.Q[periods.kind[k]]
-        state[k], covariance[k] = x, P
-        for j in range(p):
-            if np.isfinite(output[k, j]):
-                c = sensors.C[j]
-                g = P @ c
-                s = c @ g + sensors.R[j]
-                e, own = output[k, j] - c @ x, g / s
-                rest = unit - np.outer(own, c)  # Joseph's form: a vague P stays positive
-                x, P = x + own * e, rest @ P @ rest.T + sensors.R[j] * np.outer(own, own)
-                error[k, j], variance[k, j], gain[k, j] = e, s, g / s
-    return _Predicted(state, covariance, error, variance, gain)
-
-
-def _smoothed(
-    found: _Predicted, start: Bool[np.ndarray, " sample"], periods: FilterPeriods, sensors: Sensors
-) -> Float[np.ndarray, "sample n"]:
-    """The states given all of the log."""
-    count, n = found.state.shape
-    states, r = np.empty((count, n)), np.zeros(n)
-    for k in range(count - 1, -1, -1):
-        for j in range(len(sensors.C) - 1, -1, -1):
-            c = sensors.C[j]
-            r = r + c * (found.error[k, j] / found.variance[k, j] - found.gain[k, j] @ r)
-        states[k] = found.state[k] + found.covariance[k] @ r
-        r = np.zeros(n) if start[k] else periods.Phi[periods.kind[k]].T @ r
-    return states

@@ -1,1 +1,1 @@
-"""Logs as they come: columns, modes, states and units, as arrays."""
+"""Logs as arrays: columns, modes, states and units."""

@@ -1,4 +1,4 @@
-"""States of a log, how its modes switch, and inputs before it where it begins at rest.
+"""States of a log, its switching model, and inputs before a log that begins at rest.
 
 The log of a step test often begins shortly before the step, and the delays searched may be longer
 than that. Where inputs and states keep their first values for a while, the plant was at rest, and

@@ -1,4 +1,4 @@
-"""Logs as they come, CSV files or tables of pandas: their columns, numbers and modes."""
+"""Columns, numbers and modes of logs, read from CSV files or tables of pandas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Logs from CSV files or tables as arrays; errors name the line of the file."""
+"""Logs from CSV files or tables as arrays, split where rows are lost; errors name the line.
+
+The sampling period is the median distance of rows; rows are even if all lie on its grid to 1 %.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +77,7 @@ class Recording(NamedTuple):
     outputs, inputs, modes : names
     logged : whether the mode was logged
     absent : modes declared as categories of a table and never visited
-    level : the values subtracted from all columns; None: nothing, and plants rest at 0
+    level : the values subtracted from all columns; None if plants rest at 0
     constants : names and values of inputs that never move and are left out
     """
 
@@ -109,7 +112,7 @@ class Recording(NamedTuple):
         return sum(part.time.size for part in self.parts)
 
     def stretches(self, most: int, lag: int) -> Recording:
-        """The recording, or of a longer one evenly spread stretches with about `most` samples.
+        """The recording, or evenly spread stretches of a longer one with about `most` samples.
 
         Each has `lag` samples more: the inputs that act in its first ones lie before the stretch.
         """
@@ -150,26 +153,11 @@ def read_recording(
 ) -> Recording:
     """The recording of a log or a list of logs: paths of CSV files, or pandas tables.
 
-    Parameters
-    ----------
-    logs : path, DataFrame, or list of them
-        With columns t (or time), x…, u…, and the mode.
-    modes : str or None
-        The column of the mode; None: one mode.
-    states, inputs : sequence of str, optional
-        Their columns; by default those that begin with `letter` or u, alone or with a number. A
-        name may follow a colon, as in "x1: position (m)".
-    letter : str
-        "x", or "y" for outputs.
-    check : callable, optional
-        Called with the logs, the columns of outputs and of inputs, the names of logs, and a
-        function that names a row of a log.
-
-    Raises
-    ------
-    ArgumentError
-        If a column is missing, an entry is not a number, times do not rise, a mode is not visited
-        or no input moves. The message names the line.
+    modes : the column of the mode; None for one mode
+    states, inputs : their columns; by default those named by `letter` (y for outputs) or u, alone
+        or with a number, after which a name may follow, as in "x1: position (m)"
+    check : called with the logs, the columns of outputs and of inputs, the names of logs, and a
+        function that names a row of a log
     """
     given = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not given:
@@ -282,10 +270,10 @@ def _moving(
             "--inputs."
         )
     each = list(zip(inputs, known, moves, strict=True))
-    held = tuple((name, float(values[0])) for name, values, moving in each if not moving)
+    constants = tuple((name, float(values[0])) for name, values, moving in each if not moving)
     own = np.flatnonzero(moves)
     kept = tuple(part._replace(input=read_only(part.input[:, own])) for part in parts)
-    return kept, tuple(name for name, _, moving in each if moving), held
+    return kept, tuple(name for name, _, moving in each if moving), constants
 
 
 def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:

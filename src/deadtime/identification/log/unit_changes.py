@@ -26,7 +26,7 @@ _CLOCKS = (
     (1e6, "microseconds", "1,000,000"),
     (1e9, "nanoseconds", "1,000,000,000"),
 )
-_SLOW = 5.0  # a period may last so many of the longest delays: plants are often sampled so slowly
+_SLOW = 5.0  # longest delays per sampling period: plants are often sampled that slowly
 _MOST_LEFT = 0.5  # share of a stretch's variance that a model in the right units leaves at most
 _WORSE = 3.0  # times so much variance is left in wrong units
 _MOST_LAGS = 60  # of inputs, in a regression
@@ -65,13 +65,14 @@ def require_same_units(
     best = max(range(len(parts)), key=lambda i: parts[i].time.size)
     steps = [float(np.median(np.diff(part.time))) for part in parts]
     whole = [RowStretch(part, 0, part.time.size) for part in parts]
+    names = [name for own in columns for name in own]
     for i, one in enumerate(whole):
         if i == best:
             continue
         lags = _lags_between(whole[best], one, longest / min(steps))
         ratio = steps[i] / steps[best]
         near = [c for c in _CLOCKS if abs(max(ratio, 1.0 / ratio) / c[0] - 1.0) < _SAME]
-        if near and _left(whole[best], one, lags).min() < _MOST_LEFT:
+        if near and _unexplained(whole[best], one, lags).min() < _MOST_LEFT:
             slow, fast = (i, best) if ratio > 1.0 else (best, i)
             _, unit, text = near[0]
             raise ArgumentError(
@@ -79,22 +80,37 @@ def require_same_units(
                 f"{steps[fast]:g} s, and row by row the plant does the same in both: if t counts "
                 f"{unit} in {places[slow]}, divide it by {text}."
             )
-        for name, scaled in _scaled(whole[best], one, columns):
-            if _only_scaled(whole[best], one, scaled, lags):
-                there, elsewhere = f"in {places[i]}", f"in {places[best]}"
-                raise ArgumentError(_message(name, there, elsewhere, scaled))
+        for column, name in enumerate(names):
+            sizes = [_log_sizes(two.part, column) for two in (one, whole[best])]
+            if all(np.isfinite(size).any() for size in sizes):
+                mean, base = (float(np.nanmean(size)) for size in sizes)
+                conversion = _conversion(column, mean - base)
+                if conversion and _only_converted(whole[best], one, conversion, lags):
+                    there, elsewhere = f"in {places[i]}", f"in {places[best]}"
+                    raise ArgumentError(_message(name, there, elsewhere, conversion))
     for i, part in enumerate(parts):
-        for name, at, scaled in _changes(part, columns):
+        for column, name in enumerate(names):
+            at, conversion = _change(part, column)
+            if conversion is None:
+                continue
             two = RowStretch(part, 0, at), RowStretch(part, at, part.time.size)
             known, other = two if at > part.time.size // 2 else two[::-1]
-            own = scaled if other is two[1] else scaled._replace(factor=1.0 / scaled.factor)
-            if _only_scaled(known, other, own, _lags_between(*two, longest / steps[i])):
+            inverse = conversion._replace(factor=1.0 / conversion.factor)
+            own = conversion if other is two[1] else inverse
+            if _only_converted(known, other, own, _lags_between(*two, longest / steps[i])):
                 there = f"from {row_of(i, at)}, on"
-                raise ArgumentError(_message(name, there, "before", scaled))
+                raise ArgumentError(_message(name, there, "before", conversion))
 
 
-def _message(name: str, where: str, other: str, scaled: Scaled) -> str:
-    what = "divided" if scaled.factor < 1.0 else "multiplied"
+class Conversion(NamedTuple):
+    """The factor of a column; inputs are numbered after the outputs."""
+
+    column: int
+    factor: float
+
+
+def _message(name: str, where: str, other: str, conversion: Conversion) -> str:
+    what = "divided" if conversion.factor < 1.0 else "multiplied"
     return (
         f"{name} seems to be counted in other units {where} than {other}: the plant does the same "
         f"in both only once {name} is {what} by 1,000 {where}. Convert it, so that all rows have "
@@ -102,72 +118,46 @@ def _message(name: str, where: str, other: str, scaled: Scaled) -> str:
     )
 
 
-def _sizes(part: Part, output: bool, place: int) -> Float[np.ndarray, " row"]:
+def _log_sizes(part: Part, column: int) -> Float[np.ndarray, " row"]:
     """Logarithms of the changes of an output from row to row, or of the size of an input."""
-    value = np.diff(part.output[:, place]) if output else part.input[:-1, place]
-    size = np.abs(value)
+    p = part.output.shape[1]
+    size = np.abs(np.diff(part.output[:, column]) if column < p else part.input[:-1, column - p])
     known = size[np.isfinite(size) & (size > 0.0)]
     if known.size == 0:
         return np.full(size.size, np.nan)
     return np.log(np.maximum(size, 1e-9 * known.max()))
 
 
-def _each(columns: tuple[Sequence[str], Sequence[str]]) -> list[tuple[str, bool, int]]:
-    outputs, inputs = columns
-    each = [(name, True, place) for place, name in enumerate(outputs)]
-    return each + [(name, False, place) for place, name in enumerate(inputs)]
-
-
-def _conversion(output: bool, place: int, difference: float) -> Scaled | None:
+def _conversion(column: int, difference: float) -> Conversion | None:
     """The conversion for a difference of mean logarithms, if it is near log 1,000."""
     if not abs(abs(difference) - np.log(_THOUSAND)) < _LIKELY * np.log(10.0):
         return None
-    return Scaled(output, place, 1.0 / _THOUSAND if difference > 0.0 else _THOUSAND)
+    return Conversion(column, 1.0 / _THOUSAND if difference > 0.0 else _THOUSAND)
 
 
-def _scaled(
-    known: RowStretch, other: RowStretch, columns: tuple[Sequence[str], Sequence[str]]
-) -> list[tuple[str, Scaled]]:
-    """Columns that are about 1,000 times larger or smaller in another log."""
-    found = []
-    for name, output, place in _each(columns):
-        sizes = [_sizes(one.part, output, place) for one in (other, known)]
-        if all(np.isfinite(one).any() for one in sizes):
-            mean, base = (float(np.nanmean(one)) for one in sizes)
-            scaled = _conversion(output, place, mean - base)
-            found += [] if scaled is None else [(name, scaled)]
-    return found
-
-
-def _changes(
-    part: Part, columns: tuple[Sequence[str], Sequence[str]]
-) -> list[tuple[str, int, Scaled]]:
-    """Columns that become about 1,000 times larger or smaller, and the row of the change.
+def _change(part: Part, column: int) -> tuple[int, Conversion | None]:
+    """The row from which a column is about 1,000 times larger or smaller, and its conversion.
 
     The row maximises the variance between the rows before and after it.
     """
-    found = []
-    for name, output, place in _each(columns):
-        size = _sizes(part, output, place)
-        known = np.isfinite(size)
-        if known.sum() < 2 * _LEAST:
-            continue
-        total = np.cumsum(np.where(known, size, 0.0))[:-1]
-        count = np.cumsum(known)[:-1].astype(float)
-        rest, left = total[-1] + np.nan_to_num(size[-1]) - total, known.sum() - count
-        enough = (count >= _LEAST) & (left >= _LEAST)
-        if not enough.any():
-            continue
-        with np.errstate(all="ignore"):
-            apart = rest / left - total / count
-            gain = np.where(enough, apart**2 * count * left, -1.0)
-        at = int(gain.argmax())
-        scaled = _conversion(output, place, float(apart[at]))
-        if scaled is not None:
-            # An output's jump into larger units is itself a large change, in the row before.
-            jump = output and scaled.factor < 1.0
-            found.append((name, at + 1 + jump, scaled))
-    return found
+    size = _log_sizes(part, column)
+    known = np.isfinite(size)
+    if known.sum() < 2 * _LEAST:
+        return 0, None
+    total = np.cumsum(np.where(known, size, 0.0))[:-1]
+    count = np.cumsum(known)[:-1].astype(float)
+    rest, left = total[-1] + np.nan_to_num(size[-1]) - total, known.sum() - count
+    enough = (count >= _LEAST) & (left >= _LEAST)
+    if not enough.any():
+        return 0, None
+    with np.errstate(all="ignore"):
+        apart = rest / left - total / count
+        gain = np.where(enough, apart**2 * count * left, -1.0)
+    at = int(gain.argmax())
+    conversion = _conversion(column, float(apart[at]))
+    # An output's jump into larger units is itself a large change, in the row before.
+    larger = conversion is not None and conversion.factor < 1.0
+    return at + 1 + (larger and column < part.output.shape[1]), conversion
 
 
 class RowStretch(NamedTuple):
@@ -178,28 +168,23 @@ class RowStretch(NamedTuple):
     last: int
 
 
-class Scaled(NamedTuple):
-    """Column `place` of outputs or inputs with a conversion factor."""
-
-    output: bool
-    place: int
-    factor: float
-
-
 def _lags_between(known: RowStretch, other: RowStretch, most: float) -> int:
     """The lags of inputs in regressions, in samples: at least half of the rows have them all."""
     rows = min(one.last - one.first for one in (known, other))
     return int(max(0, min(np.ceil(most) + 1, rows // 2, _MOST_LAGS)))
 
 
-def _only_scaled(known: RowStretch, other: RowStretch, scaled: Scaled, lags: int) -> bool:
+def _only_converted(
+    known: RowStretch, other: RowStretch, conversion: Conversion, lags: int
+) -> bool:
     """Whether one stretch predicts another only after a column is converted.
 
     The prediction must be clearly better for one output, and better on average. It must also be
     worse without the column: a column of noise that hardly moves predicts nothing.
     """
-    left, unconverted = _left(known, other, lags, scaled), _left(known, other, lags)
-    without = _left(known, other, lags, scaled._replace(factor=0.0))
+    left = _unexplained(known, other, lags, conversion)
+    unconverted = _unexplained(known, other, lags)
+    without = _unexplained(known, other, lags, conversion._replace(factor=0.0))
     clear = (left < _MOST_LEFT) & (np.minimum(unconverted, without) > _WORSE * left)
     return bool(clear.any()) and float(left.mean()) < float(unconverted.mean())
 
@@ -222,11 +207,11 @@ class _Rows(NamedTuple):
         return np.hstack((self.output, *columns))
 
 
-def _left(
-    known: RowStretch, other: RowStretch, lags: int, scaled: Scaled | None = None
+def _unexplained(
+    known: RowStretch, other: RowStretch, lags: int, conversion: Conversion | None = None
 ) -> Float[np.ndarray, " p"]:
     """Shares of the variance of changes in one stretch not predicted by regressions of another."""
-    fitted, tested = _rows(known, lags, None), _rows(other, lags, scaled)
+    fitted, tested = _rows(known, lags, None), _rows(other, lags, conversion)
     rest, total = np.zeros((2, tested.moved.shape[1]))
     for i in np.unique(tested.mode).tolist():
         own, predicted = fitted.of(i), tested.of(i)
@@ -253,11 +238,11 @@ def _delays(rows: _Rows) -> list[int]:
     return chosen
 
 
-def _rows(one: RowStretch, lags: int, scaled: Scaled | None) -> _Rows:
-    output, u = one.part.output.copy(), one.part.input.copy()
-    if scaled is not None:
-        column = output if scaled.output else u
-        column[:, scaled.place] *= scaled.factor
+def _rows(one: RowStretch, lags: int, conversion: Conversion | None) -> _Rows:
+    columns = np.hstack((one.part.output, one.part.input))
+    if conversion is not None:
+        columns[:, conversion.column] *= conversion.factor
+    output, u = np.split(columns, [one.part.output.shape[1]], axis=1)
     k = np.arange(one.first + lags, one.last - 1)
     past = u[k[:, None] - np.arange(lags + 1)]
     moved = output[k + 1] - output[k]
