@@ -31,12 +31,7 @@ class _Running(Stateful):
         return self._running.now
 
     def _advance(
-        self,
-        name: str,
-        form: str,
-        seen: ArrayLike,
-        u: ArrayLike | None,
-        belief: ArrayLike | None,
+        self, name: str, form: str, seen: ArrayLike, u: ArrayLike | None, belief: ArrayLike | None
     ) -> Float[np.ndarray, " mode"]:
         shape, m = self._running.seen.shape, self._line.shape[1]
         given = require_shape(name, as_floats(name, seen, f"shape {shape}"), shape, form)

@@ -42,10 +42,7 @@ class PredictionTable(NamedTuple):
 
 
 def prediction_table(
-    law: Law,
-    step: float,
-    signal: SwitchingSignal | None = None,
-    steps: int | None = None,
+    law: Law, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
 ) -> PredictionTable:
     """The prediction of a law at a sampling period; `signal` and `steps` as in `Law.digital`.
 

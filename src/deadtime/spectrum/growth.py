@@ -75,12 +75,7 @@ _FADED = -25.0  # growth over the past inputs of the loop, in nepers: below is r
 
 
 def growth_rate(
-    plant: SwitchedSystem,
-    law: Law,
-    mode: int,
-    step: float | None = 0.01,
-    *,
-    mode_lag: int = 0,
+    plant: SwitchedSystem, law: Law, mode: int, step: float | None = 0.01, *, mode_lag: int = 0
 ) -> float:
     """The growth rate of the loop in a constant mode, 1/s; negative for a loop that decays.
 

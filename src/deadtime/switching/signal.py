@@ -63,12 +63,7 @@ class SwitchingSignal(Frozen):
     initial_age: float
 
     def __init__(
-        self,
-        times: ArrayLike,
-        modes: ArrayLike,
-        end: float = np.inf,
-        *,
-        initial_age: float = 0.0,
+        self, times: ArrayLike, modes: ArrayLike, end: float = np.inf, *, initial_age: float = 0.0
     ) -> None:
         times = real_array("times", times, "(sojourns,)", 1)
         modes = _mode_array(modes, times.size)

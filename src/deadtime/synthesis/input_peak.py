@@ -259,9 +259,7 @@ def error_rows(
 
 
 def _responses(
-    one: LoopPeriods,
-    states: Float[np.ndarray, "n n"],
-    sent: Float[np.ndarray, "n m"] | None = None,
+    one: LoopPeriods, states: Float[np.ndarray, "n n"], sent: Float[np.ndarray, "n m"] | None = None
 ) -> Float[np.ndarray, "k m n"] | None:
     """The inputs of runs from `states` with `sent` as the last input, until 1e-6 of the largest.
 

@@ -98,10 +98,7 @@ def _fill_rows(table, sample, K, F, G):
 
 
 def rows_along(
-    sampled: SampledPlant,
-    gains: Float[np.ndarray, "mode m n"],
-    signal: SwitchingSignal,
-    steps: int,
+    sampled: SampledPlant, gains: Float[np.ndarray, "mode m n"], signal: SwitchingSignal, steps: int
 ) -> tuple[Float[np.ndarray, "step m n"], Float[np.ndarray, "step N m m"]]:
     """F and G of the samples 0, …, steps − 1 along a signal.
 

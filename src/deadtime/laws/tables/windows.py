@@ -56,9 +56,7 @@ _SAME = 1e-12  # of the longest delay: delays so close are one
 
 
 def constant_functional(
-    plant: SwitchedSystem,
-    K: Float[np.ndarray, "mode m n"],
-    weights: Float[np.ndarray, " mode"],
+    plant: SwitchedSystem, K: Float[np.ndarray, "mode m n"], weights: Float[np.ndarray, " mode"]
 ) -> Functional:
     """Σ_i w_i of the exact feedbacks of a plant's modes, each held throughout.
 

@@ -180,9 +180,7 @@ class Polyhedra(PolyhedralRule):
     """
 
     def __init__(
-        self,
-        regions: Sequence[Sequence[ArrayLike]],
-        modes: Sequence[int] | None = None,
+        self, regions: Sequence[Sequence[ArrayLike]], modes: Sequence[int] | None = None
     ) -> None:
         pairs = [_polyhedron(i, region) for i, region in enumerate(regions)]
         if not pairs:
