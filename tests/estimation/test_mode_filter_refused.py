@@ -17,8 +17,8 @@ THREE = plants.generic()
     [
         ({"model": plants.markov(3)}, "model must have the plant's 2 modes, got 3"),
         ({"step": 0.0}, "step must be positive"),
-        ({"disturbance": -1.0}, "disturbance must be ≥ 0, a variance or an intensity"),
-        ({"disturbance": [[1.0, 2.0], [0.0, 1.0]]}, "disturbance must be symmetric and positive"),
+        ({"disturbance": -1.0}, "disturbance must be positive semidefinite"),
+        ({"disturbance": [[1.0, 2.0], [0.0, 1.0]]}, "disturbance must be symmetric"),
         ({"disturbance": [1.0, 1.0, 1.0]}, r"disturbance must have shape \(n, n\) = \(2, 2\)"),
         ({"disturbance": np.nan}, "disturbance.* must be finite"),
         ({"noise": -0.1}, "noise must be ≥ 0, a standard deviation"),

@@ -19,7 +19,6 @@ from deadtime.base.checks import (
     number,
     read_only,
     real_array,
-    require_covariance,
     require_shape,
 )
 from deadtime.base.errors import ArgumentError
@@ -28,6 +27,7 @@ from deadtime.feedback.belief import Belief, BeliefFilter, frozen, held_noise
 from deadtime.loop.running_belief import belief_of
 from deadtime.numerics.covariance import noise_covariances, switched_covariances
 from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant.weight import intensities
 from deadtime.switching import SwitchingModel
 from deadtime.switching.models.model import require_model
 
@@ -89,32 +89,6 @@ def _responses(
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether all entries agree, each relative to its own size, so that units do not matter."""
     return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
-
-
-def intensities(value: ArrayLike, modes: int, n: int) -> Float[np.ndarray, "*mode n n"]:
-    """W, or W of every mode where they differ."""
-    name, form = "disturbance", "one, (n,), (n, n) or (modes, n, n)"
-    given = as_floats(name, value, form)
-    if given.ndim < 3:
-        return intensity(given, n)
-    given = real_array(name, given, form, 3)
-    require_shape(name, given, (modes, n, n), "(modes, n, n)")
-    each = [intensity(W, n, f"{name}[{mode}]") for mode, W in enumerate(given)]
-    return each[0] if (given == given[0]).all() else read_only(np.stack(each))
-
-
-def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.ndarray, "n n"]:
-    """W, or a covariance, as a matrix."""
-    given = as_floats(name, value, "one, (n,) or (n, n)")
-    if given.ndim < 2 and (given < 0.0).any():
-        raise ArgumentError(
-            f"{name} must be ≥ 0, a variance or an intensity, got {given.tolist()}."
-        )
-    if given.ndim < 2:
-        given = np.diag(np.full(n, given) if given.ndim == 0 else given)
-    W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
-    require_covariance(name, W)
-    return read_only(0.5 * (W + W.T))  # a restored state must be symmetric to the last bit
 
 
 def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarray, " size"]:
@@ -248,7 +222,7 @@ class ModeFilter(BeliefFilter):
             plant=plant,
             model=model,
             step=step,
-            disturbance=intensities(disturbance, plant.modes, plant.states),
+            disturbance=intensities("disturbance", disturbance, plant.modes, plant.states),
             outputs=None,
             noise=deviation(noise, plant.states),
             switches=switches,

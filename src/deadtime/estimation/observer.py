@@ -402,10 +402,11 @@ def kalman(
         The model; what a mode hides from C must decay.
     C : array_like, shape (p, n) or (modes, p, n)
         What is measured.
-    process : array_like, shape (n, n)
-        W, symmetric, positive semidefinite; it must reach every state that does not decay.
-    measurement : array_like, shape (p, p)
-        R, symmetric, positive definite.
+    process : array_like, shape (n, n), (n,) or a number
+        W, symmetric, positive semidefinite; its diagonal; or a number times the identity. It must
+        reach every state that does not decay.
+    measurement : array_like, shape (p, p), (p,) or a number
+        R, likewise, positive definite: variances, not standard deviations.
     step : float
         Sampling period h, in seconds.
     model : "modes", "mean" or int
@@ -426,14 +427,14 @@ def kalman(
     --------
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.3)
-    >>> observer = dt.kalman(plant, [[1.0]], process=[[1.0]], measurement=[[1.0]], step=1.0)
+    >>> observer = dt.kalman(plant, [[1.0]], process=1.0, measurement=1.0, step=1.0)
     >>> observer.gain.round(4).item()      # 1 over the golden ratio
     0.618
     """
     instance("plant", plant, SwitchedSystem)
     modes, step = plant.modes, positive("step", step)
     plant, C = believed_plant(plant, output_matrices(C, plant), model)
-    W = weight_matrix("process", process, plant.states, "n", strict=False)
+    W = weight_matrix("process", process, plant.states, "n")
     R = weight_matrix("measurement", measurement, C.shape[1], "p", strict=True)
     found = [_filter(plant.A[i], C[i], W, R, step, i) for i in range(plant.modes)]
     designed = (np.stack(arrays) for arrays in zip(*found, strict=True))

@@ -50,10 +50,10 @@ class OutputFeedback(Law):
         distribution that scipy.stats freezes: every run draws a constant for each output.
     estimate : array_like, shape (n,), optional
         First estimate, of the observer's states; 0 by default.
-    covariance : array_like, shape (n, n), optional
-        Its covariance, positive semidefinite: every run draws its own first estimate, normal
-        around `estimate`. What is drawn depends on the seed of the run alone (`drawn`); where
-        there is no run, as in `Controller` and exports, the means hold.
+    covariance : array_like, shape (n, n), (n,) or a number, optional
+        Its covariance, a diagonal or a number times the identity: every run draws its own first
+        estimate, normal around `estimate`. The draw depends on the seed of the run alone (`drawn`);
+        where there is no run, as in `Controller` and exports, the mean applies.
 
     Raises
     ------
@@ -117,7 +117,7 @@ class OutputFeedback(Law):
         first = np.zeros(n) if estimate is None else estimate
         first = require_shape("estimate", real_array("estimate", first, "(n,)", 1), (n,), "(n,)")
         if covariance is not None:
-            covariance = weight_matrix("covariance", covariance, n, "n", strict=False)
+            covariance = weight_matrix("covariance", covariance, n, "n")
         states = n if servo is None else servo.base.states
         vars(self).update(
             plant=law.plant if servo is None else servo.base,

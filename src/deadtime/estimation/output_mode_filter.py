@@ -16,13 +16,13 @@ from deadtime.base.errors import ArgumentError
 from deadtime.estimation.mode_filter import (
     ModeFilter,
     deviation,
-    intensity,
     require_distinct_outputs,
 )
 from deadtime.estimation.observer import Observer, output_matrices, require_detectable
 from deadtime.estimation.running_filter import RunningOutputFilter
 from deadtime.feedback.belief import BankForm, BeliefFilter, frozen
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import weight_matrix
 from deadtime.switching import SwitchingModel
 
 
@@ -148,7 +148,7 @@ class OutputModeFilter(BeliefFilter):
             gain=gain,
             noise=deviation(noise, C.shape[1], "p"),
             estimate=require_shape("estimate", first, (n,), "(n,)"),
-            covariance=intensity(covariance, n, "covariance"),
+            covariance=weight_matrix("covariance", covariance, n, "n"),
         )
         self.__post_init__()
 

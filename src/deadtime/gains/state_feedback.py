@@ -168,10 +168,10 @@ def lqr(
     ----------
     plant : SwitchedSystem
         The plant.
-    Q : array_like, shape (n, n)
-        State weight, symmetric, positive semidefinite.
-    R : array_like, shape (m, m)
-        Input weight, symmetric, positive definite.
+    Q : array_like, shape (n, n), (n,) or a number
+        State weight, positive semidefinite: a matrix, its diagonal, or a number times the identity.
+    R : array_like, shape (m, m), (m,) or a number
+        Input weight, likewise, positive definite.
     step : float, optional
         Sampling period h, in seconds: the same integral is minimised over inputs that are held,
         exact between samples, too (C. Van Loan 1978). For an exact predictor it is the cost from
@@ -191,12 +191,12 @@ def lqr(
     --------
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[0.0]], [[1.0]]], [[[1.0]], [[1.0]]], delay=1.0)
-    >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]]).ravel().round(4)      # −1 and −(1 + √2)
+    >>> dt.lqr(plant, Q=1.0, R=1.0).ravel().round(4)      # −1 and −(1 + √2)
     array([-1.    , -2.4142])
     >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]], step=0.1).ravel().round(4)
     array([-0.952 , -2.2544])
     """
-    Q = weight_matrix("Q", Q, plant.states, "n", strict=False)
+    Q = weight_matrix("Q", Q, plant.states, "n")
     R = weight_matrix("R", R, plant.inputs, "m", strict=True)
     if step is None:
         return np.stack([_lqr_mode(plant, i, Q, R) for i in range(plant.modes)])

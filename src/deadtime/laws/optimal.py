@@ -61,10 +61,10 @@ class OptimalPredictor(TableLaw):
     model : switching model
         How the mode switches, with as many modes as the plant. A mode's age is counted where it
         matters, as under a semi-Markov model.
-    Q : array_like, shape (n, n)
-        State weight, symmetric, positive definite.
-    R : array_like, shape (m, m)
-        Input weight, symmetric, positive definite.
+    Q : array_like, shape (n, n), (n,) or a number
+        State weight, symmetric, positive definite; its diagonal; or a number times the identity.
+    R : array_like, shape (m, m), (m,) or a number
+        Input weight, likewise.
     ages : int, optional
         The largest number of ages (samples) that the table distinguishes, if age matters; older
         modes count as the oldest. By default as many as matter to the model.
@@ -95,7 +95,7 @@ class OptimalPredictor(TableLaw):
     >>> from scipy import stats
     >>> plant = dt.problems.paper().plant
     >>> model = dt.SemiMarkov(stats.expon(loc=0.2, scale=0.2))
-    >>> law = dt.OptimalPredictor(plant, model, Q=[[1, 0], [0, 1]], R=[[1]])
+    >>> law = dt.OptimalPredictor(plant, model, Q=1.0, R=1.0)
     >>> law.digital(0.05)
     Feedback(context='mode_age', rows=10, taps=20, inputs=1, step=0.05, dense)
     >>> round(law.least_cost([-1, 1], mode=0, step=0.05), 1)
@@ -121,7 +121,6 @@ class OptimalPredictor(TableLaw):
         require_model(model, plant.modes)
         Q = weight_matrix("Q", Q, plant.states, "n", strict=True)
         R = weight_matrix("R", R, plant.inputs, "m", strict=True)
-        Q.flags.writeable = R.flags.writeable = False
         ages = None if ages is None else count("ages", ages)
         vars(self).update(plant=plant, gains=None, model=model, Q=Q, R=R, ages=ages)
 

@@ -42,7 +42,7 @@ from deadtime.base.checks import as_floats, positive, read_only, real_array, sha
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.weight import weight_matrix, weight_part
+from deadtime.plant.weight import weight_part
 
 Kind = Literal["ball", "ellipsoid", "box", "normal"]
 
@@ -158,7 +158,7 @@ def _semidefinite(name: str, value: ArrayLike) -> Float[np.ndarray, "n n"]:
     whole = np.diag(whole) if ndim == 1 else whole
     if not whole.any():
         raise ArgumentError(f"{name} must not be 0: nothing would move.")
-    return read_only(weight_matrix(name, whole, len(whole), "n", strict=False))
+    return whole
 
 
 @dataclass(frozen=True, eq=False, init=False)
