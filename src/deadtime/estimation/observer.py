@@ -244,8 +244,7 @@ def believed_plant(
         raise ArgumentError(
             f'model must be "modes", "mean" or the number of a mode, got {model!r}.'
         )
-    i = index("model", model, plant.modes)
-    return plant.like(plant.A[i : i + 1], plant.B[i : i + 1], plant.delays[i : i + 1]), C[:1]
+    return plant.only([index("model", model, plant.modes)]), C[:1]
 
 
 def in_all_modes(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Unpack
 
-from deadtime.base.checks import index, instance, number, positive
+from deadtime.base.checks import index, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
@@ -216,8 +216,6 @@ def least_dwell_time(
     >>> slow.certified_each[0], slow.certified < found.certified
     (4.0, True)
     """
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
     require_match(plant, law)
     step = positive("step", step)
     if plant.modes < 2:

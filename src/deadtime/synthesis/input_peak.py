@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import bound, instance, positive
+from deadtime.base.checks import bound, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback, Law
@@ -108,14 +108,12 @@ def input_peak(
     >>> float(noisy.level[0, 0].round(4))
     1.0984
     """
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
+    require_match(plant, law)
     if law.why_not_run or law.observer is not None:
         raise ArgumentError(
             f"law must be a table that can run, got {type(law).__name__}: inputs are linear in "
             "x(0) only of such a law."
         )
-    require_match(plant, law)
     step, initial = positive("step", step), check_initial(initial, plant)
     table = law.digital(step)
     found = [
