@@ -63,6 +63,7 @@ def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p
             most = np.maximum(size, its)
             same = (np.abs(one - other) <= _ALIKE * most).all()
             acting = [one @ plant.B[i], other @ plant.B[j]]
+            # A bound of the terms, not of their sum, in which they may cancel.
             least = _ALIKE * most @ np.maximum(np.abs(plant.B[i]), np.abs(plant.B[j]))
             same &= (np.abs(acting[0] - acting[1]) <= least).all()
             acts = (np.abs(acting[0]) > least).any(axis=0)
@@ -87,7 +88,7 @@ def _responses(
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether all entries agree, each relative to its own size, so that units do not matter."""
+    """Whether all entries agree, each relative to its own size: units do not matter."""
     return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
 
 
@@ -103,7 +104,7 @@ def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarra
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ModeFilter(BeliefFilter):
-    r"""The belief over the modes of a plant whose state is measured, not its mode (immutable).
+    r"""The belief over the modes of a plant whose state, not its mode, is measured (immutable).
 
     .. math::
 
@@ -212,7 +213,7 @@ class ModeFilter(BeliefFilter):
         own = own or 1
         if switches is None:
             switches = "anywhere" if model.chain(step, own).within else "samples"
-        # A belief over modes alone starts every mode at age 0.
+        # A mode of unknown age counts as just entered.
         just_begun = np.zeros((plant.modes, own))
         just_begun[:, 0] = 1.0
         start = just_begun / plant.modes
@@ -238,7 +239,7 @@ class ModeFilter(BeliefFilter):
         start = np.zeros((modes, ages))
         start[:, : self.ages] = self.initial
         chain = self.model.chain(self.step, self.ages)
-        last = np.repeat(chain.hazard[:, -1:], ages - self.ages, axis=1)
+        last = np.repeat(chain.hazard[:, -1:], ages - self.ages, axis=1)  # as `form` promises
         hazard = np.hstack((chain.hazard, last))
         within = self.switches == "anywhere"
         bend = _bend(sampled, Phi, Gamma, lag) if within else (Phi[:0, None], Gamma[:0, None])
@@ -256,7 +257,7 @@ class ModeFilter(BeliefFilter):
         if W.ndim == 3 and self.switches == "anywhere":
             held, Q = Q[:, 0], switched_covariances(A, W, self.step)
             each = np.arange(len(A))
-            Q[each, each] = held
+            Q[each, each] = held  # without a switch no approximation is needed
         return Q + R + (Phi @ R @ Phi.transpose(0, 2, 1)).mean(axis=0)
 
     def start(self, u0: ArrayLike | None = None) -> RunningFilter:
@@ -333,5 +334,6 @@ def _bend(
             continue
         period = sampled.cut_period(i, j, 0.5 * sampled.step)
         bend_x[i, j] += period.Phi
-        bend_u[i, j, np.searchsorted(-lag, -np.array(period.lags))] += period.Gamma
+        place = np.searchsorted(-lag, -np.array(period.lags))  # lags decrease
+        bend_u[i, j, place] += period.Gamma
     return bend_x, bend_u

@@ -11,8 +11,8 @@ Where the model is the plant and switches fall on samples the errors obey
 
     x_{k+1} − x̄_{k+1} = Φ_i (I − L_i C_i) (x_k − x̄_k),
 
-for every law and every state: a switched linear system of its own, in which the
-mode of a period chooses the matrix. After a switch between samples the rest of the period is
+for every law and every state: a switched linear system, in which the mode of a period selects the
+matrix. After a switch between samples the rest of the period is
 predicted with the mode of its start, an error in proportion to the state, which then decays.
 
 An observer of *one model* has the same matrices in all modes, the mean's or those of one mode, and
@@ -74,13 +74,14 @@ def common_rate(E: Float[np.ndarray, "mode n n"]) -> float:
     E = E / units[:, None] * units
     radius = float(np.abs(np.linalg.eigvals(E)).max())
     best = float(np.linalg.norm(E, 2, axis=(1, 2)).max())  # of P = I
-    low = max(radius, 1e-12 * best)
+    low = max(radius, 1e-12 * best)  # nilpotent matrices have radius 0, without a logarithm
     if best == 0.0:
         return -np.inf
     while best > low * (1.0 + _NARROW):
-        middle = float(np.sqrt(low * best))
+        middle = float(np.sqrt(low * best))  # rates are logarithms of these
         P = _candidate(E, middle)
         found = np.inf if P is None else _contraction(E, P)
+        # The solver meets its inequality up to a tolerance, so a P may miss the rate by a little.
         best, low = (found, low) if found < middle * (1.0 + _NARROW / 2.0) else (best, middle)
     return float(np.log(best))
 
@@ -89,7 +90,7 @@ def _candidate(E: np.ndarray, rate: float) -> np.ndarray | None:
     """P from one attempt at E_iᵀ P E_i ≤ rate² P; None if it fails."""
     n = E.shape[-1]
     basis = symmetric_basis(n)
-    limits = [Limit(basis, -np.eye(n))]
+    limits = [Limit(basis, -np.eye(n))]  # P ≥ I sets its scale
     limits += [Limit(basis - M.T @ basis @ M, np.zeros((n, n))) for M in E / rate]
     verdict = next(attempts(Program(np.trace(basis, axis1=1, axis2=2), limits)))
     return symmetric_value(verdict.x, n)
@@ -98,7 +99,7 @@ def _candidate(E: np.ndarray, rate: float) -> np.ndarray | None:
 def _contraction(E: np.ndarray, P: np.ndarray) -> float:
     """max_i |E_i| in the norm of P."""
     values = np.linalg.eigvalsh(P)
-    if values[0] <= 1e-12 * values[-1]:
+    if values[0] <= 1e-12 * values[-1]:  # L⁻¹ would lose all its digits
         return np.inf
     L = np.linalg.cholesky(P)
     inverse = np.linalg.inv(L)
@@ -227,9 +228,9 @@ class Observer(Frozen):
         )
 
 
-def believed_plant(
+def model_of(
     plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"], model: Model
-) -> tuple[SwitchedSystem, Float[np.ndarray, "believed p n"]]:
+) -> tuple[SwitchedSystem, Float[np.ndarray, "model p n"]]:
     """The model of an observer, and its C: all modes, or one model for all."""
     if model == "modes":
         return plant, C
@@ -248,7 +249,7 @@ def believed_plant(
 
 
 def in_all_modes(
-    one: SwitchedSystem, modes: int, *parts: Float[np.ndarray, "believed ..."]
+    one: SwitchedSystem, modes: int, *parts: Float[np.ndarray, "model ..."]
 ) -> tuple[SwitchedSystem, *tuple[np.ndarray, ...]]:
     """A model and the gains designed for it, repeated for every mode if it has only one."""
     if one.modes == modes:
@@ -344,7 +345,7 @@ def luenberger(
     """
     instance("plant", plant, SwitchedSystem)
     modes, step = plant.modes, positive("step", step)
-    plant, C = believed_plant(plant, output_matrices(C, plant), model)
+    plant, C = model_of(plant, output_matrices(C, plant), model)
     wanted = pole_lists(poles, plant.modes, plant.states)
     slowest = float(np.real(wanted).max())
     if slowest >= 0.0:
@@ -352,7 +353,8 @@ def luenberger(
     gain = []
     for i, (A, B) in enumerate(zip(plant.A, plant.B, strict=True)):
         _require_observable(A, C[i], i)
-        asked = quotient_poles(wanted[i], step, i)
+        placed = quotient_poles(wanted[i], step, i)
+        # With a short step Φ and all e^{ph} are next to 1: (Φ − I)/h and (e^{ph} − 1)/h are not.
         slope = quotient(A, B, step)[0]
         if reachable(slope.T, C[i].T) < len(A):
             raise ArgumentError(
@@ -360,7 +362,7 @@ def luenberger(
                 f"imaginary parts differ by a multiple of 2π/h = {2.0 * np.pi / step:.4g} 1/s "
                 "look alike; change the step a little."
             )
-        M = -step * place_pair(slope.T, C[i].T, asked, i, "C", wanted[i]).T
+        M = -step * place_pair(slope.T, C[i].T, placed, i, "C", wanted[i]).T
         gain.append(np.linalg.solve(finite_discretisation(A, B, step)[0], M))
     plant, C, stacked = in_all_modes(plant, modes, C, np.stack(gain))
     return Observer(plant, C, stacked, step)
@@ -432,11 +434,11 @@ def kalman(
     """
     instance("plant", plant, SwitchedSystem)
     modes, step = plant.modes, positive("step", step)
-    plant, C = believed_plant(plant, output_matrices(C, plant), model)
+    plant, C = model_of(plant, output_matrices(C, plant), model)
     W = weight_matrix("process", process, plant.states, "n")
     R = weight_matrix("measurement", measurement, C.shape[1], "p", strict=True)
-    found = [_filter(plant.A[i], C[i], W, R, step, i) for i in range(plant.modes)]
-    designed = (np.stack(arrays) for arrays in zip(*found, strict=True))
+    each = [_filter(plant.A[i], C[i], W, R, step, i) for i in range(plant.modes)]
+    designed = (np.stack(arrays) for arrays in zip(*each, strict=True))
     plant, C, gain, prior, covariance = in_all_modes(plant, modes, C, *designed)
     observer = Observer(plant, C, gain, step)
     prior.flags.writeable = covariance.flags.writeable = False
@@ -495,9 +497,9 @@ def _steady_state(Phi: np.ndarray, C: np.ndarray, Q: np.ndarray, R: np.ndarray) 
     for _ in range(_NEWTON):
         L = _gain_of(P, C, R)
         loop = Phi - Phi @ L @ C
-        if np.abs(np.linalg.eigvals(loop)).max() >= 1.0:
+        if np.abs(np.linalg.eigvals(loop)).max() >= 1.0:  # the caller refuses this P
             break
-        unit = np.sqrt(np.where(np.diag(P) > 0.0, np.diag(P), 1.0))
+        unit = np.sqrt(np.where(np.diag(P) > 0.0, np.diag(P), 1.0))  # 1 for a state that is known
         added = (Phi @ L @ L.T @ Phi.T + Q) / np.outer(unit, unit)
         P = solve_discrete_lyapunov(loop / unit[:, None] * unit, added) * np.outer(unit, unit)
     return (P + P.T) / 2.0

@@ -28,7 +28,7 @@ class OutputFeedback(Law):
     r"""A law that acts on an observer's estimate of the state from :math:`y = C_\sigma x`.
 
     Every law may be used: it is given x̂ instead of x. Its model and the observer's are the same
-    where nothing is known to the contrary, but need not be. With the right model, a right first
+    where nothing is known to the contrary, but need not be. With the right model, an exact first
     estimate and switches on samples the loop is the one of state feedback. A lost sample is
     predicted over: the input goes on, it is not held.
 
@@ -154,6 +154,7 @@ class OutputFeedback(Law):
             return self
         first, reference = self.estimate, self.reference
         if self.covariance is not None:
+            # Not by Cholesky: a semidefinite covariance has no factor.
             values, vectors = np.linalg.eigh(self.covariance)
             number = stream(seed, "Estimate").standard_normal(first.size)
             first = first + vectors @ (np.sqrt(np.maximum(values, 0.0)) * number)
@@ -194,7 +195,7 @@ class OutputFeedback(Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         raise ArgumentError(
-            "OutputFeedback has no table: it remembers an estimate. `growth_rate`, the margins, "
+            "OutputFeedback has no table: it keeps an estimate. `growth_rate`, the margins, "
             "`certify` and `falsify` take it; for the rest ask about its .law, which is given the "
             "state, and its .observer (.rates, .switched_rate)."
         )
@@ -288,17 +289,17 @@ class OutputUpdate(UpdateWithEstimates):
         r = None if self._reference is None else self._reference(k * self._step)
         self.estimates.append(observer.update(past[-1], y, mode, r).copy())
         u = self._inner(self.estimates[-1], past, max(mode, 0), age)
-        observer.asked[:] = u
+        observer.asked[:] = u  # less the input applied, it shows where the sum must stop
         return u
 
 
 def _with_delays(observer: Observer, plant: SwitchedSystem) -> SwitchedSystem:
-    """The observer's model; one that stands for all modes has delays between those of the modes."""
+    """The observer's model; the one model for all modes has delays between those of the modes."""
     mine, low, high = observer.plant, plant.delays.min(axis=0), plant.delays.max(axis=0)
     if observer.reads_mode or mine.delays.shape[1] != low.size:
         return mine
     between = ((low <= mine.delays) & (mine.delays <= high)).all()
-    return mine.like(mine.A, mine.B, plant.delays) if between else mine
+    return mine.like(mine.A, mine.B, plant.delays) if between else mine  # `_same` refuses others
 
 
 def _same(name: str, mine: SwitchedSystem, whose: str, other: SwitchedSystem) -> None:

@@ -218,6 +218,7 @@ def put_back(
     floor = _rounding(plant, gains, P)
     if np.linalg.eigvalsh(P)[0] <= SMALLEST:
         return None
+    # Q is recomputed: a solver meets its inequality only up to a tolerance.
     q = min(np.linalg.eigvalsh(-(h.T @ P + P @ h))[0] for h in closed_loops(plant, gains)) - floor
     return _read_only_pair(P, q * np.eye(plant.states)) if q > 0.0 else None
 

@@ -148,7 +148,7 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | 
     require_controllable(A, B, i)
     if step is None:
         return place_pair(A, B, poles, i)
-    asked = quotient_poles(poles, step, i)
+    wanted = quotient_poles(poles, step, i)
     A, B = quotient(A, B, step)
     if reachable(A, B) < len(A):
         raise ArgumentError(
@@ -156,7 +156,7 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | 
             f"imaginary parts differ by a multiple of 2π/h = {2.0 * np.pi / step:.4g} 1/s look "
             "alike; change the step a little."
         )
-    return place_pair(A, B, asked, i, given=poles)
+    return place_pair(A, B, wanted, i, given=poles)
 
 
 def lqr(
@@ -217,6 +217,7 @@ def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np
         loop = A + B @ K
         residual = np.linalg.norm(A.T @ X + X @ A + X @ B @ K + Q)
         size = np.linalg.norm(Q) + 2.0 * np.linalg.norm(A) * np.linalg.norm(X)
+    # SciPy may return a solution of no use without an error, where Q hides an unstable state.
     stable = np.isfinite(loop).all() and np.linalg.eigvals(loop).real.max() < 0.0
     if not stable or not residual <= 1e-8 * size < np.inf:
         raise _no_gain(i)

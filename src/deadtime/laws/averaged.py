@@ -150,7 +150,7 @@ class AveragedPredictor(ConstantForecast):
 
         weights, gains, _ = minimax(tables, plant, gains, step, common_gain, allow_unstable)
         law = cls(plant, gains, weights, dwell_time, allow_unstable=allow_unstable)
-        vars(law).update(tuned=True)
+        vars(law).update(tuned=True)  # for its label only
         return law
 
     @property

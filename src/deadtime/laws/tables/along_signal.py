@@ -94,7 +94,7 @@ def _fill_rows(table, sample, K, F, G):
                     for s in range(before[p, j] + 1, sample[q, j] - k + 1):
                         for i in range(n):
                             R[i] += later[j, s] * K[table.mode[e], j, i]
-                        later[j, s] = 0.0
+                        later[j, s] = 0.0  # read from here on: no earlier piece has this input
 
 
 def rows_along(
@@ -141,7 +141,7 @@ def constant_table(
         last = (row @ np.linalg.matrix_power(Phi, window.count - 1) @ late).sum(axis=0)
         H = row.transpose(1, 0, 2).reshape(1, m, modes * n)
         S, of = np.zeros((modes, n, modes, n)), np.arange(modes)
-        S[of, :, of] = Phi
+        S[of, :, of] = Phi  # blkdiag(Φ_i), as S is (mode, n, mode, n)
         size = modes * n
         factor = Factor(H, S.reshape(size, size), Gamma.reshape(size, m), last[None])
         return Feedback(F[None], factor.taps(window.count), "none", window.step, factor=factor)
