@@ -352,7 +352,11 @@ def luenberger(
         raise ArgumentError(f"poles must have negative real parts, got {slowest:g}.")
     gain = []
     for i, (A, B) in enumerate(zip(plant.A, plant.B, strict=True)):
-        _require_observable(A, C[i], i)
+        if (rank := reachable(A.T, C[i].T)) < len(A):
+            raise ArgumentError(
+                f"mode {i} is not observable: {_rank_of(len(A), rank)}: no gain can move all poles "
+                "of its error; measure more, or use `kalman` if what is hidden decays."
+            )
         placed = quotient_poles(wanted[i], step, i)
         # With a short step Φ and all e^{ph} are next to 1: (Φ − I)/h and (e^{ph} − 1)/h are not.
         slope = quotient(A, B, step)[0]
@@ -519,16 +523,6 @@ def _no_filter(i: int) -> ArgumentError:
 def _rank_of(n: int, rank: int) -> str:
     powers = "; ".join(["C", "CA", *(f"CA^{k}" for k in range(2, n))][:n])
     return f"rank [{powers}] = {rank} < {n}"
-
-
-def _require_observable(A: np.ndarray, C: np.ndarray, i: int) -> None:
-    """Refuse a mode whose observability matrix lacks rank."""
-    rank = reachable(A.T, C.T)
-    if rank < len(A):
-        raise ArgumentError(
-            f"mode {i} is not observable: {_rank_of(len(A), rank)}: no gain can move all poles of "
-            "its error; measure more, or use `kalman` if what is hidden decays."
-        )
 
 
 def require_detectable(A: np.ndarray, C: np.ndarray, i: int) -> None:

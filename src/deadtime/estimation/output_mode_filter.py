@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, real_array, require_shape
+from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.mode_filter import (
     ModeFilter,
@@ -178,7 +178,6 @@ class OutputModeFilter(BeliefFilter):
 
 def _require_same(observer: Observer, chain: ModeFilter) -> None:
     """Refuse an observer of another plant or period."""
-    instance("C", observer, Observer)
     mine, its = chain.plant, observer.plant
     sizes = [(plant.modes, plant.states, plant.inputs) for plant in (mine, its)]
     same = sizes[0] == sizes[1] and all(

@@ -55,7 +55,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.held_mode_checks import check_mode
 from deadtime.spectrum.ideal import IdealLoop, weights
 
-_STEPS, _CIRCLE = 40, 8
+_STEPS, _CIRCLE = 40, 8  # of Newton's method; points on a circle around a root
 _CONVERGED = 1e-6  # relative: a double root has half of the digits only
 
 
@@ -115,7 +115,7 @@ def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.nda
 
 
 MOST_POINTS = 400_000
-_CHUNK = 20_000
+_CHUNK = 20_000  # points whose matrices are in memory at a time
 
 
 def count_right_of(loop: IdealLoop, line: float) -> int | None:
@@ -154,6 +154,7 @@ def count_right_of(loop: IdealLoop, line: float) -> int | None:
             np.insert(rate, coarse + 1, more_rate),
         )
     turn = float(np.angle(sign[1:] / sign[:-1]).sum())
+    # Half: by symmetry only the upper half of the line is followed.
     half_turns = -(turn - _rest(loop, line + 1j * radius, pole)) / np.pi
     nearest = round(half_turns)
     return nearest if abs(half_turns - nearest) < 1e-3 else None

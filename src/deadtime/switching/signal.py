@@ -88,7 +88,7 @@ class SwitchingSignal(Frozen):
         age = number("initial_age", initial_age)
         if age < 0.0:
             raise ArgumentError(f"initial_age must be ≥ 0, in s, got {age:g}.")
-        new = np.concatenate(([True], np.diff(modes) != 0))
+        new = np.concatenate(([True], np.diff(modes) != 0))  # a repeated mode is no switch
         times, modes = times[new], modes[new]
         times.flags.writeable = modes.flags.writeable = False
         vars(self).update(times=times, modes=modes, end=end, initial_age=age)

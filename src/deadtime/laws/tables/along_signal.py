@@ -131,7 +131,9 @@ def constant_table(
     """
     sampled = SampledPlant(plant, step)
     if not plant.has_one_delay:
-        return _dense_table(sampled, K, weights)
+        rows = [rows_along(sampled, K, SwitchingSignal.constant(i), 1) for i in range(len(K))]
+        F, G = (np.tensordot(weights, np.stack(parts), 1) for parts in zip(*rows, strict=True))
+        return Feedback(F, G, "none", sampled.step)
     window, (modes, n, m) = sampled.window, plant.B.shape
     spans = window.step, window.phase, window.delay
     (Phi, Gamma), (_, late), (whole, _) = (discretise_modes(plant.A, plant.B, t) for t in spans)
@@ -145,11 +147,3 @@ def constant_table(
         size = modes * n
         factor = Factor(H, S.reshape(size, size), Gamma.reshape(size, m), last[None])
         return Feedback(F[None], factor.taps(window.count), "none", window.step, factor=factor)
-
-
-def _dense_table(sampled: SampledPlant, K: np.ndarray, weights: np.ndarray) -> Feedback:
-    """The table without a factorisation, for any delays."""
-    modes = range(len(K))
-    rows = [rows_along(sampled, K, SwitchingSignal.constant(i), 1) for i in modes]
-    F, G = (np.tensordot(weights, np.stack(parts), 1) for parts in zip(*rows, strict=True))
-    return Feedback(F, G, "none", sampled.step)
