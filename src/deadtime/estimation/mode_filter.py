@@ -16,10 +16,10 @@ from deadtime.base.checks import (
     as_floats,
     count,
     instance,
-    number,
     read_only,
     real_array,
     require_shape,
+    share,
 )
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.running_filter import RunningFilter
@@ -199,9 +199,6 @@ class ModeFilter(BeliefFilter):
         step = SampledPlant.of(plant, step).step
         if switches not in (None, "anywhere", "samples"):
             raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-        forgetting = number("forgetting", forgetting)
-        if not 0.0 < forgetting < 1.0:
-            raise ArgumentError(f"forgetting must be in (0, 1), got {forgetting:g}.")
         if not allow_alike:
             require_distinct(plant)
         own = model.ages(step, None if ages is None else count("ages", ages))
@@ -227,7 +224,7 @@ class ModeFilter(BeliefFilter):
             outputs=None,
             noise=deviation(noise, plant.states),
             switches=switches,
-            forgetting=forgetting,
+            forgetting=share("forgetting", forgetting),
             initial=read_only(start),
             ages=own,
         )

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, real_array, require_unmasked
+from deadtime.base.checks import as_floats, instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Factor, Feedback, Forecast, Law, Preview
 from deadtime.feedback.law import TableLaw
@@ -149,21 +149,10 @@ class LowPassPredictor(TableLaw):
 
 def _matrix(value: ArrayLike, m: int) -> Float[np.ndarray, "m m"]:
     """T as an (m, m) matrix whose eigenvalues have positive real parts."""
-    require_unmasked("time_constant", value)
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise ArgumentError(
-            f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got rows of "
-            "different lengths."
-        ) from None
-    if array.ndim == 0:
-        array = real_array("time_constant", array[None, None], "() or (m, m)", 2) * np.eye(m)
+    given = as_floats("time_constant", value, f"a number or (m, m) = ({m}, {m})")
+    array = np.diag(np.full(m, given)) if given.ndim == 0 else given
     array = real_array("time_constant", array, "() or (m, m)", 2)
-    if array.shape != (m, m):
-        raise ArgumentError(
-            f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got {array.shape}."
-        )
+    require_shape("time_constant", array, (m, m), "() or (m, m)")
     least = np.linalg.eigvals(array).real.min()
     if least <= 0.0:
         raise ArgumentError(

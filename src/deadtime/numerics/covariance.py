@@ -81,16 +81,7 @@ def _terms(
     return Phi, S
 
 
-def _follow_by_numpy(
-    Phi: np.ndarray,
-    S: np.ndarray,
-    size: np.ndarray,
-    mode: np.ndarray,
-    tau: np.ndarray,
-    noisy: bool,
-    M: np.ndarray,
-    Q: np.ndarray,
-) -> None:
+def _follow_by_numpy(Phi, S, size, mode, tau, noisy, M, Q):
     """`_follow` by array operations on all stretches, which are in the last axis."""
     N = M.shape[1]
     moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)

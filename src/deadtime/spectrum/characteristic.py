@@ -147,12 +147,9 @@ def count_right_of(loop: IdealLoop, line: float) -> int | None:
         if points.size > MOST_POINTS or gap.min() < 1e-13 * (1.0 + abs(line)):
             return None
         middles = points[coarse] + gap[coarse] / 2.0
-        more_sign, more_rate = _values(loop, line + 1j * middles, pole)
-        points = np.insert(points, coarse + 1, middles)
-        sign, rate = (
-            np.insert(sign, coarse + 1, more_sign),
-            np.insert(rate, coarse + 1, more_rate),
-        )
+        more = _values(loop, line + 1j * middles, pole)
+        both = zip((points, sign, rate), (middles, *more), strict=True)
+        points, sign, rate = (np.insert(old, coarse + 1, new) for old, new in both)
     turn = float(np.angle(sign[1:] / sign[:-1]).sum())
     # Half: by symmetry only the upper half of the line is followed.
     half_turns = -(turn - _rest(loop, line + 1j * radius, pole)) / np.pi

@@ -31,7 +31,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
-from deadtime.numerics.covariance import noise_covariance
+from deadtime.numerics.covariance import noise_covariance, square_root
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.sampled_runs import LoopPeriods, forward
@@ -202,8 +202,7 @@ def _sizes(rows: Float[np.ndarray, "k m n"], initial: InitialStates) -> Float[np
         return initial.size * np.linalg.norm(rows, axis=2)
     if initial.kind == "box":
         return np.abs(rows) @ initial.size
-    values, vectors = np.linalg.eigh(initial.size)
-    return np.linalg.norm(rows @ (vectors * np.sqrt(np.maximum(values, 0.0))), axis=2)
+    return np.linalg.norm(rows @ square_root(initial.size), axis=2)
 
 
 def _spread_levels(sigma: np.ndarray, directions: int, part: float) -> tuple[float, float]:
