@@ -24,7 +24,7 @@ from deadtime.feedback.table import Feedback, Known
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
 
-MOST_BYTES = 1e9  # of a table: more is a mistake of units, and would be swapped to disk
+MOST_BYTES = 1e9  # of a table: more is mostly a mistake of units
 
 # From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k. It is
 # called at every sample: with x = NaN for a lost one, where NaN as its result holds the last input.

@@ -41,7 +41,7 @@ from jaxtyping import Float
 
 from deadtime.feedback.table import Known
 from deadtime.numerics.covariance import noise_covariances, transitions
-from deadtime.numerics.exponential import discretise_modes
+from deadtime.numerics.exponential import ROUND_OFF, discretise_modes
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.discretisation import snap
 from deadtime.switching.models.model import SampledChain
@@ -98,7 +98,6 @@ def _moved(
     return moved.reshape(m, modes, *P.shape)
 
 
-_ROUND_OFF = 1e-18  # relative: later terms of a Taylor series do not change a double
 _TERMS = 60  # with ‖operator‖·step ≤ 1/2 far fewer are needed
 
 
@@ -175,7 +174,7 @@ def _integrated(Z, M, generator, W, length):
     count = max(1, int(np.ceil(2.0 * size * length)))
     for _ in range(count):
         term, k = M, 0
-        while np.abs(term).max() > _ROUND_OFF * np.abs(M).max() and k < _TERMS:
+        while np.abs(term).max() > ROUND_OFF * np.abs(M).max() and k < _TERMS:
             k += 1
             moved = Z @ term
             mixed = np.tensordot(term, generator, (1, 0)).transpose(0, 3, 1, 2)

@@ -113,7 +113,14 @@ class SwitchedSystem(Frozen):
         return plant
 
     def only(self, modes: Sequence[int]) -> SwitchedSystem:
-        """The plant with these of its modes."""
+        """The plant with these of its modes, in this order.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> dt.problems.paper().plant.only([1])
+        SwitchedSystem(modes=1, states=2, inputs=1, delay=1)
+        """
         modes = list(modes)
         return self.like(self.A[modes], self.B[modes], self.delays[modes])
 

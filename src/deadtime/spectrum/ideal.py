@@ -125,7 +125,7 @@ def _weights(window: LawWindow, rate: float) -> tuple[np.ndarray, np.ndarray]:
     return tau, np.concatenate(taps)
 
 
-_TERMS = 60  # of the series in `radius`, which halve at least
+_TERMS = 60  # of the series in `radius`, whose bound halves from term to term
 
 
 @dataclass(frozen=True, eq=False)

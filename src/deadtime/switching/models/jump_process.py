@@ -72,7 +72,7 @@ class Quantiles(Frozen):
         if len(self.others) == 1 and self.others[0][2].all():
             name, inverse, _ = self.others[0]
             return _invert(name, inverse, u.ravel()).reshape(u.shape)
-        result = np.log(u)  # in place from here on: batches draw 10⁷ sojourns at once
+        result = np.log(u)  # in place from here on: batches draw millions of sojourns
         result *= -self.scale[modes]
         result += self.shift[modes]
         for name, inverse, holds in self.others:
