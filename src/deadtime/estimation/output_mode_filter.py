@@ -67,7 +67,7 @@ class OutputModeFilter(BeliefFilter):
     Raises
     ------
     ArgumentError
-        If two modes cannot be told apart by their outputs, a mode hides from C what does not
+        If two modes cannot be distinguished by their outputs, a mode hides from C what does not
         decay, or an argument is malformed.
 
     References

@@ -228,7 +228,7 @@ class Law(Frozen, ABC):
     def preview(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Preview | None:
-        """The preview of a law that knows the signal; None for every other law.
+        """The preview of a law for a known signal; None for every other law.
 
         `signal` and `steps` as in `digital`.
         """
@@ -345,7 +345,7 @@ def require_room(name: str, ages: float, step: float, most: int) -> None:
     """Refuse a table with more ages than `most`."""
     if ages > most:
         raise ArgumentError(
-            f"{name} asks for a table of {ages:.3g} ages of {step:g} s, and there is room for "
+            f"{name} needs a table of {ages:.3g} ages of {step:g} s, and there is room for "
             f"{most:,}: lengthen the step."
         )
 

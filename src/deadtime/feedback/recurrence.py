@@ -32,8 +32,8 @@ from deadtime.switching import SwitchingSignal
 def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) -> Feedback | None:
     """A law's table, with its state among the outputs; None of a law that is no table.
 
-    `signal` is the one that a preview knows, the constant mode 0 by default; such a law with a
-    memory is none.
+    `signal` is that of a preview, the constant mode 0 by default; such a law with a memory is no
+    table.
 
     Examples
     --------

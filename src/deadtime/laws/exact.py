@@ -23,7 +23,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ExactPredictor(TableLaw):
-    r"""Exact predictor feedback :math:`u(t) = K_{\sigma(t+D)} x(t + D)`, which knows the future.
+    r"""Exact predictor feedback :math:`u(t) = K_{\sigma(t+D)} x(t + D)` for a known signal.
 
     Where inputs or modes have delays of their own, t + D is, input by input, when the plant first
     reads what is sent at t, and inputs to come that act until then are the law's own.

@@ -310,7 +310,7 @@ def characteristic_roots(
         The true plant. The law has a model of its own, `law.plant`, which may differ.
     law : Law
         A law with a closed form in continuous time. If it depends on the age of the mode, the mode
-        has been held throughout; an oracle knows that nothing will switch.
+        has been held throughout; for an oracle no switch follows.
     mode : int
         The mode.
     count : int

@@ -83,7 +83,7 @@ def growth_rate(
 
     and for the ideal loop, the limit of the digital one with an error of order h, max Re s over its
     characteristic roots (`characteristic_roots`). If the law depends on the age of the mode, the
-    mode has been held throughout; an oracle knows that nothing will switch.
+    mode has been held throughout; for an oracle no switch follows.
 
     Parameters
     ----------

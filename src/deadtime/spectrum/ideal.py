@@ -198,7 +198,7 @@ class IdealLoop:
 
     @property
     def lead(self) -> float:
-        """How far back the law looks, seconds; 0 for one that predicts nothing."""
+        """The age of the oldest input that the law reads, seconds; 0 without a prediction."""
         return max(window.far for window in self.windows)
 
     @property

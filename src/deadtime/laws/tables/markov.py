@@ -39,7 +39,7 @@ u_k: below 0 it is in flight, from 0 on it is still to be computed.
 
 The table is then that of a first passage. The sample u_k of input j is first read when the mode i
 of that instant reads so late, θ ≥ D_i,j (`along_signal`): of the mass that is in mode i at θ =
-D_i,j, and of what enters it later, the law takes K_i,j x and looks no further. With U the modes
+D_i,j, and of what enters it later, the law takes K_i,j x, its last step. With U the modes
 that do not read u_k,j yet, X_i = E[x 1{σ = i}] and p_i the part of the expected state and of the
 probability in i ∈ U that is left, and a = E[K_σ,j x] of what has been taken,
 

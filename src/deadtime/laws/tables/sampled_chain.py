@@ -21,7 +21,7 @@ u_{k+p−N}, seen from t_{k+p}; p times ⟨·⟩ brings it back to t_k.
 
 Averaging a weight back costs (modes)(ages + N) m² products a period, the table (N²/2) of these;
 where age says nothing there is one age, which lasts, in place of ages + N. A weight to which no
-mode adds any more is brought back at once: then it stays in a processor's fastest memory.
+mode adds any more is brought back at once: then it stays in the cache of a processor.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def fit_model(
     family : str, or list of str with one per mode
         "exponential", "shifted exponential", "gamma", "weibull", "uniform", "lognormal",
         "fixed" (all sojourns equal within 1e-6), or "auto": fixed where that holds, else the
-        family with the least AIC, a uniform only if it is the least by 4: a law trusts the end of
+        family with the least AIC, a uniform only if it is the least by 4: laws rely on the end of
         its support, and a wrong end harms more than a wrong tail.
     modes : int, optional
         Number of modes; by default the largest in the logs, plus one.
