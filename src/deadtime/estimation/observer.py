@@ -207,7 +207,7 @@ class Observer(Frozen):
         modes that holds in the mode of the model alone.
         """
         radius = np.abs(np.linalg.eigvals(self.error_matrices)).max(axis=1)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore"):  # −∞ of an error that is 0 after some periods
             return read_only(np.log(radius) / self.step)
 
     @cached_property
@@ -280,9 +280,7 @@ def per_mode(
         array = real_array(name, given, f"(modes, {form[1:]}", 3)
         return require_shape(name, array, (modes, *shape), f"(modes, {form[1:]}")
     array = require_shape(name, real_array(name, given, form, 2), shape, form)
-    whole = np.tile(array, (modes, 1, 1))
-    whole.flags.writeable = False
-    return whole
+    return read_only(np.tile(array, (modes, 1, 1)))
 
 
 _NEWTON = 3  # steps, each doubling the digits: from four to all of a double
@@ -445,8 +443,7 @@ def kalman(
     designed = (np.stack(arrays) for arrays in zip(*each, strict=True))
     plant, C, gain, prior, covariance = in_all_modes(plant, modes, C, *designed)
     observer = Observer(plant, C, gain, step)
-    prior.flags.writeable = covariance.flags.writeable = False
-    vars(observer).update(prior=prior, covariance=covariance)
+    vars(observer).update(prior=read_only(prior), covariance=read_only(covariance))
     return observer
 
 

@@ -227,23 +227,18 @@ class OutputFeedback(Law):
         Phi, Gamma, lag = SampledPlant.of(observer.plant, step).periods()
         tracked = np.zeros((0, observer.outputs)) if servo is None else servo.tracked
         q, r = 0 if servo is None else servo.sums, len(tracked)
-        push = np.zeros((modes, self.plant.inputs, q))
-        if q:
-            push = self._push(self.law.digital(step, signal, steps))
+        push = np.zeros((modes, self.plant.inputs, 0))
+        push = self._push(self.law.digital(step, signal, steps)) if q else push
+        # A row of every mode:  | Φ | Γ by lag | C | L | push |
         parts = Phi, Gamma, observer.C, observer.gain, push
         reference = np.zeros((samples, r))
         if self.reference is not None:
             reference = self.reference.along(np.arange(samples) * step)
         start = np.concatenate((self.estimate, np.zeros(q + r)))
-        return Memory(
-            read_only(np.concatenate([part.reshape(modes, -1) for part in parts], axis=1)),
-            read_only(lag),
-            MemorySizes(observer.plant.states, observer.outputs, q, r, self.plant.inputs, lag.size),
-            read_only(start),
-            read_only(tracked),
-            read_only(reference),
-            step,
-        )
+        matrices = np.concatenate([part.reshape(modes, -1) for part in parts], axis=1)
+        sizes = observer.plant.states, observer.outputs, q, r, self.plant.inputs, lag.size
+        arrays = map(read_only, (start, tracked, reference))
+        return Memory(read_only(matrices), read_only(lag), MemorySizes(*sizes), *arrays, step)
 
     def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         if not self.is_linear:

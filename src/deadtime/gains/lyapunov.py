@@ -195,7 +195,7 @@ def check_lyapunov(
             "lyapunov: Q is positive definite only up to rounding errors of the inequality "
             f"({excess:.1e}): give a better conditioned pair."
         )
-    return _read_only_pair(P, Q)
+    return CommonLyapunov(P, Q)
 
 
 def closed_loops(
@@ -220,7 +220,7 @@ def put_back(
         return None
     # Q is recomputed: a solver meets its inequality only up to a tolerance.
     q = min(np.linalg.eigvalsh(-(h.T @ P + P @ h))[0] for h in closed_loops(plant, gains)) - floor
-    return _read_only_pair(P, q * np.eye(plant.states)) if q > 0.0 else None
+    return CommonLyapunov(P, q * np.eye(plant.states)) if q > 0.0 else None
 
 
 def growth_in_norm(
@@ -284,11 +284,6 @@ def _size(plant: SwitchedSystem, gains: np.ndarray) -> float:
 
 def _rounding(plant: SwitchedSystem, gains: np.ndarray, P: np.ndarray) -> float:
     return 2.0 * _unit(plant) * _size(plant, gains) * float(np.linalg.norm(P, 2))
-
-
-def _read_only_pair(P: np.ndarray, Q: np.ndarray) -> CommonLyapunov:
-    P.flags.writeable = Q.flags.writeable = False
-    return CommonLyapunov(P, Q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,5 +422,4 @@ def _put_back(
     P /= np.linalg.norm(P, 2)
     if np.linalg.eigvalsh(P)[0] <= SMALLEST:
         return None
-    gains.flags.writeable = P.flags.writeable = False
     return JointDesign(gains, P, -growth_in_norm(plant, gains, P))

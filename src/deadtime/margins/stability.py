@@ -446,5 +446,4 @@ def stability_chart(
                 row.append(None)
                 reasons[name, time] = str(error)
         margins[name] = tuple(row)
-    times.flags.writeable = False
     return StabilityChart((bounds[0], bounds[1]), times, margins, reasons)
