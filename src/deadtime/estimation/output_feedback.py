@@ -236,9 +236,10 @@ class OutputFeedback(Law):
             reference = self.reference.along(np.arange(samples) * step)
         start = np.concatenate((self.estimate, np.zeros(q + r)))
         matrices = np.concatenate([part.reshape(modes, -1) for part in parts], axis=1)
-        sizes = observer.plant.states, observer.outputs, q, r, self.plant.inputs, lag.size
-        arrays = map(read_only, (start, tracked, reference))
-        return Memory(read_only(matrices), read_only(lag), MemorySizes(*sizes), *arrays, step)
+        n, p, m = observer.plant.states, observer.outputs, self.plant.inputs
+        sizes = MemorySizes(n, p, q, r, m, lag.size)
+        arrays = (read_only(part) for part in (start, tracked, reference))
+        return Memory(read_only(matrices), read_only(lag), sizes, *arrays, step=step)
 
     def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         if not self.is_linear:
