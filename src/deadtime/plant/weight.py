@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, brief, read_only, real_array, require_shape
+from deadtime.base.checks import as_floats, brief, number, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.json_records import record
@@ -136,9 +136,9 @@ def costs(
 def weight_part(
     name: str, value: ArrayLike, letter: str, strict: bool = False
 ) -> Float[np.ndarray, ...]:
-    """A number unchanged; a diagonal or a matrix, positive semidefinite or definite, as a matrix.
+    """A weight or covariance: a number unchanged, a diagonal or a matrix as a symmetric matrix.
 
-    Both weights of costs and covariances are given so.
+    It is positive semidefinite, or definite if `strict`.
     """
     form = f"({letter}, {letter}), ({letter},) or ()"
     given = as_floats(name, value, f"of shape {form}")
@@ -146,9 +146,10 @@ def weight_part(
         raise ArgumentError(
             f"{name} must have shape {form}, got {given.shape}: give one matrix, not one per mode."
         )
-    whole = real_array(
-        name, given.reshape(1, 1) if given.ndim == 0 else given, form, given.ndim or 2
-    )
+    if given.ndim == 0:  # messages about a number name no entry
+        whole = np.array([[number(name, given)]])
+    else:
+        whole = real_array(name, given, form, given.ndim)
     whole = np.diag(whole) if given.ndim == 1 else whole
     whole = require_shape(name, whole, (len(whole),) * 2, f"({letter}, {letter})")
     # Relative to the largest entry, so that units do not decide what counts as round-off.
