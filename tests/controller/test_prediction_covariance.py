@@ -246,7 +246,7 @@ def test_what_has_no_covariance_is_refused():
     for inner in (dt.ExpectedPredictor(OWN, K, MARKOV), dt.ExpectedPredictor(OWN, K, SEMI)):
         with pytest.raises(dt.ArgumentError, match="one delay for a prediction's covariance"):
             served(inner)[0].prediction.covariance(0.1)
-    with pytest.raises(dt.ArgumentError, match="disturbance must be ≥ 0, a variance"):
+    with pytest.raises(dt.ArgumentError, match="disturbance must be positive semidefinite"):
         served(dt.AveragedPredictor(GENERIC, K))[0].prediction.covariance(-1.0)
 
 

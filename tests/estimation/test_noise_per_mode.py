@@ -161,7 +161,7 @@ def test_the_c_answers_as_the_controller(tmp_path, of):
     ("W", "message"),
     [
         (EACH[:2], r"disturbance must have shape \(modes, n, n\)"),
-        (EACH * [[[1.0]], [[-1.0]], [[1.0]]], r"disturbance\[1\] must be symmetric and positive"),
+        (EACH * [[[1.0]], [[-1.0]], [[1.0]]], r"disturbance\[1\] must be positive semidefinite"),
         (np.ones((3, 3, 3, 3)), "disturbance must"),
     ],
 )

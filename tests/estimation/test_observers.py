@@ -149,6 +149,15 @@ def test_neither_units_nor_small_noises_keep_a_kalman_filter_from_its_gain(plant
     assert found.rates[0] < 0.0
 
 
+def test_covariances_of_a_kalman_filter_are_numbers_diagonals_or_matrices():
+    whole = dt.kalman(PLANT, C, 0.2 * np.eye(3), 0.01 * np.eye(2), STEP)
+    for process, measurement in ((0.2, 0.01), ([0.2] * 3, [0.01] * 2)):
+        short = dt.kalman(PLANT, C, process, measurement, STEP)
+        np.testing.assert_array_equal(short.gain, whole.gain)
+    with pytest.raises(dt.ArgumentError, match="measurement must be positive definite, got an"):
+        dt.kalman(PLANT, C, 1.0, 0.0, STEP)
+
+
 def test_a_filter_may_serve_a_plant_that_nothing_disturbs_and_that_decays():
     observer = dt.kalman(TANKS, [[1.0, 0.0]], np.zeros((2, 2)), [[1.0]], STEP)
     assert not observer.gain.any()

@@ -353,7 +353,7 @@ SMALL = plants.paper()
             lambda: dt.simulate(MODEL, observed(), ON_GRID, X0, 1.0, None),
             "step must be given for OutputFeedback: its observer runs at samples, every 0.05 s.",
         ),
-        (lambda: observed().digital(STEP), "OutputFeedback has no table: it remembers an estimate"),
+        (lambda: observed().digital(STEP), "OutputFeedback has no table: it keeps an estimate"),
         (
             lambda: dt.delay_margin(MODEL, observed(), 0.1),
             "step must be the observer's, 0.05 s, got 0.1",

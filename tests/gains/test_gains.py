@@ -180,11 +180,11 @@ STUCK3 = dt.SwitchedSystem([np.eye(3)], [np.eye(3)[:, :2]], 1.0)
         ),
         (
             lambda: dt.lqr(PAPER, [np.eye(2)], [[1.0]]),
-            "Q must have shape (n, n), got (1, 2, 2): give one matrix, not one per mode",
+            "Q must have shape (n, n), (n,) or (), got (1, 2, 2): give one matrix, not one",
         ),
         (
             lambda: dt.lqr(PAPER, [[1.0, 1.0], [0.0, 1.0]], [[1.0]]),
-            "Q must be symmetric: pass (Q + Q.T) / 2.",
+            "Q must be symmetric: pass (M + M.T) / 2.",
         ),
         (
             lambda: dt.lqr(PAPER, np.diag([1.0, -1.0]), [[1.0]]),

@@ -128,7 +128,7 @@ def test_under_stationary_noise_each_mode_has_its_own():
     ("W", "message"),
     [
         (EACH[:2], r"WhiteDisturbance.intensity must have shape \(modes, n, n\)"),
-        (EACH * [[[1.0]], [[-1.0]], [[1.0]]], r"WhiteDisturbance.intensity\[1\] must be symmetric"),
+        (EACH * [[[1.0]], [[-1.0]], [[1.0]]], r"WhiteDisturbance.intensity\[1\] must be positive"),
         (np.ones((2, 3, 3, 3)), "WhiteDisturbance.intensity must"),
     ],
 )

@@ -311,10 +311,10 @@ def test_a_step_too_long_for_the_sojourns_is_refused():
 
 def test_a_table_that_memory_does_not_hold_is_refused():
     law = expected(plants.paper(), dt.SemiMarkov(1e6))
-    with pytest.raises(dt.ArgumentError, match=r"step = 0\.01 s asks for a table of more than"):
+    with pytest.raises(dt.ArgumentError, match=r"step = 0\.01 s needs a table of more than"):
         law.digital(0.01)
     law = expected(plants.paper(), dt.SemiMarkov(1.0), ages=10**9)
-    with pytest.raises(dt.ArgumentError, match=r"ages asks for a table of 1e\+09 ages"):
+    with pytest.raises(dt.ArgumentError, match=r"ages needs a table of 1e\+09 ages"):
         law.digital(0.01)
 
 

@@ -141,7 +141,7 @@ def test_a_dwell_time_that_is_none_is_refused(dwell_time):
 @pytest.mark.parametrize("dwell_time", [1e9, 1e30])
 def test_a_dwell_time_whose_table_memory_does_not_hold_is_refused(dwell_time):
     law = dt.AveragedPredictor(PLANT, GAINS, None, dwell_time)
-    with pytest.raises(dt.ArgumentError, match=r"dwell_time asks for a table of .* ages"):
+    with pytest.raises(dt.ArgumentError, match=r"dwell_time needs a table of .* ages"):
         law.digital(H)
 
 

@@ -91,7 +91,7 @@ def test_it_can_be_certified_and_run():
         (0.0, r"time_constant must be positive, in s, or a matrix .* got 0"),
         (-1.0, r"positive real parts, got -1: without a filter use the law itself"),
         ([0.1, 0.2], r"time_constant must have shape \(\) or \(m, m\), got \(2,\)"),
-        (np.eye(3), r"or have shape \(m, m\) = \(2, 2\), got \(3, 3\)"),
+        (np.eye(3), r"or \(m, m\) = \(2, 2\), got \(3, 3\)"),
         (np.nan, r"must be finite"),
         ([[1.0, 0.0], [1.0]], r"\(2, 2\), got rows of different lengths"),
         ([[0.0, 1.0], [-1.0, 0.0]], r"positive real parts, got 0"),

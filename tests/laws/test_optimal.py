@@ -339,7 +339,7 @@ def test_requests_that_have_no_answer_are_refused():
         law.least_cost([1.0, 0.0], 0)
     with pytest.raises(dt.ArgumentError, match=r"step = 1 s is too long for the sojourns"):
         law.digital(1.0)
-    message = r"step = 0\.0001 s asks for a table of more than the 7 ages that there is room for"
+    message = r"step = 0\.0001 s needs a table of more than 7 ages, for which there is no room"
     with pytest.raises(dt.ArgumentError, match=message):
         law.digital(0.0001)
 

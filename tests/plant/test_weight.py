@@ -174,7 +174,7 @@ def test_cost_does_not_depend_on_the_units_of_states_and_inputs():
         (1, -2, "R must be positive semidefinite, got an eigenvalue -2"),
         ([1, float("nan")], 1, "Q[1] must be finite, got nan"),
         (np.zeros((2, 3)), 1, "Q must have shape (n, n) = (2, 2), got (2, 3)"),
-        (1, np.ones((1, 1, 1)), "R must have shape (m, m), (m,) or (), got 3 axes"),
+        (1, np.ones((1, 1, 1)), "R must have shape (m, m), (m,) or (), got (1, 1, 1)"),
         (1, [], "R must have shape (m, m), (m,) or (), got the empty shape (0,)"),
         ("much", 1, "Q must hold real numbers"),
         (0, 0, "Q and R must not both be 0"),

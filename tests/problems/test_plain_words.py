@@ -61,7 +61,7 @@ def write(tmp_path, old="", new=""):
     [
         ("poles = [-3.0, -4.0]", "poles = [-3.0, -4.0]\nprocess = [[1.0]]",
          'line 16: observer.process belongs to kind = "kalman" only: remove it, or'),
-        ("covariance = 1.0", "covariance = -1.0", "covariance must be ≥ 0, a variance or an"),
+        ("covariance = 1.0", "covariance = -1.0", "covariance must be positive semidefinite, got"),
         ("[[0.0, 1.1], [0.0, 0.3]]", "[[0.0, 1.1], [0.0]]", "give every row, and every matrix, as"),
     ],
 )  # fmt: skip

@@ -163,7 +163,7 @@ def test_it_has_no_certificate_and_is_told_what_could_be_proved(tmp_path):
         ((MARKOV, FILTER, "disturbance = [1.0]\n", RUN), r"\[mode_filter\]: disturbance must "),
         ((MARKOV, FILTER, "noise = -0.1\n", RUN), r"\[mode_filter\]: noise must be"),
         ((MARKOV, FILTER, "noise = [0.1]\n", RUN), r"\[mode_filter\]: noise must have"),
-        ((MARKOV, FILTER, "forgetting = 1.0\n", RUN), r"\[mode_filter\]: forgetting must be in"),
+        ((MARKOV, FILTER, "forgetting = 1.0\n", RUN), r"\[mode_filter\]: forgetting must be above"),
         ((MARKOV, FILTER, "initial = [1.0]\n", RUN), r"initial must have 2 entries, one for each"),
         ((MARKOV, FILTER, "initial = [0.7, 0.7]\n", RUN), r"\[mode_filter\]: initial must be"),
         ((MARKOV, FILTER, "ages = 3\n", RUN), r"\[mode_filter\]: ages must be left out"),

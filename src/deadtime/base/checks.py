@@ -210,16 +210,6 @@ def require_probabilities(name: str, values: np.ndarray) -> None:
         )
 
 
-def require_covariance(name: str, W: np.ndarray) -> None:
-    """Refuse matrices (…, n, n) that are, beyond round-off, no covariances."""
-    allowed = 1e-9 * np.abs(W).max()
-    askew = np.abs(W - W.swapaxes(-1, -2)).max() > allowed
-    if askew or np.linalg.eigvalsh(W).min() < -allowed:
-        raise ArgumentError(
-            f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
-        )
-
-
 def read_only(array: np.ndarray) -> np.ndarray:
     """A contiguous view that cannot be written through."""
     # Numba compiles a function for writable and read-only arrays separately: all get the latter.

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.controller.controller_arguments import Status
-from deadtime.estimation.mode_filter import intensities, intensity
 from deadtime.feedback.prediction_rows import PredictionTable
 from deadtime.feedback.table import Known
+from deadtime.plant.weight import intensities, weight_matrix
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw
@@ -117,7 +117,7 @@ class Prediction(Frozen):
         source, n = self._source, self.states.shape[1]
         W = source.disturbance
         if disturbance is not None:
-            W = intensities(disturbance, source.law.plant.modes, n)
+            W = intensities("disturbance", disturbance, source.law.plant.modes, n)
         known = source.uncertain(estimate)
         p, moved = _moments(source.table, known)
         C = source.law.spread(source.step, known, W)
@@ -155,7 +155,7 @@ class _Source(Frozen):
                 "estimate must be left out: the filter of this law has the covariance of the state "
                 "in every mode."
             )
-        P = intensity(estimate, self.known.x.shape[1], "estimate")
+        P = weight_matrix("estimate", estimate, self.known.x.shape[1], "n")
         return self.known._replace(P=np.tile(P, (len(self.known.x), 1, 1)))
 
 

@@ -109,8 +109,8 @@ class BeliefPredictor(Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         raise ArgumentError(
-            "BeliefPredictor has no table: it weighs rows by a belief, which no mode decides. Ask "
-            "about its .law, which reads the mode."
+            "BeliefPredictor has no table: a belief weights its rows, no mode selects one. Use its "
+            ".law, which reads the mode."
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
@@ -152,10 +152,10 @@ class BeliefUpdate(UpdateWithBelief):
 
     def __call__(self, x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
         running, feedback = self._running, self._feedback
-        running.see(x, past, len(past) - 1)
+        running.see(x, past, len(past) - 1)  # first: the belief at t_k weights the rows of t_k
         self.beliefs.append(running.by_mode)
         u = running.share() @ (self._oldest_first @ past[-feedback.taps :].ravel())
-        running.add_states(feedback.state_gain, u)
+        running.add_states(feedback.state_gain, u)  # of a bank, each row on its own E[x | mode]
         return u
 
 

@@ -16,11 +16,10 @@ from deadtime.base.checks import (
     as_floats,
     count,
     instance,
-    number,
     read_only,
     real_array,
-    require_covariance,
     require_shape,
+    share,
 )
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.running_filter import RunningFilter
@@ -28,6 +27,7 @@ from deadtime.feedback.belief import Belief, BeliefFilter, frozen, held_noise
 from deadtime.loop.running_belief import belief_of
 from deadtime.numerics.covariance import noise_covariances, switched_covariances
 from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant.weight import intensities
 from deadtime.switching import SwitchingModel
 from deadtime.switching.models.model import require_model
 
@@ -63,6 +63,7 @@ def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p
             most = np.maximum(size, its)
             same = (np.abs(one - other) <= _ALIKE * most).all()
             acting = [one @ plant.B[i], other @ plant.B[j]]
+            # A bound of the terms, not of their sum, in which they may cancel.
             least = _ALIKE * most @ np.maximum(np.abs(plant.B[i]), np.abs(plant.B[j]))
             same &= (np.abs(acting[0] - acting[1]) <= least).all()
             acts = (np.abs(acting[0]) > least).any(axis=0)
@@ -87,34 +88,8 @@ def _responses(
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether all entries agree, each relative to its own size, so that units do not matter."""
+    """Whether all entries agree, each relative to its own size: units do not matter."""
     return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
-
-
-def intensities(value: ArrayLike, modes: int, n: int) -> Float[np.ndarray, "*mode n n"]:
-    """W, or W of every mode where they differ."""
-    name, form = "disturbance", "one, (n,), (n, n) or (modes, n, n)"
-    given = as_floats(name, value, form)
-    if given.ndim < 3:
-        return intensity(given, n)
-    given = real_array(name, given, form, 3)
-    require_shape(name, given, (modes, n, n), "(modes, n, n)")
-    each = [intensity(W, n, f"{name}[{mode}]") for mode, W in enumerate(given)]
-    return each[0] if (given == given[0]).all() else read_only(np.stack(each))
-
-
-def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.ndarray, "n n"]:
-    """W, or a covariance, as a matrix."""
-    given = as_floats(name, value, "one, (n,) or (n, n)")
-    if given.ndim < 2 and (given < 0.0).any():
-        raise ArgumentError(
-            f"{name} must be ≥ 0, a variance or an intensity, got {given.tolist()}."
-        )
-    if given.ndim < 2:
-        given = np.diag(np.full(n, given) if given.ndim == 0 else given)
-    W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
-    require_covariance(name, W)
-    return read_only(0.5 * (W + W.T))  # a restored state must be symmetric to the last bit
 
 
 def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarray, " size"]:
@@ -129,7 +104,7 @@ def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarra
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ModeFilter(BeliefFilter):
-    r"""The belief over the modes of a plant whose state is measured, not its mode (immutable).
+    r"""The belief over the modes of a plant whose state, not its mode, is measured (immutable).
 
     .. math::
 
@@ -224,9 +199,6 @@ class ModeFilter(BeliefFilter):
         step = SampledPlant.of(plant, step).step
         if switches not in (None, "anywhere", "samples"):
             raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-        forgetting = number("forgetting", forgetting)
-        if not 0.0 < forgetting < 1.0:
-            raise ArgumentError(f"forgetting must be in (0, 1), got {forgetting:g}.")
         if not allow_alike:
             require_distinct(plant)
         own = model.ages(step, None if ages is None else count("ages", ages))
@@ -238,7 +210,7 @@ class ModeFilter(BeliefFilter):
         own = own or 1
         if switches is None:
             switches = "anywhere" if model.chain(step, own).within else "samples"
-        # A belief over modes alone starts every mode at age 0.
+        # A mode of unknown age counts as just entered.
         just_begun = np.zeros((plant.modes, own))
         just_begun[:, 0] = 1.0
         start = just_begun / plant.modes
@@ -248,11 +220,11 @@ class ModeFilter(BeliefFilter):
             plant=plant,
             model=model,
             step=step,
-            disturbance=intensities(disturbance, plant.modes, plant.states),
+            disturbance=intensities("disturbance", disturbance, plant.modes, plant.states),
             outputs=None,
             noise=deviation(noise, plant.states),
             switches=switches,
-            forgetting=forgetting,
+            forgetting=share("forgetting", forgetting),
             initial=read_only(start),
             ages=own,
         )
@@ -264,7 +236,7 @@ class ModeFilter(BeliefFilter):
         start = np.zeros((modes, ages))
         start[:, : self.ages] = self.initial
         chain = self.model.chain(self.step, self.ages)
-        last = np.repeat(chain.hazard[:, -1:], ages - self.ages, axis=1)
+        last = np.repeat(chain.hazard[:, -1:], ages - self.ages, axis=1)  # as `form` promises
         hazard = np.hstack((chain.hazard, last))
         within = self.switches == "anywhere"
         bend = _bend(sampled, Phi, Gamma, lag) if within else (Phi[:0, None], Gamma[:0, None])
@@ -282,7 +254,7 @@ class ModeFilter(BeliefFilter):
         if W.ndim == 3 and self.switches == "anywhere":
             held, Q = Q[:, 0], switched_covariances(A, W, self.step)
             each = np.arange(len(A))
-            Q[each, each] = held
+            Q[each, each] = held  # without a switch no approximation is needed
         return Q + R + (Phi @ R @ Phi.transpose(0, 2, 1)).mean(axis=0)
 
     def start(self, u0: ArrayLike | None = None) -> RunningFilter:
@@ -359,5 +331,6 @@ def _bend(
             continue
         period = sampled.cut_period(i, j, 0.5 * sampled.step)
         bend_x[i, j] += period.Phi
-        bend_u[i, j, np.searchsorted(-lag, -np.array(period.lags))] += period.Gamma
+        place = np.searchsorted(-lag, -np.array(period.lags))  # lags decrease
+        bend_u[i, j, place] += period.Gamma
     return bend_x, bend_u

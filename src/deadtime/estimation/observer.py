@@ -11,8 +11,8 @@ Where the model is the plant and switches fall on samples the errors obey
 
     x_{k+1} − x̄_{k+1} = Φ_i (I − L_i C_i) (x_k − x̄_k),
 
-for every law and every state: a switched linear system of its own, in which the
-mode of a period chooses the matrix. After a switch between samples the rest of the period is
+for every law and every state: a switched linear system, in which the mode of a period selects the
+matrix. After a switch between samples the rest of the period is
 predicted with the mode of its start, an error in proportion to the state, which then decays.
 
 An observer of *one model* has the same matrices in all modes, the mean's or those of one mode, and
@@ -74,13 +74,14 @@ def common_rate(E: Float[np.ndarray, "mode n n"]) -> float:
     E = E / units[:, None] * units
     radius = float(np.abs(np.linalg.eigvals(E)).max())
     best = float(np.linalg.norm(E, 2, axis=(1, 2)).max())  # of P = I
-    low = max(radius, 1e-12 * best)
+    low = max(radius, 1e-12 * best)  # nilpotent matrices have radius 0, without a logarithm
     if best == 0.0:
         return -np.inf
     while best > low * (1.0 + _NARROW):
-        middle = float(np.sqrt(low * best))
+        middle = float(np.sqrt(low * best))  # rates are logarithms of these
         P = _candidate(E, middle)
         found = np.inf if P is None else _contraction(E, P)
+        # The solver meets its inequality up to a tolerance, so a P may miss the rate by a little.
         best, low = (found, low) if found < middle * (1.0 + _NARROW / 2.0) else (best, middle)
     return float(np.log(best))
 
@@ -89,7 +90,7 @@ def _candidate(E: np.ndarray, rate: float) -> np.ndarray | None:
     """P from one attempt at E_iᵀ P E_i ≤ rate² P; None if it fails."""
     n = E.shape[-1]
     basis = symmetric_basis(n)
-    limits = [Limit(basis, -np.eye(n))]
+    limits = [Limit(basis, -np.eye(n))]  # P ≥ I sets its scale
     limits += [Limit(basis - M.T @ basis @ M, np.zeros((n, n))) for M in E / rate]
     verdict = next(attempts(Program(np.trace(basis, axis1=1, axis2=2), limits)))
     return symmetric_value(verdict.x, n)
@@ -98,7 +99,7 @@ def _candidate(E: np.ndarray, rate: float) -> np.ndarray | None:
 def _contraction(E: np.ndarray, P: np.ndarray) -> float:
     """max_i |E_i| in the norm of P."""
     values = np.linalg.eigvalsh(P)
-    if values[0] <= 1e-12 * values[-1]:
+    if values[0] <= 1e-12 * values[-1]:  # L⁻¹ would lose all its digits
         return np.inf
     L = np.linalg.cholesky(P)
     inverse = np.linalg.inv(L)
@@ -206,7 +207,7 @@ class Observer(Frozen):
         modes that holds in the mode of the model alone.
         """
         radius = np.abs(np.linalg.eigvals(self.error_matrices)).max(axis=1)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore"):  # −∞ of an error that is 0 after some periods
             return read_only(np.log(radius) / self.step)
 
     @cached_property
@@ -227,9 +228,9 @@ class Observer(Frozen):
         )
 
 
-def believed_plant(
+def model_of(
     plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"], model: Model
-) -> tuple[SwitchedSystem, Float[np.ndarray, "believed p n"]]:
+) -> tuple[SwitchedSystem, Float[np.ndarray, "model p n"]]:
     """The model of an observer, and its C: all modes, or one model for all."""
     if model == "modes":
         return plant, C
@@ -244,12 +245,11 @@ def believed_plant(
         raise ArgumentError(
             f'model must be "modes", "mean" or the number of a mode, got {model!r}.'
         )
-    i = index("model", model, plant.modes)
-    return plant.like(plant.A[i : i + 1], plant.B[i : i + 1], plant.delays[i : i + 1]), C[:1]
+    return plant.only([index("model", model, plant.modes)]), C[:1]
 
 
 def in_all_modes(
-    one: SwitchedSystem, modes: int, *parts: Float[np.ndarray, "believed ..."]
+    one: SwitchedSystem, modes: int, *parts: Float[np.ndarray, "model ..."]
 ) -> tuple[SwitchedSystem, *tuple[np.ndarray, ...]]:
     """A model and the gains designed for it, repeated for every mode if it has only one."""
     if one.modes == modes:
@@ -280,9 +280,7 @@ def per_mode(
         array = real_array(name, given, f"(modes, {form[1:]}", 3)
         return require_shape(name, array, (modes, *shape), f"(modes, {form[1:]}")
     array = require_shape(name, real_array(name, given, form, 2), shape, form)
-    whole = np.tile(array, (modes, 1, 1))
-    whole.flags.writeable = False
-    return whole
+    return read_only(np.tile(array, (modes, 1, 1)))
 
 
 _NEWTON = 3  # steps, each doubling the digits: from four to all of a double
@@ -345,15 +343,20 @@ def luenberger(
     """
     instance("plant", plant, SwitchedSystem)
     modes, step = plant.modes, positive("step", step)
-    plant, C = believed_plant(plant, output_matrices(C, plant), model)
+    plant, C = model_of(plant, output_matrices(C, plant), model)
     wanted = pole_lists(poles, plant.modes, plant.states)
     slowest = float(np.real(wanted).max())
     if slowest >= 0.0:
         raise ArgumentError(f"poles must have negative real parts, got {slowest:g}.")
     gain = []
     for i, (A, B) in enumerate(zip(plant.A, plant.B, strict=True)):
-        _require_observable(A, C[i], i)
-        asked = quotient_poles(wanted[i], step, i)
+        if (rank := reachable(A.T, C[i].T)) < len(A):
+            raise ArgumentError(
+                f"mode {i} is not observable: {_rank_of(len(A), rank)}: no gain can move all poles "
+                "of its error; measure more, or use `kalman` if what is hidden decays."
+            )
+        placed = quotient_poles(wanted[i], step, i)
+        # With a short step Φ and all e^{ph} are next to 1: (Φ − I)/h and (e^{ph} − 1)/h are not.
         slope = quotient(A, B, step)[0]
         if reachable(slope.T, C[i].T) < len(A):
             raise ArgumentError(
@@ -361,7 +364,7 @@ def luenberger(
                 f"imaginary parts differ by a multiple of 2π/h = {2.0 * np.pi / step:.4g} 1/s "
                 "look alike; change the step a little."
             )
-        M = -step * place_pair(slope.T, C[i].T, asked, i, "C", wanted[i]).T
+        M = -step * place_pair(slope.T, C[i].T, placed, i, "C", wanted[i]).T
         gain.append(np.linalg.solve(finite_discretisation(A, B, step)[0], M))
     plant, C, stacked = in_all_modes(plant, modes, C, np.stack(gain))
     return Observer(plant, C, stacked, step)
@@ -402,10 +405,11 @@ def kalman(
         The model; what a mode hides from C must decay.
     C : array_like, shape (p, n) or (modes, p, n)
         What is measured.
-    process : array_like, shape (n, n)
-        W, symmetric, positive semidefinite; it must reach every state that does not decay.
-    measurement : array_like, shape (p, p)
-        R, symmetric, positive definite.
+    process : array_like, shape (n, n), (n,) or a number
+        W, symmetric, positive semidefinite; its diagonal; or a number times the identity. It must
+        reach every state that does not decay.
+    measurement : array_like, shape (p, p), (p,) or a number
+        R, likewise, positive definite: variances, not standard deviations.
     step : float
         Sampling period h, in seconds.
     model : "modes", "mean" or int
@@ -426,21 +430,20 @@ def kalman(
     --------
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.3)
-    >>> observer = dt.kalman(plant, [[1.0]], process=[[1.0]], measurement=[[1.0]], step=1.0)
+    >>> observer = dt.kalman(plant, [[1.0]], process=1.0, measurement=1.0, step=1.0)
     >>> observer.gain.round(4).item()      # 1 over the golden ratio
     0.618
     """
     instance("plant", plant, SwitchedSystem)
     modes, step = plant.modes, positive("step", step)
-    plant, C = believed_plant(plant, output_matrices(C, plant), model)
-    W = weight_matrix("process", process, plant.states, "n", strict=False)
+    plant, C = model_of(plant, output_matrices(C, plant), model)
+    W = weight_matrix("process", process, plant.states, "n")
     R = weight_matrix("measurement", measurement, C.shape[1], "p", strict=True)
-    found = [_filter(plant.A[i], C[i], W, R, step, i) for i in range(plant.modes)]
-    designed = (np.stack(arrays) for arrays in zip(*found, strict=True))
+    each = [_filter(plant.A[i], C[i], W, R, step, i) for i in range(plant.modes)]
+    designed = (np.stack(arrays) for arrays in zip(*each, strict=True))
     plant, C, gain, prior, covariance = in_all_modes(plant, modes, C, *designed)
     observer = Observer(plant, C, gain, step)
-    prior.flags.writeable = covariance.flags.writeable = False
-    vars(observer).update(prior=prior, covariance=covariance)
+    vars(observer).update(prior=read_only(prior), covariance=read_only(covariance))
     return observer
 
 
@@ -495,9 +498,9 @@ def _steady_state(Phi: np.ndarray, C: np.ndarray, Q: np.ndarray, R: np.ndarray) 
     for _ in range(_NEWTON):
         L = _gain_of(P, C, R)
         loop = Phi - Phi @ L @ C
-        if np.abs(np.linalg.eigvals(loop)).max() >= 1.0:
+        if np.abs(np.linalg.eigvals(loop)).max() >= 1.0:  # the caller refuses this P
             break
-        unit = np.sqrt(np.where(np.diag(P) > 0.0, np.diag(P), 1.0))
+        unit = np.sqrt(np.where(np.diag(P) > 0.0, np.diag(P), 1.0))  # 1 for a state that is known
         added = (Phi @ L @ L.T @ Phi.T + Q) / np.outer(unit, unit)
         P = solve_discrete_lyapunov(loop / unit[:, None] * unit, added) * np.outer(unit, unit)
     return (P + P.T) / 2.0
@@ -517,16 +520,6 @@ def _no_filter(i: int) -> ArgumentError:
 def _rank_of(n: int, rank: int) -> str:
     powers = "; ".join(["C", "CA", *(f"CA^{k}" for k in range(2, n))][:n])
     return f"rank [{powers}] = {rank} < {n}"
-
-
-def _require_observable(A: np.ndarray, C: np.ndarray, i: int) -> None:
-    """Refuse a mode whose observability matrix lacks rank."""
-    rank = reachable(A.T, C.T)
-    if rank < len(A):
-        raise ArgumentError(
-            f"mode {i} is not observable: {_rank_of(len(A), rank)}: no gain can move all poles of "
-            "its error; measure more, or use `kalman` if what is hidden decays."
-        )
 
 
 def require_detectable(A: np.ndarray, C: np.ndarray, i: int) -> None:

@@ -28,7 +28,7 @@ class OutputFeedback(Law):
     r"""A law that acts on an observer's estimate of the state from :math:`y = C_\sigma x`.
 
     Every law may be used: it is given x̂ instead of x. Its model and the observer's are the same
-    where nothing is known to the contrary, but need not be. With the right model, a right first
+    where nothing is known to the contrary, but need not be. With the right model, an exact first
     estimate and switches on samples the loop is the one of state feedback. A lost sample is
     predicted over: the input goes on, it is not held.
 
@@ -50,10 +50,10 @@ class OutputFeedback(Law):
         distribution that scipy.stats freezes: every run draws a constant for each output.
     estimate : array_like, shape (n,), optional
         First estimate, of the observer's states; 0 by default.
-    covariance : array_like, shape (n, n), optional
-        Its covariance, positive semidefinite: every run draws its own first estimate, normal
-        around `estimate`. What is drawn depends on the seed of the run alone (`drawn`); where
-        there is no run, as in `Controller` and exports, the means hold.
+    covariance : array_like, shape (n, n), (n,) or a number, optional
+        Its covariance, a diagonal or a number times the identity: every run draws its own first
+        estimate, normal around `estimate`. The draw depends on the seed of the run alone (`drawn`);
+        where there is no run, as in `Controller` and exports, the mean applies.
 
     Raises
     ------
@@ -117,7 +117,7 @@ class OutputFeedback(Law):
         first = np.zeros(n) if estimate is None else estimate
         first = require_shape("estimate", real_array("estimate", first, "(n,)", 1), (n,), "(n,)")
         if covariance is not None:
-            covariance = weight_matrix("covariance", covariance, n, "n", strict=False)
+            covariance = weight_matrix("covariance", covariance, n, "n")
         states = n if servo is None else servo.base.states
         vars(self).update(
             plant=law.plant if servo is None else servo.base,
@@ -154,6 +154,7 @@ class OutputFeedback(Law):
             return self
         first, reference = self.estimate, self.reference
         if self.covariance is not None:
+            # Not by Cholesky: a semidefinite covariance has no factor.
             values, vectors = np.linalg.eigh(self.covariance)
             number = stream(seed, "Estimate").standard_normal(first.size)
             first = first + vectors @ (np.sqrt(np.maximum(values, 0.0)) * number)
@@ -194,7 +195,7 @@ class OutputFeedback(Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         raise ArgumentError(
-            "OutputFeedback has no table: it remembers an estimate. `growth_rate`, the margins, "
+            "OutputFeedback has no table: it keeps an estimate. `growth_rate`, the margins, "
             "`certify` and `falsify` take it; for the rest ask about its .law, which is given the "
             "state, and its .observer (.rates, .switched_rate)."
         )
@@ -226,23 +227,19 @@ class OutputFeedback(Law):
         Phi, Gamma, lag = SampledPlant.of(observer.plant, step).periods()
         tracked = np.zeros((0, observer.outputs)) if servo is None else servo.tracked
         q, r = 0 if servo is None else servo.sums, len(tracked)
-        push = np.zeros((modes, self.plant.inputs, q))
-        if q:
-            push = self._push(self.law.digital(step, signal, steps))
+        push = np.zeros((modes, self.plant.inputs, 0))
+        push = self._push(self.law.digital(step, signal, steps)) if q else push
+        # A row of every mode:  | Φ | Γ by lag | C | L | push |
         parts = Phi, Gamma, observer.C, observer.gain, push
         reference = np.zeros((samples, r))
         if self.reference is not None:
             reference = self.reference.along(np.arange(samples) * step)
         start = np.concatenate((self.estimate, np.zeros(q + r)))
-        return Memory(
-            read_only(np.concatenate([part.reshape(modes, -1) for part in parts], axis=1)),
-            read_only(lag),
-            MemorySizes(observer.plant.states, observer.outputs, q, r, self.plant.inputs, lag.size),
-            read_only(start),
-            read_only(tracked),
-            read_only(reference),
-            step,
-        )
+        matrices = np.concatenate([part.reshape(modes, -1) for part in parts], axis=1)
+        n, p, m = observer.plant.states, observer.outputs, self.plant.inputs
+        sizes = MemorySizes(n, p, q, r, m, lag.size)
+        arrays = (read_only(part) for part in (start, tracked, reference))
+        return Memory(read_only(matrices), read_only(lag), sizes, *arrays, step=step)
 
     def tables_along(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         if not self.is_linear:
@@ -288,17 +285,17 @@ class OutputUpdate(UpdateWithEstimates):
         r = None if self._reference is None else self._reference(k * self._step)
         self.estimates.append(observer.update(past[-1], y, mode, r).copy())
         u = self._inner(self.estimates[-1], past, max(mode, 0), age)
-        observer.asked[:] = u
+        observer.asked[:] = u  # less the input applied, it shows where the sum must stop
         return u
 
 
 def _with_delays(observer: Observer, plant: SwitchedSystem) -> SwitchedSystem:
-    """The observer's model; one that stands for all modes has delays between those of the modes."""
+    """The observer's model; the one model for all modes has delays between those of the modes."""
     mine, low, high = observer.plant, plant.delays.min(axis=0), plant.delays.max(axis=0)
     if observer.reads_mode or mine.delays.shape[1] != low.size:
         return mine
     between = ((low <= mine.delays) & (mine.delays <= high)).all()
-    return mine.like(mine.A, mine.B, plant.delays) if between else mine
+    return mine.like(mine.A, mine.B, plant.delays) if between else mine  # `_same` refuses others
 
 
 def _same(name: str, mine: SwitchedSystem, whose: str, other: SwitchedSystem) -> None:

@@ -11,18 +11,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, real_array, require_shape
+from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.mode_filter import (
     ModeFilter,
     deviation,
-    intensity,
     require_distinct_outputs,
 )
 from deadtime.estimation.observer import Observer, output_matrices, require_detectable
 from deadtime.estimation.running_filter import RunningOutputFilter
 from deadtime.feedback.belief import BankForm, BeliefFilter, frozen
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import weight_matrix
 from deadtime.switching import SwitchingModel
 
 
@@ -67,7 +67,7 @@ class OutputModeFilter(BeliefFilter):
     Raises
     ------
     ArgumentError
-        If two modes cannot be told apart by their outputs, a mode hides from C what does not
+        If two modes cannot be distinguished by their outputs, a mode hides from C what does not
         decay, or an argument is malformed.
 
     References
@@ -148,7 +148,7 @@ class OutputModeFilter(BeliefFilter):
             gain=gain,
             noise=deviation(noise, C.shape[1], "p"),
             estimate=require_shape("estimate", first, (n,), "(n,)"),
-            covariance=intensity(covariance, n, "covariance"),
+            covariance=weight_matrix("covariance", covariance, n, "n"),
         )
         self.__post_init__()
 
@@ -178,7 +178,6 @@ class OutputModeFilter(BeliefFilter):
 
 def _require_same(observer: Observer, chain: ModeFilter) -> None:
     """Refuse an observer of another plant or period."""
-    instance("C", observer, Observer)
     mine, its = chain.plant, observer.plant
     sizes = [(plant.modes, plant.states, plant.inputs) for plant in (mine, its)]
     same = sizes[0] == sizes[1] and all(

@@ -31,12 +31,7 @@ class _Running(Stateful):
         return self._running.now
 
     def _advance(
-        self,
-        name: str,
-        form: str,
-        seen: ArrayLike,
-        u: ArrayLike | None,
-        belief: ArrayLike | None,
+        self, name: str, form: str, seen: ArrayLike, u: ArrayLike | None, belief: ArrayLike | None
     ) -> Float[np.ndarray, " mode"]:
         shape, m = self._running.seen.shape, self._line.shape[1]
         given = require_shape(name, as_floats(name, seen, f"shape {shape}"), shape, form)
@@ -45,7 +40,7 @@ class _Running(Stateful):
         # Checked before anything moves: a refused call leaves the filter unchanged.
         replacement = None if belief is None else self._running.require(belief)
         if self._running.begun:
-            self._line[:-1] = self._line[1:]
+            self._line[:-1] = self._line[1:]  # the oldest leaves, u_{k−1} joins
             self._line[-1] = sent
         self._running.see(given, self._line, len(self._line) - 1)
         if replacement is not None:

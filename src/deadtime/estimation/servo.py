@@ -171,7 +171,7 @@ class Schedule:
     def along(self, time: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T size"]:
         """The values at many times."""
         late = np.searchsorted(self.times, time + self.slack, "right") - 1
-        return self.values[np.maximum(late, 0)]
+        return self.values[np.maximum(late, 0)]  # before its first time, the first value
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -254,12 +254,17 @@ class Servo(Frozen):
                 f"tracked must have one column per output, {C.shape[1]}, got {H.shape}."
             )
         E = np.zeros((modes, n, 0)) if disturbance is None else _forces(disturbance, plant)
-        model = _extend(plant, E)
-        seen = np.concatenate((C, np.zeros((modes, C.shape[1], E.shape[2]))), axis=2)
-        vars(self).update(
-            base=plant, model=model, C=seen, tracked=H, integral=bool(integral), disturbance=E
+        A, B = (
+            np.zeros((modes, n + E.shape[2], n + E.shape[2])),
+            np.zeros((modes, n + E.shape[2], plant.inputs)),
         )
-        vars(self).update(plant=_with_errors(model, H @ seen, self.sums))
+        A[:, :n, :n], A[:, :n, n:], B[:, :n] = plant.A, E, plant.B
+        model = plant.like(A, B)
+        measured = np.concatenate((C, np.zeros((modes, C.shape[1], E.shape[2]))), axis=2)
+        vars(self).update(
+            base=plant, model=model, C=measured, tracked=H, integral=bool(integral), disturbance=E
+        )
+        vars(self).update(plant=_with_errors(model, H @ measured, self.sums))
         for i in range(modes):
             self._require_regular(i)
 
@@ -330,6 +335,7 @@ class Servo(Frozen):
         for gain, (X, U) in zip(K, rest, strict=True):
             onward = U - gain[:, :n] @ X
             onward[:, k:] -= gain[:, n:] @ shift
+            # z = | x | d | q | r |
             result.append(np.hstack((gain[:, :n], onward[:, :k], gain[:, n:], onward[:, k:])))
         return np.stack(result)
 
@@ -377,6 +383,7 @@ class Servo(Frozen):
         n, k, r = self.base.states, self.disturbance.shape[2], len(self.tracked)
         right = np.zeros((n + r, k + r))
         right[:n, :k], right[n:, k:] = -self.disturbance[i], np.eye(r)
+        # Least squares: with more inputs than tracked outputs the system is underdetermined.
         both = np.linalg.lstsq(self._regulator(i), right, rcond=None)[0]
         return both[:n], both[n:]
 
@@ -423,6 +430,7 @@ class Servo(Frozen):
                 G = solve_continuous_lyapunov(F.T, -weight)
             else:
                 Phi, Gamma = finite_discretisation(driven.A[i], driven.B[i], step)
+                # The sum over samples times h stands for the integral.
                 G = solve_discrete_lyapunov((Phi + Gamma @ K[i]).T, weight * step)
             qq += G[n:, n:]
             qx += G[n:, :n] @ X
@@ -460,14 +468,6 @@ def _forces(disturbance: ArrayLike, plant: SwitchedSystem) -> Float[np.ndarray, 
             f"(modes, n, k), such as {np.eye(n, 1, 1 - n).tolist()} on the last state, got {shape}."
         )
     return per_mode("disturbance", disturbance, modes, (n, shape[-1]), "(n, k)")
-
-
-def _extend(plant: SwitchedSystem, E: Float[np.ndarray, "mode n k"]) -> SwitchedSystem:
-    """The plant with the states (x, d)."""
-    modes, n, k = E.shape
-    A, B = np.zeros((modes, n + k, n + k)), np.zeros((modes, n + k, plant.inputs))
-    A[:, :n, :n], A[:, :n, n:], B[:, :n] = plant.A, E, plant.B
-    return plant.like(A, B)
 
 
 def _with_errors(

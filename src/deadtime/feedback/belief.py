@@ -135,7 +135,7 @@ class BeliefFilter(Frozen, ABC):
 
     @abstractmethod
     def form(self, ages: int = 1) -> BeliefForm:
-        """Its data for compiled loops, telling apart at least so many ages.
+        """Its data for compiled loops, with at least so many ages.
 
         Parameters
         ----------

@@ -1,14 +1,14 @@
 """Laws in continuous time: `Functional`, windows on the past inputs, and `Forecast`, branches.
 
 A `Functional` is a law that assumes no particular switch, with gains by the mode in force or
-for all; `deadtime.laws.tables.windows` fills it. A `Forecast` is a belief in branches, signals that
-its model may follow. Along each branch, a signal that is followed for sure, u is the exact
-feedback: what is sent at t is first read at
+for all; `deadtime.laws.tables.windows` fills it. A `Forecast` has branches, weighted signals that
+its model may follow. Along a branch u is the exact feedback for its signal: the input computed at t
+is first read at
 
     t + θ_j,   θ_j = min {θ ≥ 0: θ ≥ D_i,j},   i the branch's system at t + θ,
 
 and the branch's part of u_j(t) is K_i,j x̂(t + θ_j), x̂ predicted from x(t) under the inputs in
-flight and, from where an input is read that is still to be sent, under its own feedback K x̂.
+flight and, from where an input is read that is not yet computed, under its own feedback K x̂.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from deadtime.switching import SwitchingSignal
 class LoopSpeeds(NamedTuple):
     """How fast an ideal loop is, bounds in 1/s.
 
-    fastest : of all that the loop does between jumps
-    arriving : what it makes, in u, of a jump of u that arrives
-    windows : what the law makes of one that enters or leaves a window, by the seconds to there
-    faint : the weight below which jumps that are passed on do not count
+    fastest : of the motion between jumps
+    arriving : the jump of u in answer to a unit jump that arrives at the plant
+    windows : likewise for a unit jump that enters or leaves a window, by its age there in seconds
+    faint : the weight below which propagated jumps are ignored
     """
 
     fastest: float
@@ -76,14 +76,14 @@ class Functional(Frozen):
         K: Float[np.ndarray, "row m n"],
         row: Callable[[Float[np.ndarray, " T"]], Int[np.ndarray, " T"]],
     ) -> Functional:
-        """State feedback :math:`u = K_c x`: of its one window nothing is left."""
+        """State feedback :math:`u = K_c x`, with one empty window."""
         (rows, m, n), none = K.shape, np.zeros(1)
         nothing = np.zeros((rows, 1, m, n)), np.zeros((1, n, n)), np.zeros((1, n, m))
         return cls(K, *nothing, none, none, row)
 
     @property
     def breaks(self) -> Float[np.ndarray, " break"]:
-        """Times at which what is believed changes: none."""
+        """Times at which the forecast changes: none."""
         return np.empty(0)
 
     @property
@@ -93,7 +93,7 @@ class Functional(Frozen):
 
     @property
     def reaches(self) -> Float[np.ndarray, " reach"]:
-        """How long ago what the law reads was sent, where that begins and ends, seconds."""
+        """Ages of past inputs at which a window begins or ends, seconds."""
         return np.unique(np.append(self.near, self.far))
 
     @cached_property
@@ -107,8 +107,8 @@ class Functional(Frozen):
     def speeds(self, plant: SwitchedSystem) -> LoopSpeeds:
         """How fast the loop with a plant is.
 
-        What leaves a window is what arrives, with the opposite sign, where a law predicts: only one
-        that does not feels all that arrives.
+        In a predictor a jump that leaves a window cancels its arrival at the plant; only a law
+        without prediction answers to the whole jump.
         """
         enter, ends = 0.0, dict[float, float]()
         for p, (near, far) in enumerate(zip(self.near.tolist(), self.far.tolist(), strict=True)):
@@ -146,7 +146,7 @@ def _largest(matrices: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """A law's belief as branches (immutable).
+    """A law's forecast as branches (immutable).
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ class Forecast:
     gains : (branches, systems, m, n)
         K_i of every branch.
     weights : (branches,)
-        By which the branches are added up.
+        Weights of the branches in the sum u.
     breaks : (count,)
         Times at which the forecast changes.
     signals : callable
@@ -183,7 +183,7 @@ class Forecast:
         signal: SwitchingSignal,
         settled: Functional,
     ) -> Forecast:
-        """The belief in a signal that is known."""
+        """The forecast of a known signal."""
         starts, modes, longest = signal.times, signal.modes, plant.longest_delay
 
         def signals(t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -206,7 +206,7 @@ class Forecast:
         signal: SwitchingSignal,
         settled: Functional,
     ) -> Forecast:
-        """The belief that the mode is held for its dwell time, then each system of `after`.
+        """The forecast that the mode is held for its dwell time, then each system of `after`.
 
         `K` and `weights` are those of these systems; a branch has the gain of its last throughout.
         """
@@ -234,7 +234,7 @@ class Forecast:
 
     @property
     def reaches(self) -> Float[np.ndarray, " reach"]:
-        """How long ago what a prediction reads was sent, at the most: its delays, seconds."""
+        """Ages of the oldest inputs that a prediction reads: its delays, seconds."""
         return np.unique(self.delays)
 
     def speeds(self, plant: SwitchedSystem) -> LoopSpeeds:
@@ -250,5 +250,5 @@ class Forecast:
                 end = float(own[k] - own[j])
                 jumps[end] = max(jumps.get(end, 0.0), float(K[j] @ B_i[:, k]))
         # Weights are bounds: of several delays 1e-10 moves a run by 2e-12, and takes several times
-        # as long. At the ends of a segment u is extrapolated, which wants it shorter.
+        # as long. At the ends of a segment u is extrapolated, which needs shorter segments.
         return LoopSpeeds(1.5 * rate, rate, jumps, 1e-15 if self.reaches.size == 1 else 1e-7)

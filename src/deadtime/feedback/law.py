@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import brief, positive
+from deadtime.base.checks import brief, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback.belief import BeliefFilter
@@ -24,10 +24,10 @@ from deadtime.feedback.table import Feedback, Known
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
 
-MOST_BYTES = 1e9  # of a table
+MOST_BYTES = 1e9  # of a table: more is mostly a mistake of units
 
 # From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k. It is
-# called at every sample: with x = NaN where nothing was measured, to which it may answer NaN.
+# called at every sample: with x = NaN for a lost one, where NaN as its result holds the last input.
 Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 
@@ -228,7 +228,7 @@ class Law(Frozen, ABC):
     def preview(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Preview | None:
-        """The preview of a law that knows the signal; None for every other law.
+        """The preview of a law for a known signal; None for every other law.
 
         `signal` and `steps` as in `digital`.
         """
@@ -345,13 +345,15 @@ def require_room(name: str, ages: float, step: float, most: int) -> None:
     """Refuse a table with more ages than `most`."""
     if ages > most:
         raise ArgumentError(
-            f"{name} asks for a table of {ages:.3g} ages of {step:g} s, and there is room for "
+            f"{name} needs a table of {ages:.3g} ages of {step:g} s, and there is room for "
             f"{most:,}: lengthen the step."
         )
 
 
 def require_match(plant: SwitchedSystem, law: Law) -> None:
-    """Refuse a law whose model has other sizes than the plant."""
+    """Refuse what is no plant or no law, and a law whose model has other sizes than the plant."""
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
     for name in ("modes", "states", "inputs"):
         mine, its = getattr(plant, name), getattr(law.plant, name)
         if mine != its:

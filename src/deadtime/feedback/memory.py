@@ -1,6 +1,6 @@
 """The state that a law keeps between samples, as a table for compiled loops.
 
-Beside its `Feedback`, such a law has a state z = (x̂, q, r) that its rows are multiplied with: an
+Beside its `Feedback`, such a law has a state z = (x̂, q, r), by which its rows are multiplied: an
 estimate, sums of errors, and a reference. In mode i, from the past inputs u that the law has and
 a measurement y,
 
@@ -8,7 +8,7 @@ a measurement y,
     x̂_k = x̄_k + L_i (y_k − C_i x̄_k),   or x̄_k where y_k is missing,
     q_k = q_{k−1} + h (v_{k−1} + v_k)/2 − h r_{k−1},   v = H y,
 
-the sum stopping where it asks for more of what an input was refused
+where the sum stops while it would drive a saturated input further beyond its limit
 (`loop/observer_steps.py`).
 """
 
@@ -91,10 +91,10 @@ class Memory(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """A law as tables: its rows, and what they are multiplied with where that is not x or y.
+    """A law as tables: its rows, and the state that they act on where that is not x or y.
 
-    A law that knows the signal has a preview in place of rows; one with a belief weighs its rows
-    by that in place of choosing one by the mode. With a bank around it the belief is one from
+    A law that knows the signal has a preview in place of rows; one with a belief weights its rows
+    by it in place of selecting one by the mode. With a bank around it the belief is one from
     outputs, and the law is a table in batches and controllers alone.
     """
 

@@ -2,13 +2,13 @@
 
 A law is u = Σ_i p_i K_i P_i over the systems i in which its forecast may end, P_i the state that is
 expected when the input of now arrives if it ends there. So any law is a prediction if its gains are
-replaced by others that single a future out: with further inputs v that act on nothing, and are as
-late as input j, and one more state that stays 1,
+replaced by others that select one future: with further inputs v that act on nothing and have the
+delay of input j, and one more state that stays 1,
 
     v = p_i (P_i, 1)    under the gains  K_i = I of v in future i, K_l = 0 of v in all others.
 
 The rows of v in the table of that law are those wanted; the true inputs keep their gains, by which
-a law with several delays knows what it will send before input j arrives.
+a law with several delays predicts its own inputs until input j arrives.
 Derived in docs/theory/prediction.md.
 """
 
@@ -42,10 +42,7 @@ class PredictionTable(NamedTuple):
 
 
 def prediction_table(
-    law: Law,
-    step: float,
-    signal: SwitchingSignal | None = None,
-    steps: int | None = None,
+    law: Law, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
 ) -> PredictionTable:
     """The prediction of a law at a sampling period; `signal` and `steps` as in `Law.digital`.
 

@@ -1,4 +1,4 @@
-"""Preview: the rows of a law that knows the switching signal, without a table.
+"""Preview: the rows of a law for a known switching signal, without a table.
 
 Such a law has a row for every sample, which holds the pieces of the plant over a whole delay. All
 of them are one product: the model predicts x(t_k + D) from the state and the inputs in flight, and
@@ -22,7 +22,7 @@ from deadtime.switching.grid import cuts_of, modes_at
 
 
 class Preview(NamedTuple):
-    """The preview of a law that knows the signal: model, gains and signal.
+    """The preview of a law for a known signal: model, gains and signal.
 
     sampled : the law's model at its period
     gains : (modes, m, n), K_i

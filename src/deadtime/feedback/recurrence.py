@@ -32,8 +32,8 @@ from deadtime.switching import SwitchingSignal
 def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) -> Feedback | None:
     """A law's table, with its state among the outputs; None of a law that is no table.
 
-    `signal` is the one that a preview knows, the constant mode 0 by default; such a law with a
-    memory is none.
+    `signal` is that of a preview, the constant mode 0 by default; such a law with a memory is no
+    table.
 
     Examples
     --------
@@ -130,8 +130,8 @@ def _row(
     """(w_{k+1}, u_k) over (x_k, w_k, u_{k−1}, …, u_{k−taps}), under a row in a mode."""
     n, n_o, sums = C.shape[1], memory.gain.shape[1], memory.push.shape[2]
     F, m, h = feedback.state_gain[row], feedback.state_gain.shape[1], memory.step
-    # Each quantity is a row over (x, w, past inputs), begun from rows of the unit matrix: so the
-    # equations of the module stand below as they are written there.
+    # Each quantity is a row over (x, w, past inputs), built from rows of the unit matrix: so the
+    # equations of the module are below as they are written there.
     unit = np.eye(n + n_o + sums + taps * m)
     x, x_bar, s, past = np.split(unit, np.cumsum([n, n_o, sums]))
     measured = memory.C[mode] @ x_bar if lost else C @ x

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive, real_array
+from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError, InfeasibleError
 from deadtime.base.frozen import Frozen
 from deadtime.gains.state_feedback import check_gains, rightmost_eigenvalue
@@ -30,6 +30,7 @@ from deadtime.numerics.lmi import (
     symmetric_value,
 )
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import weight_matrix
 
 # A P of norm 1 with an eigenvalue below this is not known to be definite.
 SMALLEST = 1e-13
@@ -174,8 +175,8 @@ def check_lyapunov(
             "lyapunov must be what common_lyapunov returns, or a pair (P, Q), "
             f"got {type(lyapunov).__name__}."
         )
-    P = _definite("lyapunov: P", lyapunov[0], plant.states)
-    Q = _definite("lyapunov: Q", lyapunov[1], plant.states)
+    P = weight_matrix("lyapunov: P", lyapunov[0], plant.states, "n", strict=True)
+    Q = weight_matrix("lyapunov: Q", lyapunov[1], plant.states, "n", strict=True)
     H = closed_loops(plant, gains)
     floor = _rounding(plant, gains, P)
     rest = [float(np.linalg.eigvalsh(-(h.T @ P + P @ h) - Q)[0]) - floor for h in H]
@@ -194,7 +195,7 @@ def check_lyapunov(
             "lyapunov: Q is positive definite only up to rounding errors of the inequality "
             f"({excess:.1e}): give a better conditioned pair."
         )
-    return _read_only_pair(P, Q)
+    return CommonLyapunov(P, Q)
 
 
 def closed_loops(
@@ -217,8 +218,9 @@ def put_back(
     floor = _rounding(plant, gains, P)
     if np.linalg.eigvalsh(P)[0] <= SMALLEST:
         return None
+    # Q is recomputed: a solver meets its inequality only up to a tolerance.
     q = min(np.linalg.eigvalsh(-(h.T @ P + P @ h))[0] for h in closed_loops(plant, gains)) - floor
-    return _read_only_pair(P, q * np.eye(plant.states)) if q > 0.0 else None
+    return CommonLyapunov(P, q * np.eye(plant.states)) if q > 0.0 else None
 
 
 def growth_in_norm(
@@ -282,23 +284,6 @@ def _size(plant: SwitchedSystem, gains: np.ndarray) -> float:
 
 def _rounding(plant: SwitchedSystem, gains: np.ndarray, P: np.ndarray) -> float:
     return 2.0 * _unit(plant) * _size(plant, gains) * float(np.linalg.norm(P, 2))
-
-
-def _definite(name: str, value: ArrayLike, n: int) -> np.ndarray:
-    matrix = real_array(name, value, "(n, n)", 2)
-    if matrix.shape != (n, n):
-        raise ArgumentError(f"{name} must have shape (n, n) = ({n}, {n}), got {matrix.shape}.")
-    if not np.allclose(matrix, matrix.T, rtol=1e-12, atol=1e-12 * np.abs(matrix).max()):
-        raise ArgumentError(f"{name} must be symmetric: pass (M + M.T) / 2.")
-    smallest = float(np.linalg.eigvalsh((matrix + matrix.T) / 2.0)[0])
-    if smallest <= 0.0:
-        raise ArgumentError(f"{name} must be positive definite, got an eigenvalue {smallest:.4g}.")
-    return (matrix + matrix.T) / 2.0
-
-
-def _read_only_pair(P: np.ndarray, Q: np.ndarray) -> CommonLyapunov:
-    P.flags.writeable = Q.flags.writeable = False
-    return CommonLyapunov(P, Q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,5 +422,4 @@ def _put_back(
     P /= np.linalg.norm(P, 2)
     if np.linalg.eigvalsh(P)[0] <= SMALLEST:
         return None
-    gains.flags.writeable = P.flags.writeable = False
     return JointDesign(gains, P, -growth_in_norm(plant, gains, P))

@@ -115,15 +115,16 @@ def _refine(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> n
     def coefficients(gain: np.ndarray) -> np.ndarray:
         return np.poly(np.linalg.eigvals(A + B @ gain) / unit)[1:].real
 
-    asked, here = np.poly(poles / unit)[1:].real, coefficients(K)
-    size = max(1.0, float(np.abs(K).max()))
+    target, here = np.poly(poles / unit)[1:].real, coefficients(K)
+    size = max(1.0, float(np.abs(K).max()))  # affine: any size is exact but for round-off
     slopes = [coefficients(K + size * row) - here for row in np.eye(A.shape[0])[:, None, :]]
     try:
-        change = np.linalg.solve(np.stack(slopes, axis=1), asked - here) * size
+        change = np.linalg.solve(np.stack(slopes, axis=1), target - here) * size
     except np.linalg.LinAlgError:
         return K
     better = K + change
-    return better if np.abs(coefficients(better) - asked).max() < np.abs(here - asked).max() else K
+    gained = np.abs(coefficients(better) - target).max() < np.abs(here - target).max()
+    return better if gained else K
 
 
 def _require_poles(closed: np.ndarray, poles: np.ndarray, i: int) -> None:
@@ -133,9 +134,9 @@ def _require_poles(closed: np.ndarray, poles: np.ndarray, i: int) -> None:
     are well conditioned for nearly equal poles.
     """
     unit = max(float(np.abs(poles).max()), np.finfo(float).tiny)
-    asked = np.poly(poles / unit)
-    error = np.abs(np.poly(np.linalg.eigvals(closed) / unit) - asked).max() / np.abs(asked).max()
-    if not error <= 1e-6:
+    target = np.poly(poles / unit)
+    error = np.abs(np.poly(np.linalg.eigvals(closed) / unit) - target).max() / np.abs(target).max()
+    if not error <= 1e-6:  # NaN is refused, too
         raise ArgumentError(
             f"poles of mode {i} could not be placed accurately (error {error:.1e} in the "
             "characteristic polynomial): move them apart or closer to those of the plant."

@@ -148,7 +148,7 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | 
     require_controllable(A, B, i)
     if step is None:
         return place_pair(A, B, poles, i)
-    asked = quotient_poles(poles, step, i)
+    wanted = quotient_poles(poles, step, i)
     A, B = quotient(A, B, step)
     if reachable(A, B) < len(A):
         raise ArgumentError(
@@ -156,7 +156,7 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | 
             f"imaginary parts differ by a multiple of 2π/h = {2.0 * np.pi / step:.4g} 1/s look "
             "alike; change the step a little."
         )
-    return place_pair(A, B, asked, i, given=poles)
+    return place_pair(A, B, wanted, i, given=poles)
 
 
 def lqr(
@@ -168,10 +168,10 @@ def lqr(
     ----------
     plant : SwitchedSystem
         The plant.
-    Q : array_like, shape (n, n)
-        State weight, symmetric, positive semidefinite.
-    R : array_like, shape (m, m)
-        Input weight, symmetric, positive definite.
+    Q : array_like, shape (n, n), (n,) or a number
+        State weight, positive semidefinite: a matrix, its diagonal, or a number times the identity.
+    R : array_like, shape (m, m), (m,) or a number
+        Input weight, likewise, positive definite.
     step : float, optional
         Sampling period h, in seconds: the same integral is minimised over inputs that are held,
         exact between samples, too (C. Van Loan 1978). For an exact predictor it is the cost from
@@ -191,12 +191,12 @@ def lqr(
     --------
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[0.0]], [[1.0]]], [[[1.0]], [[1.0]]], delay=1.0)
-    >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]]).ravel().round(4)      # −1 and −(1 + √2)
+    >>> dt.lqr(plant, Q=1.0, R=1.0).ravel().round(4)      # −1 and −(1 + √2)
     array([-1.    , -2.4142])
     >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]], step=0.1).ravel().round(4)
     array([-0.952 , -2.2544])
     """
-    Q = weight_matrix("Q", Q, plant.states, "n", strict=False)
+    Q = weight_matrix("Q", Q, plant.states, "n")
     R = weight_matrix("R", R, plant.inputs, "m", strict=True)
     if step is None:
         return np.stack([_lqr_mode(plant, i, Q, R) for i in range(plant.modes)])
@@ -217,6 +217,7 @@ def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np
         loop = A + B @ K
         residual = np.linalg.norm(A.T @ X + X @ A + X @ B @ K + Q)
         size = np.linalg.norm(Q) + 2.0 * np.linalg.norm(A) * np.linalg.norm(X)
+    # SciPy may return a solution of no use without an error, where Q hides an unstable state.
     stable = np.isfinite(loop).all() and np.linalg.eigvals(loop).real.max() < 0.0
     if not stable or not residual <= 1e-8 * size < np.inf:
         raise _no_gain(i)

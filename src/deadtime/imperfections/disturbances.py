@@ -17,12 +17,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, number, real_array, require_covariance, require_shape
+from deadtime.base.checks import as_floats, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Disturbance, Sizes, Stacked, number_text, once, per_signal
 from deadtime.numerics.covariance import accumulate, lower_root, rates
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.discretisation import snap
+from deadtime.plant.weight import intensities
 
 
 class DrawnDisturbance(Stacked, Disturbance):
@@ -119,19 +120,8 @@ class WhiteDisturbance(DrawnDisturbance):
 
     @once
     def _check(self, sizes: Sizes) -> Float[np.ndarray, "*mode n n"]:
-        name, n = "WhiteDisturbance.intensity", sizes.states
-        given = as_floats(name, self.intensity, "one, (n,), (n, n) or (modes, n, n)")
-        if given.ndim == 3:
-            form = "(modes, n, n)"
-            each = require_shape(name, real_array(name, given, form, 3), (sizes.modes, n, n), form)
-            for mode, W in enumerate(each):
-                require_covariance(f"{name}[{mode}]", W)
-            return each
-        if given.ndim < 2:
-            given = np.diag(per_signal(name, given, n))
-        W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
-        require_covariance(name, W)
-        return W
+        name = "WhiteDisturbance.intensity"
+        return intensities(name, self.intensity, sizes.modes, sizes.states)
 
 
 @dataclass(frozen=True)

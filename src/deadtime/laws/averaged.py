@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_probabilities, require_shape
-from deadtime.feedback import Feedback, Forecast, Functional
-from deadtime.feedback.law import Law, TableLaw, cache_table, check_dwell_time
+from deadtime.feedback import Feedback
+from deadtime.feedback.law import Law, check_dwell_time
 from deadtime.feedback.prediction_rows import extended_gains
-from deadtime.feedback.table import Known
 from deadtime.gains.state_feedback import check_gains
+from deadtime.laws.constant_forecast import ConstantForecast, Future
 from deadtime.plant import SwitchedSystem
-from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class AveragedPredictor(TableLaw):
+class AveragedPredictor(ConstantForecast):
     r"""Average of exact predictor feedbacks: the mode is constant and unknown.
 
     .. math::
@@ -28,9 +26,9 @@ class AveragedPredictor(TableLaw):
         u(t) = \sum_i w_i K_i P_i(t),
         \quad P_i(t) = e^{A_i D} x(t) + \int_{t-D}^{t} e^{A_i (t - \theta)} B_i u(\theta) \, d\theta
 
-    With a dwell time :math:`\tau_d` the current mode is held for the rest of its guaranteed dwell
-    time: :math:`P_i` is then the state at :math:`t + D` of the model that stays in
-    :math:`\sigma(t)` for max(0, :math:`\tau_d` − age) seconds and then in mode i.
+    With a dwell time :math:`\tau_d` the current mode is held for the rest of it:
+    :math:`P_i` is then the state at :math:`t + D` of the model that stays in :math:`\sigma(t)` for
+    max(0, :math:`\tau_d` − age) seconds and then in mode i.
 
     Parameters
     ----------
@@ -152,7 +150,7 @@ class AveragedPredictor(TableLaw):
 
         weights, gains, _ = minimax(tables, plant, gains, step, common_gain, allow_unstable)
         law = cls(plant, gains, weights, dwell_time, allow_unstable=allow_unstable)
-        vars(law).update(tuned=True)
+        vars(law).update(tuned=True)  # for its label only
         return law
 
     @property
@@ -160,40 +158,10 @@ class AveragedPredictor(TableLaw):
         notes = ["minimax"] * self.tuned + ["dwell-aware"] * (self.dwell_time is not None)
         return ", ".join(["averaged", *notes])
 
-    @cache_table
-    def digital(
-        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Feedback:
-        plant, parts = self.plant, (self.gains, self.weights)
-        if self.dwell_time is not None:
-            from deadtime.laws.tables.guaranteed_dwell import dwelling_table
-
-            return dwelling_table(plant, plant, *parts, self.dwell_time, step)
-        from deadtime.laws.tables.along_signal import constant_table
-
-        return constant_table(plant, *parts, step)
+    @property
+    def _future(self) -> Future:
+        return self.plant, self.gains, self.weights
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         gains = extended_gains(self.gains, rows)
         return AveragedPredictor(plant, gains, self.weights, self.dwell_time, allow_unstable=True)
-
-    def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
-    ) -> Float[np.ndarray, "case input future n n"]:
-        from deadtime.laws.spread import dwelling_spread, held_spread
-
-        if self.dwell_time is None:
-            return held_spread(self.plant, known, W)
-        return dwelling_spread(self.plant, self.plant, self.dwell_time, step, known, W, W)
-
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
-        plant, rest, settled = self.plant, self.dwell_time, self._settled
-        if rest is None:
-            return settled
-        return Forecast.dwelling(plant, plant, self.gains, self.weights, rest, signal, settled)
-
-    @cached_property
-    def _settled(self) -> Functional:
-        from deadtime.laws.tables.windows import constant_functional
-
-        return constant_functional(self.plant, self.gains, self.weights)

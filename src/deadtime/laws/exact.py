@@ -23,7 +23,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ExactPredictor(TableLaw):
-    r"""Exact predictor feedback :math:`u(t) = K_{\sigma(t+D)} x(t + D)`, which knows the future.
+    r"""Exact predictor feedback :math:`u(t) = K_{\sigma(t+D)} x(t + D)` for a known signal.
 
     Where inputs or modes have delays of their own, t + D is, input by input, when the plant first
     reads what is sent at t, and inputs to come that act until then are the law's own.
@@ -38,7 +38,7 @@ class ExactPredictor(TableLaw):
     gains : array_like, shape (modes, m, n)
         :math:`K_i` of :math:`u = +K_i x`.
     signal : SwitchingSignal, optional
-        The future that the law believes in; by default the signal of the run.
+        The future signal that the law assumes; by default the signal of the run.
     allow_unstable : bool
         Accept gains that leave some :math:`A_i + B_i K_i` unstable.
 
@@ -86,7 +86,7 @@ class ExactPredictor(TableLaw):
         return self.signal
 
     def _require_signal(self, signal: SwitchingSignal | None, last: float) -> SwitchingSignal:
-        """The signal that the law believes in, which must reach a delay past the last time."""
+        """The signal that the law assumes, which must reach a delay past the last time."""
         known = signal if self.signal is None else self.signal
         if known is None:
             raise ArgumentError(
@@ -95,7 +95,7 @@ class ExactPredictor(TableLaw):
             )
         known.require_modes(self.plant.modes)
         needed = last + self.plant.longest_delay
-        if known.end < needed * (1.0 - 1e-9):
+        if known.end < needed * (1.0 - 1e-9):  # (steps − 1)·step carries round-off
             raise ArgumentError(
                 f"signal must be known up to the last sample plus the delay, {needed:g} s, for "
                 f"an exact predictor, but it ends at {known.end:g} s: give a longer signal or "
@@ -109,14 +109,14 @@ class ExactPredictor(TableLaw):
         sampled, known = self._known(step, signal, steps)
         if not self.plant.has_one_delay:
             return None
-        _ = self._finite
+        _ = self._finite  # a preview fills no table, which would refuse gains that overflow
         m = self.plant.inputs
         return Preview(sampled, self.gains, np.zeros((m, m)), known)
 
     def _known(
         self, step: float, signal: SwitchingSignal | None, steps: int | None
     ) -> tuple[SampledPlant, SwitchingSignal]:
-        """The model at a period, and the signal that is believed in, long enough."""
+        """The model at a period, and the signal that is assumed, long enough."""
         sampled = self.sampled_plant(step)
         if steps is None:
             raise ArgumentError(
@@ -159,6 +159,5 @@ class ExactPredictor(TableLaw):
 
         plant, known = self.plant, self._require_signal(signal, horizon)
         last = [int(known.modes[-1])]
-        own = plant.like(plant.A[last], plant.B[last], plant.delays[last])
-        settled = constant_functional(own, self.gains[last], np.ones(1))
+        settled = constant_functional(plant.only(last), self.gains[last], np.ones(1))
         return Forecast.with_preview(plant, self.gains, known, settled)

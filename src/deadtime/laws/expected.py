@@ -166,11 +166,11 @@ def table_ages(model: SwitchingModel, step: float, requested: int | None, most: 
     if requested is not None:
         require_room("ages", requested, step, most)
         return model.ages(step, most=requested)
-    ages = model.ages(step, most=most + 1)
+    ages = model.ages(step, most=most + 1)  # one more shows that there is no room
     if ages is not None and ages > most:
         raise ArgumentError(
-            f"step = {step:g} s asks for a table of more than the {most:,} ages that there is "
-            "room for, so long are the model's sojourns: lengthen it, or give `ages`, the most to "
-            "tell apart."
+            f"step = {step:g} s needs a table of more than {most:,} ages, for which there is no "
+            "room, so long are the model's sojourns: lengthen it, or give `ages`, the most to "
+            "distinguish."
         )
     return ages

@@ -37,7 +37,7 @@ class RuleForecast:
     every : EveryReading
     gains : (modes, m, n)
     longest : int
-        N: nobody reads what was sent earlier than N periods ago.
+        N: no mode reads an input that is older than N periods.
     step : float
         h, seconds.
     motion : Motion
@@ -76,8 +76,9 @@ class RuleForecast:
         return int(np.argmax((self.sample >= 0).any(axis=(1, 2))))
 
     def __call__(self, x: np.ndarray, past: np.ndarray, mode: int) -> Float[np.ndarray, " m"]:
-        """u_k, from x_k, the past inputs, the latest last, and the mode that is seen."""
+        """u_k, from x_k, the past inputs, the latest last, and the sampled mode."""
         m, stretches = past.shape[1], len(self.every.stretches)
+        # | u_{k−N} … u_{k−1} | u_k … u_{k+N} |: the right part is filled as inputs are first read.
         sent = np.concatenate((past[-self.longest :], np.zeros((self.longest + 1, m))))
         way, q = _Way(self, sent, np.full(m, -1)), self.in_flight
         acting = np.stack([way.acting(p) for p in range(q)])
@@ -97,7 +98,7 @@ class RuleForecast:
 
 @dataclass(eq=False)
 class _Way:
-    """One prediction on its way, from stretch to stretch: what is sent, as far as it is known.
+    """A prediction in progress, from stretch to stretch, with the inputs known so far.
 
     sent : (2 N + 1, m), u_{k−N}, …, u_{k−1} and what the law will send from t_k on
     newest : (m,), the newest samples that have been read, counted from k; −1 for none of them
@@ -113,7 +114,7 @@ class _Way:
 
     @property
     def arrived(self) -> bool:
-        """Whether what is sent at t_k has been read, of every input."""
+        """Whether u_k has been read, of every input."""
         return bool((self.newest >= 0).all())
 
     def acting(self, q: int) -> np.ndarray:
@@ -124,11 +125,11 @@ class _Way:
         return self.ahead.sample[q, mode % self.ahead.every.readers]
 
     def is_new(self, q: int, mode: int) -> bool:
-        """Whether a mode reads in a stretch what nobody has read before."""
+        """Whether a mode is the first to read an input in a stretch."""
         return bool((self._samples(q, mode) > self.newest).any())
 
     def read(self, q: int, mode: int, x: np.ndarray) -> None:
-        """Let a mode begin to read in a stretch, at x: what it is the first to read is K x."""
+        """Let a mode begin to read in a stretch, at x: an input that it is first to read is K x."""
         samples, u = self._samples(q, mode), self.ahead.gains[mode] @ x
         for j in np.flatnonzero(samples > self.newest):
             first = self.ahead.longest + self.newest[j] + 1
@@ -150,6 +151,7 @@ class _Way:
             soon = motion.advance(len(self.ahead.every.stretches), x, place, self.acting(q - 1))
             place, beside = soon.place, soon.beside
         if beside is not None:
+            # On copies: whether x crosses depends on inputs that only the other mode would read.
             there = _Way(self.ahead, self.sent.copy(), self.newest.copy())
             there.read(q, motion.mode_of(beside.place), x)
             if motion.leads_on(x, beside, there.acting(q)):

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, real_array, require_unmasked
+from deadtime.base.checks import as_floats, instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Factor, Feedback, Forecast, Law, Preview
 from deadtime.feedback.law import TableLaw
@@ -19,7 +19,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class LowPassPredictor(TableLaw):
-    r"""A law followed by a low-pass filter that it knows of: the table holds the filtered input.
+    r"""A law followed by a low-pass filter, which its table includes.
 
     .. math::
 
@@ -28,12 +28,12 @@ class LowPassPredictor(TableLaw):
         \quad E = e^{-h T^{-1}},
         \quad v \text{ the wrapped law}
 
-    The wrapped law predicts with the past u, those that the plant gets, so with one delay its
-    prediction stays exact; where delays differ it counts on inputs that it is still to send as if
-    they were v, and `Controller.prediction` is refused. What changes is that high frequencies, at
-    which a predictor amplifies an error of its delay, no longer go around the loop. The filter is
-    part of the loop that gains must stabilise: `deadtime.design` chooses both together, as does
-    LQR for the plant with u as a state and du/dt as its input (docs/theory/delay-margin.md).
+    The wrapped law predicts with the past u that the plant received, so with one delay its
+    prediction stays exact; where delays differ it takes later inputs for v, unfiltered, and
+    `Controller.prediction` is refused. High frequencies, at which a predictor amplifies an error of
+    its delay, no longer go around the loop. The filter is part of the loop that gains must
+    stabilise: `deadtime.design` chooses both together, as does LQR for the plant with u as a state
+    and du/dt as its input (docs/theory/delay-margin.md).
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class LowPassPredictor(TableLaw):
         return Feedback(passed @ table.state_gain, G, table.context, table.step, table.ages, factor)
 
     def _filter(self, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """E and 1 − E: what is kept of u_{k−1}, and let pass of v_k."""
+        """E and 1 − E, the shares of u_{k−1} and of v_k in u_k."""
         from scipy.linalg import expm
 
         kept = expm(-step * np.linalg.inv(self.time_constant))
@@ -126,14 +126,14 @@ class LowPassPredictor(TableLaw):
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         shortest, longest = self.plant.delays.min(), self.plant.delays.max()
-        if shortest < longest:  # the wrapped law counts on inputs to come that are not filtered
+        if shortest < longest:  # the wrapped law predicts its own later inputs without the filter
             raise ArgumentError(
                 "prediction of a LowPassPredictor needs one delay, the same for all inputs and "
-                f"modes, got {shortest:g} to {longest:g} s: inputs that are still to be sent would "
-                "count as if no filter were there. Make the controller of the law without the "
+                f"modes, got {shortest:g} to {longest:g} s: inputs that are not yet computed would "
+                "count as if there were no filter. Make the controller of the law without the "
                 "filter (`law.law`), or give all inputs the longest delay."
             )
-        return self.law.extend(plant, rows)  # it is what the wrapped law predicts that is filtered
+        return self.law.extend(plant, rows)  # the filter is after the prediction
 
     def spread(
         self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
@@ -149,21 +149,10 @@ class LowPassPredictor(TableLaw):
 
 def _matrix(value: ArrayLike, m: int) -> Float[np.ndarray, "m m"]:
     """T as an (m, m) matrix whose eigenvalues have positive real parts."""
-    require_unmasked("time_constant", value)
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise ArgumentError(
-            f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got rows of "
-            "different lengths."
-        ) from None
-    if array.ndim == 0:
-        array = real_array("time_constant", array[None, None], "() or (m, m)", 2) * np.eye(m)
+    given = as_floats("time_constant", value, f"a number or (m, m) = ({m}, {m})")
+    array = np.diag(np.full(m, given)) if given.ndim == 0 else given
     array = real_array("time_constant", array, "() or (m, m)", 2)
-    if array.shape != (m, m):
-        raise ArgumentError(
-            f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got {array.shape}."
-        )
+    require_shape("time_constant", array, (m, m), "() or (m, m)")
     least = np.linalg.eigvals(array).real.min()
     if least <= 0.0:
         raise ArgumentError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -11,17 +10,15 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional
-from deadtime.feedback.law import Law, TableLaw, cache_table, check_dwell_time
+from deadtime.feedback.law import Law, check_dwell_time
 from deadtime.feedback.prediction_rows import extended_gains
-from deadtime.feedback.table import Known
 from deadtime.gains.state_feedback import check_gains, require_hurwitz
+from deadtime.laws.constant_forecast import ConstantForecast, Future
 from deadtime.plant import SwitchedSystem
-from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class MeanPredictor(TableLaw):
+class MeanPredictor(ConstantForecast):
     r"""Exact predictor feedback of the mean plant (Ā, B̄).
 
     .. math::
@@ -29,9 +26,8 @@ class MeanPredictor(TableLaw):
         u(t) = \bar K \Big( e^{\bar A D} x(t)
         + \int_{t-D}^{t} e^{\bar A (t - \theta)} \bar B u(\theta) \, d\theta \Big)
 
-    With a dwell time :math:`\tau_d` it trusts the current mode for the rest of its guaranteed
-    dwell: the prediction then stays in :math:`\sigma(t)` for max(0, :math:`\tau_d` − age) seconds
-    and in the mean from there on.
+    With a dwell time :math:`\tau_d` the prediction stays in :math:`\sigma(t)` for
+    max(0, :math:`\tau_d` − age) seconds and in the mean from there on.
 
     Parameters
     ----------
@@ -42,7 +38,7 @@ class MeanPredictor(TableLaw):
     gains : array_like, shape (modes, m, n), optional
         The modes' own :math:`K_i`, needed only for the mismatch; without them there is none.
     dwell_time : float, optional
-        :math:`\tau_d` > 0, seconds: the time for which every mode, once entered, is sure to last.
+        :math:`\tau_d` > 0, seconds: the least time that the plant stays in a mode.
     mean : pair of array_like, shapes (n, n) and (n, m), optional
         (Ā, B̄); the element-wise mean of the modes by default.
     allow_unstable : bool
@@ -107,54 +103,18 @@ class MeanPredictor(TableLaw):
         return "mean" if self.dwell_time is None else "mean, dwell-aware"
 
     @property
-    def _mean_plant(self) -> SwitchedSystem:
+    def _future(self) -> Future:
         """The one mode that may follow, with its delays."""
         A, B = self.mean
-        return self.plant.like(A[None], B[None], self.plant.mean().delays)
-
-    @cache_table
-    def digital(
-        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Feedback:
-        mean, K = self._mean_plant, self.gain[None]
-        if self.dwell_time is not None:
-            from deadtime.laws.tables.guaranteed_dwell import dwelling_table
-
-            return dwelling_table(self.plant, mean, K, np.ones(1), self.dwell_time, step)
-        from deadtime.laws.tables.along_signal import constant_table
-
-        return constant_table(mean, K, np.ones(1), step)
+        centre = self.plant.like(A[None], B[None], self.plant.mean().delays)
+        return centre, self.gain[None], np.ones(1)
 
     @property
     def horizons(self) -> Float[np.ndarray, "future m"]:
-        return self._mean_plant.delays
+        return self.plant.mean().delays
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         (A, B), more, further = self.mean, plant.states - self.plant.states, rows.shape[1]
         mean = np.pad(A, (0, more)), np.pad(B, ((0, more), (0, further)))
         gain = extended_gains(self.gain[None], rows)[0]
         return MeanPredictor(plant, gain, None, self.dwell_time, mean, allow_unstable=True)
-
-    def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
-    ) -> Float[np.ndarray, "case input future n n"]:
-        from deadtime.laws.spread import dwelling_spread, held_spread
-
-        mean_W = W if W.ndim == 2 else W.mean(axis=0)
-        if self.dwell_time is None:
-            return held_spread(self._mean_plant, known, mean_W)
-        plants = self.plant, self._mean_plant
-        return dwelling_spread(*plants, self.dwell_time, step, known, W, mean_W)
-
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional | Forecast:
-        rest, settled = self.dwell_time, self._settled
-        if rest is None:
-            return settled
-        after = self._mean_plant, self.gain[None], np.ones(1)
-        return Forecast.dwelling(self.plant, *after, rest, signal, settled)
-
-    @cached_property
-    def _settled(self) -> Functional:
-        from deadtime.laws.tables.windows import constant_functional
-
-        return constant_functional(self._mean_plant, self.gain[None], np.ones(1))

@@ -30,8 +30,8 @@ from deadtime.spectrum import LiftedLoop
 # A common gain is at most this many times as large as the largest given one (spectral norms):
 # without a limit the best rates belong to gains that are large without bound.
 GAIN_LIMIT = 2.0
-_LATTICE, _COARSE, _RESTARTS = 100, 20, 5
-_UNSTABLE = 1e6
+_LATTICE, _COARSE, _RESTARTS = 100, 20, 5  # points; periods of the delay; descents from a point
+_UNSTABLE = 1e6  # 1/s: above the growth rate of any loop that is compared
 
 # From a vector of variables to weights (modes,) and gains (modes, m, n).
 Reading = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -73,7 +73,7 @@ def minimax(
         return _weights(variables), given
 
     height, lattice = _height(plant, rates, own, coarse), _simplex(plant.modes)
-    order = np.argsort([height(point) for point in lattice], kind="stable")
+    order = np.argsort([height(point) for point in lattice], kind="stable")  # ties are common
     start = _best(height, [lattice[i] for i in order[:3]], 0.05)
     best, _ = _minimise(_height(plant, rates, own, step), start, 0.02, 3)
     if not common_gain:
@@ -139,6 +139,7 @@ def _minimise(
 
     best, lowest = start, height(start)
     for _ in range(restarts if start.size else 0):
+        # A fresh simplex: on a maximum of several rates the old one collapses into a ridge.
         simplex = np.vstack((best, best + spread * np.eye(start.size)))
         options: dict[str, Any] = {"xatol": 1e-6, "fatol": 1e-7, "maxfev": 150 * start.size}
         options["initial_simplex"] = simplex

@@ -18,7 +18,7 @@ from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.switching import SwitchingModel, SwitchingSignal
 from deadtime.switching.models.model import require_model
 
-MOST_MEMORY = 4e9
+MOST_MEMORY = 4e9  # bytes of P, one matrix per mode and age
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -50,9 +50,9 @@ class OptimalPredictor(TableLaw):
 
     with :math:`E_\theta(P)` the mean of :math:`P` one sample later. The cross terms between
     :math:`\xi_k` and :math:`u_k` that appear for :math:`N = 1` are included. `ExpectedPredictor`
-    averages the best inputs of all future signals; this law also weighs the cost of a wrong guess
-    and uses later measurements. If the modes are similar the two cost nearly the same; if they
-    differ much, this one may have a finite cost where the cost of the other is infinite.
+    averages the best inputs of all future signals; this law also weighs the cost of a wrong
+    forecast and uses later measurements. For similar modes the two cost nearly the same; for modes
+    that differ much this one may have a finite cost where the other has none.
 
     Parameters
     ----------
@@ -61,10 +61,10 @@ class OptimalPredictor(TableLaw):
     model : switching model
         How the mode switches, with as many modes as the plant. A mode's age is counted where it
         matters, as under a semi-Markov model.
-    Q : array_like, shape (n, n)
-        State weight, symmetric, positive definite.
-    R : array_like, shape (m, m)
-        Input weight, symmetric, positive definite.
+    Q : array_like, shape (n, n), (n,) or a number
+        State weight, symmetric, positive definite; its diagonal; or a number times the identity.
+    R : array_like, shape (m, m), (m,) or a number
+        Input weight, likewise.
     ages : int, optional
         The largest number of ages (samples) that the table distinguishes, if age matters; older
         modes count as the oldest. By default as many as matter to the model.
@@ -95,7 +95,7 @@ class OptimalPredictor(TableLaw):
     >>> from scipy import stats
     >>> plant = dt.problems.paper().plant
     >>> model = dt.SemiMarkov(stats.expon(loc=0.2, scale=0.2))
-    >>> law = dt.OptimalPredictor(plant, model, Q=[[1, 0], [0, 1]], R=[[1]])
+    >>> law = dt.OptimalPredictor(plant, model, Q=1.0, R=1.0)
     >>> law.digital(0.05)
     Feedback(context='mode_age', rows=10, taps=20, inputs=1, step=0.05, dense)
     >>> round(law.least_cost([-1, 1], mode=0, step=0.05), 1)
@@ -121,7 +121,6 @@ class OptimalPredictor(TableLaw):
         require_model(model, plant.modes)
         Q = weight_matrix("Q", Q, plant.states, "n", strict=True)
         R = weight_matrix("R", R, plant.inputs, "m", strict=True)
-        Q.flags.writeable = R.flags.writeable = False
         ages = None if ages is None else count("ages", ages)
         vars(self).update(plant=plant, gains=None, model=model, Q=Q, R=R, ages=ages)
 
@@ -188,11 +187,10 @@ class OptimalPredictor(TableLaw):
         ages = ages or 1
         chain = self.model.chain(h, ages)
         L, stage = period(sampled, self.Q)
-        # Riccati orders past inputs (x, u_{k−N}, …, u_{k−1}), as they leave the window; the table
-        # wants the latest first.
+        # In ξ of `solve` the oldest input comes first, in a table the latest.
         P, gain = solve(L, stage, h * self.R, chain.hazard, chain.jump, N, h)
         F = gain[..., :n].reshape(modes * ages, m, n).copy()
         G = gain[..., n:].reshape(modes * ages, m, N, m)[:, :, ::-1].transpose(0, 2, 1, 3).copy()
-        cost = P[:, 0, :n, :n]
+        cost = P[:, 0, :n, :n]  # of which `solve` fills the lower triangle
         cost = np.tril(cost) + np.tril(cost, -1).transpose(0, 2, 1)
         return Feedback(F, G, context, h, ages), read_only(cost)

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
-from deadtime.feedback import Feedback, Functional
-from deadtime.feedback.law import Law, TableLaw, cache_table
+from deadtime.feedback.law import Law
 from deadtime.feedback.prediction_rows import extended_gains
 from deadtime.feedback.table import Known
 from deadtime.gains.state_feedback import check_gains
+from deadtime.laws.constant_forecast import ConstantForecast, Future
 from deadtime.plant import SwitchedSystem
-from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class SingleModePredictor(TableLaw):
+class SingleModePredictor(ConstantForecast):
     r"""Exact predictor feedback of mode i, forecasting that this mode is held.
 
     .. math::
@@ -68,17 +66,8 @@ class SingleModePredictor(TableLaw):
         return f"mode {self.mode} only"
 
     @property
-    def _one_mode(self) -> SwitchedSystem:
-        own, plant = slice(self.mode, self.mode + 1), self.plant
-        return plant.like(plant.A[own], plant.B[own], plant.delays[own])
-
-    @cache_table
-    def digital(
-        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Feedback:
-        from deadtime.laws.tables.along_signal import constant_table
-
-        return constant_table(self._one_mode, self.gains[[self.mode]], np.ones(1), step)
+    def _future(self) -> Future:
+        return self.plant.only([self.mode]), self.gains[[self.mode]], np.ones(1)
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> Law:
         gains = extended_gains(self.gains, rows)
@@ -89,13 +78,4 @@ class SingleModePredictor(TableLaw):
     ) -> Float[np.ndarray, "case input future n n"]:
         from deadtime.laws.spread import held_spread
 
-        return held_spread(self.plant, known, W)
-
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Functional:
-        return self._settled
-
-    @cached_property
-    def _settled(self) -> Functional:
-        from deadtime.laws.tables.windows import constant_functional
-
-        return constant_functional(self._one_mode, self.gains[[self.mode]], np.ones(1))
+        return held_spread(self.plant, known, W)  # of every mode, as `horizons` has them

@@ -32,8 +32,8 @@ class StateDependentPredictor(Law):
     with :math:`P(t) = x(t + D)` of the model under its rule, from :math:`x(t)` and the inputs in
     flight.
 
-    The state decides the future, so there is nothing to guess: with the right model and rule it
-    is exact, as the oracle is, and knows no signal. Between crossings the model moves by its
+    The state decides the future: with the right model and rule the law is exact, as the oracle is,
+    without a known signal. Between crossings the model moves by its
     matrix exponentials; where both modes point at their boundary it slides along it, and there
     takes the gain of the mode beyond if that leads on, otherwise of the one it came from. A
     crossing at exactly t + D counts. Where inputs or modes have delays of their own, t + D is,
@@ -127,7 +127,7 @@ class StateDependentPredictor(Law):
 
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
             if not np.isfinite(x).all():
-                return np.full(past.shape[1], np.nan)
+                return np.full(past.shape[1], np.nan)  # the loop then holds the last input
             return predict(x, past, mode)
 
         return control
@@ -137,7 +137,7 @@ class StateDependentPredictor(Law):
     ) -> Callable[[np.ndarray, np.ndarray, int], np.ndarray]:
         """u_k of x_k, the past inputs and the mode, of a model with one delay."""
         ahead = sampled.ahead
-        # A switch within 1e-9 h after an instant counts as at it: the last length looks ahead.
+        # A switch within 1e-9 h after an instant counts as at it: hence the last length.
         lengths = *ahead.length.tolist(), TOLERANCE * sampled.step
         motion = self.rule.motion(self.plant, lengths)
         inputs = np.arange(self.plant.inputs)

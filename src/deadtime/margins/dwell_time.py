@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Unpack
 
-from deadtime.base.checks import index, instance, number, positive
+from deadtime.base.checks import index, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
@@ -216,8 +216,6 @@ def least_dwell_time(
     >>> slow.certified_each[0], slow.certified < found.certified
     (4.0, True)
     """
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
     require_match(plant, law)
     step = positive("step", step)
     if plant.modes < 2:
@@ -306,16 +304,12 @@ def _without_proof(questions: Questions, worst: WorstCase, shape: DwellShape) ->
     evaluations = _evaluations(questions)
     reason = questions.proof(min(questions.answers)).message  # cached: the longest that was tried
     each = _each(evaluations[-1][0], shape)
+    found = f"No {_of(shape)} up to {each} s was certified: {reason}"
+    if refuted is None:
+        return LeastDwellTime(None, None, None, False, None, None, found, evaluations)
+    refuted_each = None, shape.dwell_times(refuted)
     return LeastDwellTime(
-        None,
-        refuted,
-        None,
-        False,
-        None,
-        worst if refuted is not None else None,
-        f"No {_of(shape)} up to {each} s was certified: {reason}",
-        evaluations,
-        refuted_each=None if refuted is None else shape.dwell_times(refuted),
+        None, refuted, None, False, None, worst, found, evaluations, *refuted_each
     )
 
 
@@ -334,17 +328,11 @@ def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> Leas
         text += "; no shorter dwell time was refuted."
     if found.open is not None:
         text += f" No answer at {_each(1.0 / found.open[0], shape)} s: {found.open[1]}"
+    proof, answers = found.certificate, _evaluations(questions)
+    ratio = None if refuted is None else certified / refuted
+    each = [None if time is None else shape.dwell_times(time) for time in (certified, refuted)]
     return LeastDwellTime(
-        certified,
-        refuted,
-        None if refuted is None else certified / refuted,
-        found.certificate.proven,
-        found.certificate,
-        found.witness,
-        text,
-        _evaluations(questions),
-        shape.dwell_times(certified),
-        None if refuted is None else shape.dwell_times(refuted),
+        certified, refuted, ratio, proof.proven, proof, found.witness, text, answers, *each
     )
 
 

@@ -285,10 +285,10 @@ def _sentence(lower: _End, upper: _End) -> str:
     if low_mode is None and high_mode is None:
         return f"{text} at all, however much"
     if high_mode is None:
-        return f"{text} more than {low_text} times as much as believed"
+        return f"{text} more than {low_text} times as much as in the model"
     if low_mode is None:
-        return f"{text} less than {high_text} times as much as believed"
-    return f"{text} between {low_text} and {high_text} times as much as believed"
+        return f"{text} less than {high_text} times as much as in the model"
+    return f"{text} between {low_text} and {high_text} times as much as in the model"
 
 
 def _cure(factors: _Factors, stable: bool) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Unpack
 
-from deadtime.base.checks import count, instance, positive
+from deadtime.base.checks import count, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.feedback import Law
@@ -128,8 +128,6 @@ def longest_mode_lag(
     >>> found.certified, found.refuted, found.certified_seconds
     (1, 2, 0.25)
     """
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
     require_match(plant, law)
     step = positive("step", step)
     sought = SignalClass.of(dwell_time, **signals)

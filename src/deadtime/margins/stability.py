@@ -347,16 +347,10 @@ def stability_margin(
     apart = None
     if found.refuted is not None:
         apart = found.refuted / found.certified if found.certified > 0.0 else float("inf")
-    return StabilityMargin(
-        found.certified,
-        found.refuted,
-        apart,
-        found.certificate.proven,
-        found.certificate,
-        found.witness,
-        _message(found),
-        tuple(sorted(questions.answers.items())),
-    )
+    low, high, proof, answers = found.certified, found.refuted, found.certificate, questions.answers
+    tried = tuple(sorted(answers.items()))
+    text = _message(found)
+    return StabilityMargin(low, high, apart, proof.proven, proof, found.witness, text, tried)
 
 
 def _message(found: Bracket) -> str:
@@ -452,5 +446,4 @@ def stability_chart(
                 row.append(None)
                 reasons[name, time] = str(error)
         margins[name] = tuple(row)
-    times.flags.writeable = False
     return StabilityChart((bounds[0], bounds[1]), times, margins, reasons)

@@ -135,17 +135,8 @@ class RobustnessRuns:
         return [self._run(start, alone, i) for i in range(self.scenarios)]
 
     def _run(self, x0: np.ndarray, whole: Sequence[Imperfection], scenario: int) -> Trajectory:
-        return simulate(
-            self.plant,
-            self.law,
-            self.signal,
-            x0,
-            self.horizon,
-            self.step,
-            self.u0,
-            imperfections=whole,
-            seed=self.seed + scenario,
-        )
+        given = self.plant, self.law, self.signal, x0, self.horizon, self.step, self.u0
+        return simulate(*given, imperfections=whole, seed=self.seed + scenario)
 
 
 @dataclass(frozen=True, eq=False)

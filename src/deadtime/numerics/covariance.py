@@ -20,11 +20,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.numerics.exponential import balanced, discretise_each, product, products
+from deadtime.numerics.exponential import (
+    ROUND_OFF,
+    balanced,
+    discretise_each,
+    product,
+    products,
+)
 from deadtime.numerics.kernels import kernel
 
 _MANY = 100_000  # numbers in the arguments from which compiling pays
-_ROUND_OFF = 1e-18
 _LONGEST = 1100  # doublings: more than the exponents of doubles
 
 
@@ -71,7 +76,7 @@ def _terms(
     """Coefficients of Φ and Q in s = size·τ ≤ `longest`, (mode, term, N, N), the highest last."""
     N, J = J.shape[1], J / size[:, None, None]
     # |S_k| grows as (2 size)ᵏ/(k + 1)!, because J acts on both sides.
-    count = next(k for k in range(2, 60) if (2.0 * longest) ** k / math.factorial(k) < _ROUND_OFF)
+    count = next(k for k in range(2, 60) if (2.0 * longest) ** k / math.factorial(k) < ROUND_OFF)
     Phi, S = np.empty((2, len(J), count + 2, N, N))
     Phi[:, 0], S[:, 0] = np.eye(N), W / size[:, None, None]
     for k in range(1, count + 2):
@@ -81,16 +86,7 @@ def _terms(
     return Phi, S
 
 
-def _follow_by_numpy(
-    Phi: np.ndarray,
-    S: np.ndarray,
-    size: np.ndarray,
-    mode: np.ndarray,
-    tau: np.ndarray,
-    noisy: bool,
-    M: np.ndarray,
-    Q: np.ndarray,
-) -> None:
+def _follow_by_numpy(Phi, S, size, mode, tau, noisy, M, Q):
     """`_follow` by array operations on all stretches, which are in the last axis."""
     N = M.shape[1]
     moved = np.repeat(np.eye(N)[:, :, None], len(tau), axis=2)

@@ -31,7 +31,7 @@ import numpy as np
 from deadtime.base.checks import read_only
 from deadtime.numerics.kernels import kernel
 
-ROUND_OFF = 1e-18
+ROUND_OFF = 1e-18  # relative: later terms of a Taylor series do not change a double
 LARGEST = 2.0**1000  # |A|τ from which the exponential is NaN
 
 

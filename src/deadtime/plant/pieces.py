@@ -221,14 +221,7 @@ class Parts(NamedTuple):
     goes_on: np.ndarray
 
 
-def parts_of(
-    start: np.ndarray,
-    stop: np.ndarray,
-    mode: np.ndarray,
-    cut: np.ndarray,
-    cut_offset: np.ndarray,
-    cut_mode: np.ndarray,
-) -> Parts:
+def parts_of(start, stop, mode, cut, cut_offset, cut_mode) -> Parts:
     """The parts of positive length."""
     count = cut[:, 1] - cut[:, 0] + 1
     first = np.concatenate(([0], np.cumsum(count)))
@@ -249,16 +242,7 @@ def parts_of(
     return Parts(entry, mode_of[kept], (until - since)[kept], rank, goes_on)
 
 
-def transitions_at_once(
-    A: np.ndarray,
-    B: np.ndarray,
-    start: np.ndarray,
-    stop: np.ndarray,
-    mode: np.ndarray,
-    cut: np.ndarray,
-    cut_offset: np.ndarray,
-    cut_mode: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+def transitions_at_once(A, B, start, stop, mode, cut, cut_offset, cut_mode):
     """`transitions` by NumPy."""
     parts = parts_of(start, stop, mode, cut, cut_offset, cut_mode)
     Phi, Gamma = np.empty((mode.size, *A.shape[1:])), np.empty((mode.size, *B.shape[1:]))
@@ -274,14 +258,7 @@ def transitions_at_once(
     return Phi, Gamma
 
 
-def gramians_at_once(
-    A: np.ndarray,
-    B: np.ndarray,
-    table: PieceTable,
-    cut_offset: np.ndarray,
-    cut_mode: np.ndarray,
-    Q: np.ndarray,
-) -> np.ndarray:
+def gramians_at_once(A, B, table, cut_offset, cut_mode, Q):
     """`gramians` by NumPy."""
     entries, (n, m) = table.mode.size, B.shape[1:]
     parts = parts_of(table.start, table.stop, table.mode, table.cut, cut_offset, cut_mode)

@@ -112,6 +112,18 @@ class SwitchedSystem(Frozen):
         require_exponential("delay", A, plant.longest_delay)
         return plant
 
+    def only(self, modes: Sequence[int]) -> SwitchedSystem:
+        """The plant with these of its modes, in this order.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> dt.problems.paper().plant.only([1])
+        SwitchedSystem(modes=1, states=2, inputs=1, delay=1)
+        """
+        modes = list(modes)
+        return self.like(self.A[modes], self.B[modes], self.delays[modes])
+
     @classmethod
     def from_statespace(cls, systems: Sequence[Any], delay: ArrayLike) -> SwitchedSystem:
         """A plant from python-control ``StateSpace`` objects, one per mode.

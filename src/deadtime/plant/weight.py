@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, brief, number, read_only, real_array
+from deadtime.base.checks import as_floats, brief, number, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.json_records import record
 from deadtime.plant import SwitchedSystem
 
 PLAIN = "∫|x|² + |u|²"
+_ROUND_OFF = 1e-9  # of the largest entry: an asymmetry or an eigenvalue below 0 by computation
 _MOST = 3  # rows of a matrix that a label shows in full
 
 
@@ -82,14 +83,7 @@ class Weight(Frozen):
         """
         whole = Weight.__new__(Weight)
         for name, letter, size in (("Q", "n", plant.states), ("R", "m", plant.inputs)):
-            part = getattr(self, name)
-            part = part * np.eye(size) if part.ndim == 0 else part
-            if part.shape != (size, size):
-                raise ArgumentError(
-                    f"{where}{name} must have shape ({letter}, {letter}) = {(size, size)}, got "
-                    f"{part.shape}."
-                )
-            vars(whole)[name] = read_only(part)
+            vars(whole)[name] = weight_matrix(f"{where}{name}", getattr(self, name), size, letter)
         return whole
 
 
@@ -139,33 +133,65 @@ def costs(
     return {"ise": ise, "energy": energy, "cost": states + inputs}
 
 
-def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -> np.ndarray:
-    """A symmetric matrix (size, size), positive semidefinite or (`strict`) definite."""
-    form = f"({letter}, {letter})"
-    weight = real_array(name, value, form, 2)
-    if weight.shape != (size, size):
-        raise ArgumentError(f"{name} must have shape {form} = {(size, size)}, got {weight.shape}.")
-    if not np.allclose(weight, weight.T, rtol=1e-12, atol=0.0):
-        raise ArgumentError(f"{name} must be symmetric: pass ({name} + {name}.T) / 2.")
-    eigenvalues = np.linalg.eigvalsh(weight)
-    # A semidefinite matrix may have an eigenvalue below 0 by round-off.
-    floor = 0.0 if strict else -1e-12 * max(1.0, abs(eigenvalues).max())
-    if eigenvalues[0] < floor or (strict and eigenvalues[0] <= 0.0):
-        kind = "positive definite" if strict else "positive semidefinite"
-        raise ArgumentError(f"{name} must be {kind}, got an eigenvalue {eigenvalues[0]:.4g}.")
-    return (weight + weight.T) / 2.0
+def weight_part(
+    name: str, value: ArrayLike, letter: str, strict: bool = False
+) -> Float[np.ndarray, ...]:
+    """A weight or covariance: a number unchanged, a diagonal or a matrix as a symmetric matrix.
 
-
-def weight_part(name: str, value: ArrayLike, letter: str) -> np.ndarray:
-    """A number unchanged; a diagonal or a matrix, positive semidefinite, as a matrix."""
+    It is positive semidefinite, or definite if `strict`.
+    """
     form = f"({letter}, {letter}), ({letter},) or ()"
-    ndim = as_floats(name, value, f"of shape {form}").ndim
-    if ndim not in (0, 1, 2):
-        raise ArgumentError(f"{name} must have shape {form}, got {ndim} axes.")
-    given = np.array([[number(name, value)]]) if ndim == 0 else real_array(name, value, form, ndim)
-    whole = np.diag(given) if ndim == 1 else given
-    whole = read_only(weight_matrix(name, whole, len(whole), letter, strict=False))
-    return whole if ndim else whole.reshape(())
+    given = as_floats(name, value, f"of shape {form}")
+    if given.ndim > 2:
+        raise ArgumentError(
+            f"{name} must have shape {form}, got {given.shape}: give one matrix, not one per mode."
+        )
+    if given.ndim == 0:  # messages about a number name no entry
+        whole = np.array([[number(name, given)]])
+    else:
+        whole = real_array(name, given, form, given.ndim)
+    whole = np.diag(whole) if given.ndim == 1 else whole
+    whole = require_shape(name, whole, (len(whole),) * 2, f"({letter}, {letter})")
+    # Relative to the largest entry, so that units do not decide what counts as round-off.
+    allowed = _ROUND_OFF * np.abs(whole).max()
+    if np.abs(whole - whole.T).max() > allowed:
+        raise ArgumentError(f"{name} must be symmetric: pass (M + M.T) / 2.")
+    least = np.linalg.eigvalsh(whole)[0]
+    if least < -allowed or (strict and least <= 0.0):
+        kind = "positive definite" if strict else "positive semidefinite"
+        raise ArgumentError(f"{name} must be {kind}, got an eigenvalue {least:.4g}.")
+    # Symmetric to the last bit: a filter that is stored and restored must not drift.
+    whole = read_only((whole + whole.T) / 2.0)
+    return whole if given.ndim else whole.reshape(())
+
+
+def weight_matrix(
+    name: str, value: ArrayLike, size: int, letter: str, strict: bool = False
+) -> Float[np.ndarray, "size size"]:
+    """A symmetric matrix, positive semidefinite or (`strict`) definite.
+
+    A number multiplies the identity, and (size,) is a diagonal.
+
+    Examples
+    --------
+    >>> weight_matrix("Q", 2.0, 2, "n").tolist()
+    [[2.0, 0.0], [0.0, 2.0]]
+    """
+    part = weight_part(name, value, letter, strict)
+    whole = read_only(part * np.eye(size)) if part.ndim == 0 else part
+    return require_shape(name, whole, (size, size), f"({letter}, {letter})")
+
+
+def intensities(name: str, value: ArrayLike, modes: int, n: int) -> Float[np.ndarray, "*mode n n"]:
+    """W as `weight_matrix` checks it, or one such matrix for each mode if they differ."""
+    given = as_floats(name, value, "one, (n,), (n, n) or (modes, n, n)")
+    if given.ndim < 3:
+        return weight_matrix(name, given, n, "n")
+    given = real_array(name, given, "(modes, n, n)", 3)
+    require_shape(name, given, (modes, n, n), "(modes, n, n)")
+    each = [weight_matrix(f"{name}[{mode}]", W, n, "n") for mode, W in enumerate(given)]
+    # Equal ones as one: filters then need one covariance for each mode, not for each pair.
+    return each[0] if (given == given[0]).all() else read_only(np.stack(each))
 
 
 def _text_of(part: np.ndarray) -> str:

@@ -55,7 +55,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.held_mode_checks import check_mode
 from deadtime.spectrum.ideal import IdealLoop, weights
 
-_STEPS, _CIRCLE = 40, 8
+_STEPS, _CIRCLE = 40, 8  # of Newton's method; points on a circle around a root
 _CONVERGED = 1e-6  # relative: a double root has half of the digits only
 
 
@@ -115,7 +115,7 @@ def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.nda
 
 
 MOST_POINTS = 400_000
-_CHUNK = 20_000
+_CHUNK = 20_000  # points whose matrices are in memory at a time
 
 
 def count_right_of(loop: IdealLoop, line: float) -> int | None:
@@ -147,13 +147,11 @@ def count_right_of(loop: IdealLoop, line: float) -> int | None:
         if points.size > MOST_POINTS or gap.min() < 1e-13 * (1.0 + abs(line)):
             return None
         middles = points[coarse] + gap[coarse] / 2.0
-        more_sign, more_rate = _values(loop, line + 1j * middles, pole)
-        points = np.insert(points, coarse + 1, middles)
-        sign, rate = (
-            np.insert(sign, coarse + 1, more_sign),
-            np.insert(rate, coarse + 1, more_rate),
-        )
+        more = _values(loop, line + 1j * middles, pole)
+        both = zip((points, sign, rate), (middles, *more), strict=True)
+        points, sign, rate = (np.insert(old, coarse + 1, new) for old, new in both)
     turn = float(np.angle(sign[1:] / sign[:-1]).sum())
+    # Half: by symmetry only the upper half of the line is followed.
     half_turns = -(turn - _rest(loop, line + 1j * radius, pole)) / np.pi
     nearest = round(half_turns)
     return nearest if abs(half_turns - nearest) < 1e-3 else None
@@ -312,7 +310,7 @@ def characteristic_roots(
         The true plant. The law has a model of its own, `law.plant`, which may differ.
     law : Law
         A law with a closed form in continuous time. If it depends on the age of the mode, the mode
-        has been held throughout; an oracle knows that nothing will switch.
+        has been held throughout; for an oracle no switch follows.
     mode : int
         The mode.
     count : int

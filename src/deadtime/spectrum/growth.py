@@ -75,12 +75,7 @@ _FADED = -25.0  # growth over the past inputs of the loop, in nepers: below is r
 
 
 def growth_rate(
-    plant: SwitchedSystem,
-    law: Law,
-    mode: int,
-    step: float | None = 0.01,
-    *,
-    mode_lag: int = 0,
+    plant: SwitchedSystem, law: Law, mode: int, step: float | None = 0.01, *, mode_lag: int = 0
 ) -> float:
     """The growth rate of the loop in a constant mode, 1/s; negative for a loop that decays.
 
@@ -88,7 +83,7 @@ def growth_rate(
 
     and for the ideal loop, the limit of the digital one with an error of order h, max Re s over its
     characteristic roots (`characteristic_roots`). If the law depends on the age of the mode, the
-    mode has been held throughout; an oracle knows that nothing will switch.
+    mode has been held throughout; for an oracle no switch follows.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from deadtime.base.checks import index, instance
+from deadtime.base.checks import index
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
@@ -18,8 +18,6 @@ from deadtime.plant import SwitchedSystem
 
 def require_constant(plant: SwitchedSystem, law: Law) -> None:
     """Refuse a plant and a law that do not make a loop with one mode held."""
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
     require_match(plant, law)
     if law.previewed is not None and law.previewed.switches:
         raise ArgumentError(

@@ -125,7 +125,7 @@ def _weights(window: LawWindow, rate: float) -> tuple[np.ndarray, np.ndarray]:
     return tau, np.concatenate(taps)
 
 
-_TERMS = 60
+_TERMS = 60  # of the series in `radius`, whose bound halves from term to term
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ class IdealLoop:
 
     @property
     def lead(self) -> float:
-        """How far back the law looks, seconds; 0 for one that predicts nothing."""
+        """The age of the oldest input that the law reads, seconds; 0 without a prediction."""
         return max(window.far for window in self.windows)
 
     @property

@@ -100,7 +100,7 @@ class LiftedLoop:
         """L^periods z, by running the loop: O(W m²) a period."""
         (m, n), W = self.F.shape, self.past
         line, states = np.empty((W + periods) * m), np.empty((periods, n))
-        line[: W * m] = z[n:].reshape(W, m)[::-1].ravel()
+        line[: W * m] = z[n:].reshape(W, m)[::-1].ravel()  # runs need the oldest input first
         forward(self._periods, z[:n].copy(), line, states)
         return np.concatenate((states[-1], line.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
@@ -121,6 +121,7 @@ class LiftedLoop:
         """
         if self.order > (DENSE if dense is None else dense):
             start = np.random.default_rng(0).normal(size=self.order)
+            # L^periods: in a power eigenvalues lie farther apart, so Arnoldi's method needs fewer.
             for periods in (4 * self.past, 12 * self.past):
                 with np.errstate(over="ignore", invalid="ignore"):
                     found = leading_eigenvalue(lambda z, k=periods: self.after(z, k), start, 1e-11)

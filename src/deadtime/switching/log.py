@@ -145,11 +145,7 @@ def _decimal(name: str, text: str | None) -> Decimal:
 
 
 def _mode(
-    source: Path,
-    row: _Row,
-    rows: list[_Row],
-    modes: int | None,
-    labels: Mapping[str, int] | None,
+    source: Path, row: _Row, rows: list[_Row], modes: int | None, labels: Mapping[str, int] | None
 ) -> int:
     text = (row.mode or "").strip()
     if labels is not None and text in labels and (modes is None or labels[text] < modes):

@@ -63,12 +63,7 @@ class SwitchingSignal(Frozen):
     initial_age: float
 
     def __init__(
-        self,
-        times: ArrayLike,
-        modes: ArrayLike,
-        end: float = np.inf,
-        *,
-        initial_age: float = 0.0,
+        self, times: ArrayLike, modes: ArrayLike, end: float = np.inf, *, initial_age: float = 0.0
     ) -> None:
         times = real_array("times", times, "(sojourns,)", 1)
         modes = _mode_array(modes, times.size)
@@ -93,7 +88,7 @@ class SwitchingSignal(Frozen):
         age = number("initial_age", initial_age)
         if age < 0.0:
             raise ArgumentError(f"initial_age must be ≥ 0, in s, got {age:g}.")
-        new = np.concatenate(([True], np.diff(modes) != 0))
+        new = np.concatenate(([True], np.diff(modes) != 0))  # a repeated mode is no switch
         times, modes = times[new], modes[new]
         times.flags.writeable = modes.flags.writeable = False
         vars(self).update(times=times, modes=modes, end=end, initial_age=age)

@@ -170,11 +170,7 @@ def cost_and_growth(
 
 
 def _form(
-    plant: SwitchedSystem,
-    pieces: tuple[Piece, ...],
-    step: float,
-    mode: int,
-    weight: Weight | None,
+    plant: SwitchedSystem, pieces: tuple[Piece, ...], step: float, mode: int, weight: Weight | None
 ) -> tuple[Int[np.ndarray, " lag"], Float[np.ndarray, "z z"]]:
     """The lags of a period, and S with ∫xᵀQx + uᵀRu over it = zᵀ S z, z = (x_k, u_{k−lags[0]}, …).
 

@@ -111,8 +111,7 @@ class DesignSearch:
         """A Latin hypercube over the family's box, the same parameters for all modes."""
         low, high = family.box
         cells = np.stack([rng.permutation(count) for _ in low], axis=1)
-        points = low + (high - low) * (cells + rng.random(cells.shape)) / count
-        for point in points:
+        for point in low + (high - low) * (cells + rng.random(cells.shape)) / count:
             self.evaluate(family, step, np.tile(point, (self.plant.modes, 1)))
 
     def polish(self, start: Tried, merit: Merit, per_mode: bool, count: int, size: float) -> None:
@@ -122,25 +121,17 @@ class DesignSearch:
         shape = start.parameters.shape
 
         def parameters(flat: np.ndarray) -> np.ndarray:
-            if per_mode:
-                return flat.reshape(shape)
-            return start.parameters + flat
+            return flat.reshape(shape) if per_mode else start.parameters + flat
 
         x0 = start.parameters.ravel() if per_mode else np.zeros(shape[1])
         corners = x0 + size * np.concatenate((np.zeros((1, x0.size)), np.eye(x0.size)))
-        options = {
-            "maxfev": count,
-            "initial_simplex": corners,
-            "xatol": 1e-4,
-            "fatol": 1e-5,
-            "adaptive": True,
-        }
-        minimize(
-            lambda flat: merit(self.evaluate(start.family, start.step, parameters(flat))),
-            x0,
-            method="Nelder-Mead",
-            options=options,
-        )
+        ends = {"maxfev": count, "xatol": 1e-4, "fatol": 1e-5}
+        options = {"initial_simplex": corners, "adaptive": True, **ends}
+
+        def height(flat: np.ndarray) -> float:
+            return merit(self.evaluate(start.family, start.step, parameters(flat)))
+
+        minimize(height, x0, method="Nelder-Mead", options=options)
 
     def cheapest(self) -> Merit:
         """To be minimised: the cost's logarithm, with a penalty on the shortfall."""
@@ -279,7 +270,7 @@ class Exact:
         self.known: dict[int, DelayMargin] = {}
 
     def margin(self, tried: Tried) -> DelayMargin:
-        key = id(tried)
+        key = id(tried)  # `search.tried` keeps it alive, so no other design gets this id
         if key not in self.known:
             self.known[key] = constant_delay_margin(self.plant, tried.law, tried.step)
         return self.known[key]
@@ -348,7 +339,7 @@ class Exact:
             return []
         margins = np.array([one.margin for one in best])
         wanted = np.linspace(margins[0], min(margins[-1], max(_WIDE, 2.0 * margins[0])), _POINTS)
-        at = np.searchsorted(margins, wanted - 1e-12)
+        at = np.searchsorted(margins, wanted - 1e-12)  # linspace may miss its end by round-off
         return [best[i] for i in sorted({int(i) for i in at})]
 
 

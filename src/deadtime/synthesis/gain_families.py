@@ -110,12 +110,8 @@ class Poles(ChoiceFamily):
         plant = self.plant
         closed = np.linalg.eigvals(plant.A + plant.B @ gains)
         unit = plant.longest_delay
-        extra = [-1.0 / (part * unit) for part in _FILTERS] if self.filtered else [None]
-        rows = []
-        for pole in extra:
-            lists = [list(row) + ([] if pole is None else [pole]) for row in closed]
-            rows.append(np.stack([self._encode(np.array(row)) for row in lists]))
-        return rows
+        extra = [[-1.0 / (part * unit)] for part in _FILTERS] if self.filtered else [[]]
+        return [np.stack([self._encode(np.append(row, more)) for row in closed]) for more in extra]
 
     def _encode(self, poles: np.ndarray) -> np.ndarray:
         """Parameters of poles, reflected into the open left half plane."""
@@ -152,7 +148,7 @@ class Poles(ChoiceFamily):
         unit, one = self.unit, np.eye(A.shape[0])
         A, columns = A / unit, [B[:, 0]]
         value = np.zeros_like(A)
-        for power, c in enumerate(self._polynomial(parameters)):
+        for power, c in enumerate(self._polynomial(parameters)):  # Horner's scheme for χ(A)
             value = A @ value + c / unit**power * one
         for _ in range(A.shape[0] - 1):
             columns.append(A @ columns[-1])
@@ -180,15 +176,10 @@ class Weights(ChoiceFamily):
         return np.array(low), np.array(high)
 
     def starts(self, gains: Float[np.ndarray, "mode m n"]) -> list[np.ndarray]:
-        one = np.zeros((self.plant.modes, self.size))
-        if not self.filtered:
-            return [one]
-        rows = []
-        for part in _FILTERS:
-            row = one.copy()
-            row[:, -1] = 2.0 * math.log(part)
-            rows.append(row)
-        return rows
+        last = 2.0 * np.log(_FILTERS) if self.filtered else np.zeros(1)
+        rows = np.zeros((last.size, self.plant.modes, self.size))
+        rows[:, :, -1] = last[:, None]  # of (D du/dt)²: (T/D)² for a time constant T
+        return list(rows)
 
     def feedback(
         self, mode: int, parameters: np.ndarray, A: np.ndarray, B: np.ndarray

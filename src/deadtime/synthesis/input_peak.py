@@ -26,12 +26,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import bound, instance, positive
+from deadtime.base.checks import bound, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
-from deadtime.numerics.covariance import noise_covariance
+from deadtime.numerics.covariance import noise_covariance, square_root
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.sampled_runs import LoopPeriods, forward
@@ -108,14 +108,12 @@ def input_peak(
     >>> float(noisy.level[0, 0].round(4))
     1.0984
     """
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
+    require_match(plant, law)
     if law.why_not_run or law.observer is not None:
         raise ArgumentError(
             f"law must be a table that can run, got {type(law).__name__}: inputs are linear in "
             "x(0) only of such a law."
         )
-    require_match(plant, law)
     step, initial = positive("step", step), check_initial(initial, plant)
     table = law.digital(step)
     found = [
@@ -204,8 +202,7 @@ def _sizes(rows: Float[np.ndarray, "k m n"], initial: InitialStates) -> Float[np
         return initial.size * np.linalg.norm(rows, axis=2)
     if initial.kind == "box":
         return np.abs(rows) @ initial.size
-    values, vectors = np.linalg.eigh(initial.size)
-    return np.linalg.norm(rows @ (vectors * np.sqrt(np.maximum(values, 0.0))), axis=2)
+    return np.linalg.norm(rows @ square_root(initial.size), axis=2)
 
 
 def _spread_levels(sigma: np.ndarray, directions: int, part: float) -> tuple[float, float]:
@@ -259,9 +256,7 @@ def error_rows(
 
 
 def _responses(
-    one: LoopPeriods,
-    states: Float[np.ndarray, "n n"],
-    sent: Float[np.ndarray, "n m"] | None = None,
+    one: LoopPeriods, states: Float[np.ndarray, "n n"], sent: Float[np.ndarray, "n m"] | None = None
 ) -> Float[np.ndarray, "k m n"] | None:
     """The inputs of runs from `states` with `sent` as the last input, until 1e-6 of the largest.
 

@@ -42,7 +42,7 @@ from deadtime.base.checks import as_floats, positive, read_only, real_array, sha
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.weight import weight_matrix, weight_part
+from deadtime.plant.weight import weight_part
 
 Kind = Literal["ball", "ellipsoid", "box", "normal"]
 
@@ -152,13 +152,12 @@ class InitialStates(Frozen):
 
 
 def _semidefinite(name: str, value: ArrayLike) -> Float[np.ndarray, "n n"]:
-    form = "(n, n) or (n,)"
-    ndim = as_floats(name, value, f"of shape {form}").ndim
-    whole = real_array(name, value, form, 1 if ndim == 1 else 2)
-    whole = np.diag(whole) if ndim == 1 else whole
-    if not whole.any():
+    part = weight_part(name, value, "n")
+    if part.ndim == 0:  # how many states there are is not known here
+        raise ArgumentError(f"{name} must have shape (n, n) or (n,), got the number {part:g}.")
+    if not part.any():
         raise ArgumentError(f"{name} must not be 0: nothing would move.")
-    return read_only(weight_matrix(name, whole, len(whole), "n", strict=False))
+    return part
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -245,7 +244,7 @@ def level_of(deviation: Float[np.ndarray, " m"], probability: float) -> Float[np
     """
     from scipy.special import erfinv
 
-    return deviation * (math.sqrt(2.0) * float(erfinv(probability)))
+    return deviation * (math.sqrt(2.0) * float(erfinv(probability)))  # P(|u| ≤ c) = erf(c/(σ√2))
 
 
 def _process(value: ArrayLike) -> Float[np.ndarray, ...]:

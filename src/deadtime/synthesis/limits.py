@@ -199,7 +199,10 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
         return DelayLimit(on_axis, math.inf, np.empty(0, complex))
     A = _balance(A, B, mode)
     possible = _apart if B.shape[1] > 1 else _together
-    reached = min(on_axis, _largest(lambda error: _small_gain(A, longest, error * unit), 0.0))
+    # By small gain some linear controller has ‖W T‖ ≤ 1 where the logarithm is ≤ 0.
+    reached = min(
+        on_axis, _largest(lambda e: _log_norm(delay_weight(A * (e * unit)), A, longest), 0.0)
+    )
     most = _largest(lambda error: possible(A, shortest, error * unit), math.exp(_LEAST))
     return DelayLimit(reached, most, np.sort_complex(np.diag(A)))
 
@@ -249,11 +252,6 @@ def _unstable(A: np.ndarray, B: np.ndarray, slow: float) -> tuple[np.ndarray, np
     found: Any = schur(A.T, sort=lambda re, im: re > slow)
     triangle, Q, count = found
     return np.ascontiguousarray(triangle[:count, :count].T), Q[:, :count].T @ B
-
-
-def _small_gain(A: np.ndarray, D: float, Delta: float) -> float:
-    """≤ 0 if some linear controller has ‖W T‖ ≤ 1; A input-balanced."""
-    return _log_norm(delay_weight(A * Delta), A, D)
 
 
 def _together(A: np.ndarray, D: float, Delta: float) -> float:

@@ -94,14 +94,11 @@ def _fill_rows(table, sample, K, F, G):
                     for s in range(before[p, j] + 1, sample[q, j] - k + 1):
                         for i in range(n):
                             R[i] += later[j, s] * K[table.mode[e], j, i]
-                        later[j, s] = 0.0
+                        later[j, s] = 0.0  # read from here on: no earlier piece has this input
 
 
 def rows_along(
-    sampled: SampledPlant,
-    gains: Float[np.ndarray, "mode m n"],
-    signal: SwitchingSignal,
-    steps: int,
+    sampled: SampledPlant, gains: Float[np.ndarray, "mode m n"], signal: SwitchingSignal, steps: int
 ) -> tuple[Float[np.ndarray, "step m n"], Float[np.ndarray, "step N m m"]]:
     """F and G of the samples 0, …, steps − 1 along a signal.
 
@@ -134,7 +131,9 @@ def constant_table(
     """
     sampled = SampledPlant(plant, step)
     if not plant.has_one_delay:
-        return _dense_table(sampled, K, weights)
+        rows = [rows_along(sampled, K, SwitchingSignal.constant(i), 1) for i in range(len(K))]
+        F, G = (np.tensordot(weights, np.stack(parts), 1) for parts in zip(*rows, strict=True))
+        return Feedback(F, G, "none", sampled.step)
     window, (modes, n, m) = sampled.window, plant.B.shape
     spans = window.step, window.phase, window.delay
     (Phi, Gamma), (_, late), (whole, _) = (discretise_modes(plant.A, plant.B, t) for t in spans)
@@ -144,15 +143,7 @@ def constant_table(
         last = (row @ np.linalg.matrix_power(Phi, window.count - 1) @ late).sum(axis=0)
         H = row.transpose(1, 0, 2).reshape(1, m, modes * n)
         S, of = np.zeros((modes, n, modes, n)), np.arange(modes)
-        S[of, :, of] = Phi
+        S[of, :, of] = Phi  # blkdiag(Φ_i), as S is (mode, n, mode, n)
         size = modes * n
         factor = Factor(H, S.reshape(size, size), Gamma.reshape(size, m), last[None])
         return Feedback(F[None], factor.taps(window.count), "none", window.step, factor=factor)
-
-
-def _dense_table(sampled: SampledPlant, K: np.ndarray, weights: np.ndarray) -> Feedback:
-    """The table without a factorisation, for any delays."""
-    modes = range(len(K))
-    rows = [rows_along(sampled, K, SwitchingSignal.constant(i), 1) for i in modes]
-    F, G = (np.tensordot(weights, np.stack(parts), 1) for parts in zip(*rows, strict=True))
-    return Feedback(F, G, "none", sampled.step)

@@ -1,4 +1,4 @@
-"""The table of a law that trusts the current mode for the rest of its guaranteed dwell.
+"""The table of a law that holds the current mode for the rest of its dwell time.
 
 At age a of mode i its forecast is: mode i for r_a seconds more, then, held, one of the
 systems (A_s, B_s), gain K_s. With [0, D) cut into the stretches in which inputs in flight act,
@@ -110,7 +110,7 @@ def _rows(A, B, fA, fB, fK, ahead, rest):
         cut = 0
         while cut < stretches - 1 and ahead.stop[cut] <= rest[a]:
             cut += 1
-        inside = max(rest[a] - ahead.start[cut], 0.0)
+        inside = max(rest[a] - ahead.start[cut], 0.0)  # round-off may make it negative
         left = ahead.stop[cut] - ahead.start[cut] - inside
         _join(fA, fB, fK, left, R[cut + 1], tap, joined)
         for i in range(modes):
@@ -129,7 +129,7 @@ def _rows(A, B, fA, fB, fK, ahead, rest):
                 product(now, Gamma[kind, i], spare)
                 place(spare, ahead.lag[p], G[row])
                 product(now, Phi[kind, i], moved)
-                now, moved = moved, now
+                now, moved = moved, now  # arrays change their roles, nothing is copied
             for r in range(m):
                 for c in range(n):
                     F[row, r, c] = now[r, c]
@@ -157,7 +157,7 @@ def dwelling_table(
     require_room("dwell_time", periods, sampled.step, most)
     ages = math.ceil(periods) + 1
     rest = np.maximum(0.0, periods - np.arange(ages)) * sampled.step
-    rest = np.minimum(rest, sampled.windows[-1].delay)
+    rest = np.minimum(rest, sampled.windows[-1].delay)  # a forecast ends there
     if everything.has_one_delay:
         gains = np.array(weights[:, None, None] * K, order="C")
         F, G = _rows(plant.A, plant.B, after.A, after.B, gains, sampled.ahead, rest)

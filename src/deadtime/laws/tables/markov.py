@@ -39,7 +39,7 @@ u_k: below 0 it is in flight, from 0 on it is still to be computed.
 
 The table is then that of a first passage. The sample u_k of input j is first read when the mode i
 of that instant reads so late, θ ≥ D_i,j (`along_signal`): of the mass that is in mode i at θ =
-D_i,j, and of what enters it later, the law takes K_i,j x and looks no further. With U the modes
+D_i,j, and of what enters it later, the law takes K_i,j x, its last step. With U the modes
 that do not read u_k,j yet, X_i = E[x 1{σ = i}] and p_i the part of the expected state and of the
 probability in i ∈ U that is left, and a = E[K_σ,j x] of what has been taken,
 
@@ -133,7 +133,7 @@ def _fill_row(K, generator, sampled, ahead, target, F, G):
     maps, spread = [], [np.eye(modes)]
     for part in ahead:
         key = part.length, part.to_come.tobytes()
-        if key not in kept:
+        if key not in kept:  # few lengths and few sets of readers occur, in many stretches
             kept[key] = transition(_motion(K, generator, sampled, part, target), part.length)
         maps.append(kept[key])
         spread[-1][part.to_come[:, target]] = 0.0
@@ -146,7 +146,7 @@ def _fill_row(K, generator, sampled, ahead, target, F, G):
         taps = (row @ over[:size, size:]).reshape(modes, m, modes) @ at
         row[:] = row @ over[:size, :size]
         for i, j in np.argwhere(~part.to_come):
-            G[:, -1 - part.sample[i, j], target, j] += taps[i, j]
+            G[:, -1 - part.sample[i, j], target, j] += taps[i, j]  # sample −1 is u_{k−1}, tap 0
         for i, j in np.argwhere(part.arrives & part.to_come):
             X[i] += V[i, j] * K[i, j]
             V[i, j] = 0.0
@@ -159,6 +159,7 @@ def _motion(K, generator, sampled: SampledPlant, part: Reading, target: int) -> 
     """The constant matrix that (X, V, a, p once for each mode and input that reads it) obeys."""
     A, B = sampled.plant.A, sampled.plant.B
     modes, m, n = K.shape
+    # Rows and columns:  | X, modes·n | V, modes·m | a | p, modes·m·modes |
     states, held = modes * n, modes * m
     to_come, left = part.to_come, ~part.to_come[:, target]
     flow = np.where(left[:, None] & left, generator.T, 0.0)  # into a mode, from another

@@ -124,12 +124,7 @@ def sweep(P, gain, L, stage, weight, hazard, transition, visits):
     modes, ages, d, _ = P.shape
     m, (n, near) = gain.shape[2], L.shape[1:]
     E, fresh = np.zeros((d, d)), np.zeros((modes, d, d))
-    scratch = (
-        np.empty((d - n, near)),
-        np.empty((near, near)),
-        np.empty((m, d)),
-        np.empty((m, m)),
-    )
+    scratch = (np.empty((d - n, near)), np.empty((near, near)), np.empty((m, d)), np.empty((m, m)))
     for i in range(modes):
         for j in range(modes):
             for r in range(d):

@@ -1,6 +1,6 @@
 """The table of the expected law under any model at samples: a chain of mode and age, exactly.
 
-Switches are seen at samples, so a mode lasts whole periods and (mode, age) is a Markov chain:
+Switches take effect at samples, so a mode lasts whole periods and (mode, age) is a Markov chain:
 from (i, a) the next sample finds (i, a + 1) with probability 1 − haz_i(a), or (j, 0) with
 haz_i(a) T_ij, where haz_i(a) = P(S_i ≤ (a + 1) h | S_i > a h). Going backwards from t_{k+p+1} to
 t_{k+p}, functionals of (mode, age) are
@@ -21,7 +21,7 @@ u_{k+p−N}, seen from t_{k+p}; p times ⟨·⟩ brings it back to t_k.
 
 Averaging a weight back costs (modes)(ages + N) m² products a period, the table (N²/2) of these;
 where age says nothing there is one age, which lasts, in place of ages + N. A weight to which no
-mode adds any more is brought back at once: then it stays in a processor's fastest memory.
+mode adds any more is brought back at once: then it stays in the cache of a processor.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def chain_rows(K, hazard, jump, ages, A, B, length, lag, arrives, begin):
     Phi, Gamma = discretise_each(A, B, length)
     (modes, m, n), total = K.shape, hazard.shape[1]
     least, N = lag.min(), lag.max()
-    slots = N - least + 1
+    slots = N - least + 1  # taps that are open at once, in a ring
     first, last = lag[begin[:-1]], lag[begin[1:] - 1]
     F, G = np.zeros((modes, m, n, ages)), np.zeros((modes, N, m, m, ages))
     fresh_R, fresh_w, moved = np.empty((modes, n)), np.empty((modes, m)), np.empty((n, total))
@@ -159,7 +159,7 @@ def chain_table(
     of = np.repeat(np.arange(modes), np.diff(begin))
     parts = map(read_only, (sampled.plant.A[of], sampled.plant.B[of], stop - start))
     before = np.roll(lag, 1, axis=0)
-    before[begin[:-1]] = lag[begin[1:] - 1] + 1  # of the period before
+    before[begin[:-1]] = lag[begin[1:] - 1] + 1  # of the period before, one sample older
     F, G = chain_rows(K, chain.hazard, chain.jump, count, *parts, lag, lag < before, begin)
     F = np.ascontiguousarray(F.transpose(0, 3, 1, 2)).reshape(modes * count, m, n)
     G = np.ascontiguousarray(G.transpose(0, 4, 1, 2, 3)).reshape(modes * count, -1, m, m)

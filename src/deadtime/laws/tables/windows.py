@@ -56,9 +56,7 @@ _SAME = 1e-12  # of the longest delay: delays so close are one
 
 
 def constant_functional(
-    plant: SwitchedSystem,
-    K: Float[np.ndarray, "mode m n"],
-    weights: Float[np.ndarray, " mode"],
+    plant: SwitchedSystem, K: Float[np.ndarray, "mode m n"], weights: Float[np.ndarray, " mode"]
 ) -> Functional:
     """Σ_i w_i of the exact feedbacks of a plant's modes, each held throughout.
 
@@ -71,18 +69,14 @@ def constant_functional(
     """
     F, windows = np.zeros(K.shape[1:]), []
     for A, B, delays, own, weight in zip(plant.A, plant.B, plant.delays, K, weights, strict=True):
-
+        # Defaults bind this mode's matrices: a closure would see those of the last mode.
         def closed_loop(closed: np.ndarray, A=A, B=B, own=own) -> np.ndarray:
             return A + B[:, closed] @ own[closed]
 
         at_once, ahead = stages(closed_loop, B, weight * own, delays)
         F += at_once
         windows += [(w.Q[None], w.S, np.where(w.fed, B, 0.0), w.near, w.far) for w in ahead]
-    return functional_of(F[None], windows, _one_row)
-
-
-def _one_row(times: np.ndarray) -> np.ndarray:
-    return np.zeros(times.size, np.int64)
+    return functional_of(F[None], windows, lambda times: np.zeros(times.size, np.int64))
 
 
 class Stage(NamedTuple):
@@ -113,7 +107,7 @@ def stages(
     from deadtime.numerics.exponential import discretise
 
     ends = np.unique(delays)
-    ends = ends[np.append(True, np.diff(ends) > _SAME * ends[-1])]
+    ends = ends[np.append(True, np.diff(ends) > _SAME * ends[-1])]  # a stage needs a length
     stage = np.searchsorted(ends, delays * (1.0 + _SAME), "right") - 1
     starts = np.concatenate(([0.0], ends[:-1]))
     ahead, Q = [], np.zeros_like(K)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count
+from deadtime.base.checks import count, instance
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import PerMode
 from deadtime.switching.models.sojourn_families import (
@@ -70,7 +70,7 @@ def fit_model(
     family : str, or list of str with one per mode
         "exponential", "shifted exponential", "gamma", "weibull", "uniform", "lognormal",
         "fixed" (all sojourns equal within 1e-6), or "auto": fixed where that holds, else the
-        family with the least AIC, a uniform only if it is the least by 4: a law trusts the end of
+        family with the least AIC, a uniform only if it is the least by 4: laws rely on the end of
         its support, and a wrong end harms more than a wrong tail.
     modes : int, optional
         Number of modes; by default the largest in the logs, plus one.
@@ -150,7 +150,7 @@ def sojourns_of(
         visits = list(zip(log.modes.tolist(), lengths, strict=True))
         for mode, length in visits[dropped:-1]:
             complete[mode].append(length)
-        for mode, length in visits[max(dropped, log.switches) :]:
+        for mode, length in visits[max(dropped, log.switches) :]:  # the last one, if it counts
             if length < np.inf:
                 censored[mode].append(length)
     pairs = zip(complete, censored, strict=True)
@@ -183,7 +183,7 @@ def distance(dist: Distribution, observed: Observed) -> float:
     times, survival = kaplan_meier(observed)
     after = 1.0 - survival
     before = np.concatenate(([0.0], after[:-1]))
-    low, high = dist.cdf(times * (1.0 - 1e-9)), dist.cdf(times)
+    low, high = dist.cdf(times * (1.0 - 1e-9)), dist.cdf(times)  # both sides of a jump of F
     return float(max(np.abs(low - before).max(), np.abs(high - after).max()))
 
 
@@ -243,11 +243,6 @@ def check_signals(signals: object) -> list[SwitchingSignal]:
             "signals must be a SwitchingSignal or a list of at least one, got "
             f"{'an empty list' if isinstance(signals, Sequence) else type(signals).__name__}."
         )
-    checked = []
     for i, signal in enumerate(signals):
-        if not isinstance(signal, SwitchingSignal):
-            raise ArgumentError(
-                f"signals[{i}] must be a SwitchingSignal, got {type(signal).__name__}."
-            )
-        checked.append(signal)
-    return checked
+        instance(f"signals[{i}]", signal, SwitchingSignal)
+    return list(signals)

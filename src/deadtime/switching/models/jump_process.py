@@ -72,7 +72,7 @@ class Quantiles(Frozen):
         if len(self.others) == 1 and self.others[0][2].all():
             name, inverse, _ = self.others[0]
             return _invert(name, inverse, u.ravel()).reshape(u.shape)
-        result = np.log(u)
+        result = np.log(u)  # in place from here on: batches draw millions of sojourns
         result *= -self.scale[modes]
         result += self.shift[modes]
         for name, inverse, holds in self.others:
@@ -153,7 +153,7 @@ def _invert(name: str, inverse: Callable, u: Float[np.ndarray, " n"]) -> Float[n
         drawn = np.asarray(inverse(u), dtype=np.float64)
     if drawn.shape != u.shape:
         raise ArgumentError(f"{name} must return shape {u.shape} for that of u, got {drawn.shape}.")
-    if not drawn.min(initial=0.0) >= 0.0:
+    if not drawn.min(initial=0.0) >= 0.0:  # NaN is refused, too
         raise ArgumentError(f"{name} must return numbers ≥ 0, in s, got {drawn.min():g}.")
     return drawn
 
@@ -217,12 +217,12 @@ def place(to, rows, used, times, modes, flat_times, flat_modes):
         to[rows[i]] = at + kept
 
 
-MOST_SWITCHES = 1e7
-MOST_JUMPS = 1e8
+MOST_SWITCHES = 1e7  # of a signal
+MOST_JUMPS = 1e8  # of all signals of a draw
 FEW_SIGNALS = 8
 FEW_BLOCKS = 2**12  # per signal: up to these NumPy's generators are faster than compiling
-_FIRST_MODE, _SOJOURNS, _JUMPS = 1, 2, 3
-_FIRST_BLOCKS = 2
+_FIRST_MODE, _SOJOURNS, _JUMPS = 1, 2, 3  # streams of a signal's random numbers
+_FIRST_BLOCKS = 2  # of the first round
 _TINY = float(np.finfo(float).tiny)
 
 

@@ -129,6 +129,7 @@ class MarkovChain(SwitchingModel):
         )
         # Half a period less, so that round-off cannot add a switch at the horizon.
         drawn = process.draw((periods - 0.5) * self.step, seed, first, count)
+        # A sum of sojourns drifts off the grid by round-off; k·step does not.
         return drawn._replace(times=np.rint(drawn.times / self.step) * self.step)
 
     @classmethod
@@ -196,4 +197,5 @@ class MarkovChain(SwitchingModel):
 
 def _geometric(leave: float, step: float, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Sojourns that last with probability (1 − leave)^n for more than n periods; seconds."""
+    # log1p: 1 − leave would lose the digits of a small probability.
     return np.maximum(np.ceil(np.log(u) / np.log1p(-leave)), 1.0) * step

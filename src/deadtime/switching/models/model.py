@@ -41,7 +41,7 @@ class SampledChain(NamedTuple):
     @classmethod
     def of_matrix(cls, P: Float[np.ndarray, "mode mode"], within: bool) -> SampledChain:
         """The chain of transition probabilities P between samples, with a single age."""
-        jump = np.maximum(P, 0.0)
+        jump = np.maximum(P, 0.0)  # a matrix exponential may leave −1e-17
         np.fill_diagonal(jump, 0.0)
         leave = jump.sum(axis=1, keepdims=True)
         return cls(leave, jump / np.where(leave > 0.0, leave, 1.0), within)

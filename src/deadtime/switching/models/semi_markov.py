@@ -65,6 +65,7 @@ def hazards(
     samples = np.union1d(ages, ages + 1)
     at, past = (log_survival(dist, (samples + late) * step) for late in (0.0, TOLERANCE))
     with np.errstate(invalid="ignore"):
+        # An atom at a sample counts from just after it, as switches snap to samples.
         log = np.where(at - past < _STEEP, at, past)
         log = np.where(samples > 0, log, 0.0)
         before, after = (log[np.searchsorted(samples, sample)] for sample in (ages, ages + 1))

@@ -181,7 +181,7 @@ def _by_scipy(family: Any, observed: Observed) -> Parameters:
     """SciPy's maximum, with the location fixed at 0 and times in units of their mean."""
     from scipy.stats import CensoredData, FitError
 
-    unit = observed.complete.mean()
+    unit = observed.complete.mean()  # SciPy's search has absolute tolerances
     complete, censored = observed.complete / unit, observed.censored / unit
     data = CensoredData(complete, right=censored) if censored.size else complete
     try:
@@ -325,6 +325,6 @@ def _starts(family: str, observed: Observed, unit: float) -> list[np.ndarray]:
     count = 1 if family == "exponential" else 2
     values = np.ones(count) if plain is None else np.array(list(plain[1].values()))
     values[-1] /= 1.0 if plain is None else unit
-    start = np.clip(np.log(values), 1.0 - FARTHEST, FARTHEST - 1.0)
+    start = np.clip(np.log(values), 1.0 - FARTHEST, FARTHEST - 1.0)  # inside, for the simplex
     wide = start + np.log(2.0) * np.array([-1.0, 1.0])[-count:]
     return [start, wide]

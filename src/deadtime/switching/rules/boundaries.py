@@ -156,7 +156,7 @@ def nearest(regions, spread, x, left):
         if r != left:
             outside = -np.inf
             for j in range(first[r], first[r + 1]):
-                doubt = band(boundaries, j, x, spread) + 1e-300
+                doubt = band(boundaries, j, x, spread) + 1e-300  # x = 0 has no round-off
                 outside = max(outside, height(boundaries, j, x) / doubt)
             if outside < best:
                 best, result = outside, r
@@ -214,7 +214,7 @@ def _step(A, B, boundaries, pair, x, u, tau):
 @kernel(eager=True)
 def _onto(boundaries, row, x):
     """The point of the boundary next to x."""
-    for _ in range(2):
+    for _ in range(2):  # Newton's method, twice: a quadratic boundary is curved
         normal = gradient(boundaries, row, x)
         square = dot(normal, normal)
         if square > 0.0:

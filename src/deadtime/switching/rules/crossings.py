@@ -39,9 +39,9 @@ from deadtime.switching.rules.boundaries import (
     times,
 )
 
-_LAST_TERM = 1e-18
-_MOST_TERMS = 16
-MOST_PARTS = 2**17
+_LAST_TERM = 1e-18  # relative: later terms of a Taylor series do not change a double
+_MOST_TERMS = 16  # 2⁻¹⁶/16! is below that, for |A|τ ≤ 1/2
+MOST_PARTS = 2**17  # of a piece
 NONE, PILED_UP, STRAYED = 0, 1, 2  # reasons for the end of a trajectory, see `Chatter`
 # Beside no boundary. A literal −1 has a type of its own in Numba, for which all would be compiled
 # again.

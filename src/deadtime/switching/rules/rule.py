@@ -80,6 +80,7 @@ class PolyhedralRule(Rule):
         outside = (states @ self.rows.T - self.offsets) / norms
         outside = np.maximum.reduceat(outside, self.first[:-1], axis=1)
         holds = outside <= 0.0
+        # `argmax` of booleans is the first that holds: earlier regions own shared boundaries.
         return np.where(holds.any(axis=1), holds.argmax(axis=1), outside.argmin(axis=1))
 
     def modes_of(self, states: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " k"]:
@@ -180,9 +181,7 @@ class Polyhedra(PolyhedralRule):
     """
 
     def __init__(
-        self,
-        regions: Sequence[Sequence[ArrayLike]],
-        modes: Sequence[int] | None = None,
+        self, regions: Sequence[Sequence[ArrayLike]], modes: Sequence[int] | None = None
     ) -> None:
         pairs = [_polyhedron(i, region) for i, region in enumerate(regions)]
         if not pairs:
@@ -383,6 +382,7 @@ class QuadraticRegions(Rule):
         self, plant: SwitchedSystem, lengths: tuple[float, ...], unseen: int = 0
     ) -> RegionMotion:
         modes, n = self.S.shape[:2]
+        # Region i has a boundary for every j ≠ i: xᵀ(S_j − S_i) x ≤ 0.
         others = [j for i in range(modes) for j in range(modes) if j != i]
         forms = self.S[others] - np.repeat(self.S, modes - 1, axis=0)
         forms = np.pad(forms, ((0, 0), (0, unseen), (0, unseen)))
