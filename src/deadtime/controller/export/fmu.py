@@ -233,7 +233,7 @@ def write_fmu(
         raise ArgumentError(f"version must be '2.0' or '3.0', got {version!r}.")
     require_suffix(path, ".fmu")
     wrapper = f"fmi{version[0]}.c"
-    sources = sources | {wrapper: render(wrapper, {})}
+    sources = sources | {wrapper: render(f"{wrapper}.j2", {})}
     kinds = {"reals": "Real", "integers": "Integer", "booleans": "Boolean"}
     counts: dict[str, Any] = {
         key: [v for v in variables if v.kind == kind] for key, kind in kinds.items()
