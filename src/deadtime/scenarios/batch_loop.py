@@ -153,13 +153,14 @@ class Loop:
         self, maps: np.ndarray, records: Records, modes: np.ndarray, tables: CellSeries
     ) -> None:
         """Fill in the cut periods: with one switch from series, the others piece by piece."""
-        from deadtime.scenarios.by_period import compose_cuts, fill_switched
+        from deadtime.scenarios.by_period import compose_cuts, fill_series
 
         last, series, acting = records.last, tables.switched, self.acting
         alone = ~last & (records.until - records.sojourn == 2) & (series.shape[2] > 0)
-        given = records.sojourn, alone, modes, records.at, acting.edges, series
-        width = (0.0,) * (tables.width // WIDE)
-        fill_switched(maps, *given, self.plant.modes, width)
+        which, width = np.flatnonzero(alone), (0.0,) * (tables.width // WIDE)
+        i = records.sojourn[which].astype(np.int64)
+        pair = modes[i] * np.int64(self.plant.modes) + modes[i + 1]
+        fill_series(maps, which, pair, records.at[i + 1], acting.edges, series, width)
         left = ~alone
         # A horizon at a sample leaves nothing of the last period: x stays, and costs nothing.
         if self.rest == 0.0:

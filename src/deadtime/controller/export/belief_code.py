@@ -21,19 +21,19 @@ _BYTES, _COUNTERS = 8, 8
 
 # By field of a filter's form: the name of its table in ROM and a comment.
 _TABLES = {
-    "Phi": ("MODEL_X", "the model over a period in each mode: what becomes of x"),
-    "Gamma": ("MODEL_U", "what becomes of inputs, by lag"),
-    "noise": ("MODEL_NOISE", "covariance of what a prediction misses"),
-    "hazard": ("HAZARD", "probability that a mode of that age ends within a period"),
+    "Phi": ("MODEL_X", "the model over a period, by mode: gains of the state"),
+    "Gamma": ("MODEL_U", "gains of inputs, by mode and lag"),
+    "noise": ("MODEL_NOISE", "covariance of the prediction error"),
+    "hazard": ("HAZARD", "probability that a mode of this age ends within a period"),
     "jump": ("JUMP", "probabilities of the next mode"),
-    "start": ("PRIOR", "the belief before anything is seen"),
-    "bend_x": ("BEND_X", "a change in the middle of a period less the mean of both"),
-    "bend_u": ("BEND_U", "the same of inputs, by lag"),
-    "C": ("OUTPUT_X", "what is measured in each mode"),
-    "variance": ("OUTPUT_NOISE", "variance of the noise of outputs"),
-    "gain": ("OBSERVER_GAIN", "gains of the observers"),
-    "estimate": ("FIRST_X", "the first estimate"),
-    "covariance": ("FIRST_P", "the covariance of the first state about it"),
+    "start": ("PRIOR", "the initial belief"),
+    "bend_x": ("BEND_X", "x after a change in mid-period less the mean of both modes, by x"),
+    "bend_u": ("BEND_U", "and by inputs, by lag"),
+    "C": ("OUTPUT_X", "the output matrix, by mode"),
+    "variance": ("OUTPUT_NOISE", "noise variance of the outputs"),
+    "gain": ("OBSERVER_GAIN", "observer gains, by mode"),
+    "estimate": ("FIRST_X", "the initial estimate"),
+    "covariance": ("FIRST_P", "covariance of the initial state about it"),
 }
 
 

@@ -67,8 +67,8 @@ def export_fmu(
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
             f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
-            "    double start, next; /* of the samples */\n"
-            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} memory;"
+            "    double start, next; /* time of sample 0, number of the next one */\n"
+            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} inner;"
         ),
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
@@ -143,8 +143,8 @@ def export_plant_fmu(
         "slack": literal(1e-6 * plant.longest_delay, "double"),
         "include": (
             f"enum {{ N = {n}, M = {m}, MODES = {plant.modes}, CHANGES = {size} }};\n\n"
-            "typedef struct {\n    int first, count; /* of the inputs that have not passed */\n"
-            "    double began[CHANGES];\n    double u[CHANGES][M];\n} memory;"
+            "typedef struct {\n    int first, count; /* of the inputs that still act or have yet to arrive */\n"
+            "    double began[CHANGES];\n    double u[CHANGES][M];\n} inner;"
         ),
         "tables": [
             {"name": key, "shape": brackets(array), "text": initializer(array, "double")}

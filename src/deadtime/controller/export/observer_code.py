@@ -88,17 +88,20 @@ def arrays(form: ObserverForm) -> dict[str, tuple[np.ndarray, str]]:
     start = memory.start.copy()
     start[n + q :] = form.values[0]
     found = {
-        "PREDICT_X": (memory.Phi, "the model over a period in each mode: the estimate"),
-        "PREDICT_U": (memory.Gamma, "inputs, by lag"),
-        "MEASURE": (memory.C, "outputs of the estimate, by mode"),
+        "PREDICT_X": (
+            memory.Phi,
+            "the observer's model over a period, by mode: gains of the estimate",
+        ),
+        "PREDICT_U": (memory.Gamma, "gains of inputs, by mode and lag"),
+        "MEASURE": (memory.C, "the output matrix, by mode"),
         "CORRECT": (memory.gain, "the observer's gain, by mode"),
-        "BEGIN": (start, "z before anything is measured"),
+        "INITIAL": (start, "the initial z"),
     }
     if r:
-        found["TRACK"] = memory.tracked, "tracked outputs, of all outputs"
-        found["REFERENCE"] = form.values, "the reference, one value after the other"
+        found["TRACK"] = memory.tracked, "tracked outputs as combinations of the outputs"
+        found["REFERENCE"] = form.values, "the values of the law's own reference"
     if q:
-        found["ANSWER"] = memory.push, "how the law's input answers the sum, by mode"
+        found["SUM_GAIN"] = memory.push, "the law's gain of the sums, by mode"
     return found
 
 

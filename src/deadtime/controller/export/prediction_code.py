@@ -40,8 +40,11 @@ def arrays(form: PredictionForm) -> dict[str, tuple[np.ndarray, str]]:
     rows, horizons, n = form.state.shape[:3]
     taps = form.input.reshape(rows, horizons * n, *form.input.shape[3:])
     return {
-        "AHEAD_X": (form.state.reshape(rows, horizons * n, n), "the state ahead, of the state now"),
-        "AHEAD_U": (taps, "the state ahead, of past inputs, the latest first"),
+        "FORECAST_X": (
+            form.state.reshape(rows, horizons * n, n),
+            "the predicted state: gains of the state",
+        ),
+        "FORECAST_U": (taps, "the predicted state: gains of past inputs, the latest first"),
     }
 
 
