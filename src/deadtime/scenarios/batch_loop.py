@@ -89,6 +89,7 @@ class Loop:
     def late(self) -> int:
         """The first sample of the second half."""
         step, half = self.step, 0.5 * self.horizon
+        # The quotient may be off by a rounding: the comparison of `simulate` decides.
         first = max(0, math.floor(half / step) - 1)
         return next(k for k in range(first, first + 4) if k * step >= half)
 
@@ -156,6 +157,7 @@ class Loop:
         from deadtime.scenarios.by_period import compose_cuts, fill_series
 
         last, series, acting = records.last, tables.switched, self.acting
+        # Series are of whole periods: the last one ends at the horizon.
         alone = ~last & (records.until - records.sojourn == 2) & (series.shape[2] > 0)
         which, width = np.flatnonzero(alone), (0.0,) * (tables.width // WIDE)
         i = records.sojourn[which].astype(np.int64)

@@ -72,7 +72,7 @@ def fill_records(room, offset, times, modes, samples, step, arrival, arriving, p
         i, stop = offset[s], offset[s + 1]  # i: the sojourn that is going on
         k = 0
         while True:
-            # Switches at the sample come first: they are what the law sees.
+            # Switches at the sample come first: the law is given the mode after them.
             ahead, within = final + 1, 0.0
             while i + 1 < stop:
                 ahead, within = _place(times[i + 1], step, arrival, arriving, rate)

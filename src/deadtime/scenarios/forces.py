@@ -150,6 +150,7 @@ class ForceMaps:
         tau = np.minimum(at[:, None, 1:], stop) - np.maximum(at[:, None, :-1], start)
         shape = tau.shape
         mode = np.broadcast_to(mode[:, None], shape).reshape(-1, shape[2])
+        # Parts outside a stretch have negative lengths here: none of their time counts.
         tau = np.maximum(tau, 0.0).reshape(-1, shape[2])
         inverse = force_over(A, mode, tau, loop.step)
         spreads = [spread_over(kind, sizes, A, mode, tau) for kind in self.kinds]
