@@ -78,8 +78,8 @@ def test_the_check_passes_and_visits_every_row(tmp_path, name, precision):
 @pytest.mark.parametrize(
     "table",
     mostly_long(
-        ["PREDICT_X", "PREDICT_U", "MEASURE", "CORRECT", "TRACK", "REFERENCE", "ANSWER"],
-        "ANSWER",
+        ["PREDICT_X", "PREDICT_U", "MEASURE", "CORRECT", "TRACK", "REFERENCE", "SUM_GAIN"],
+        "SUM_GAIN",
     ),
 )
 def test_a_number_of_the_observer_that_is_spoilt_is_found(made, tmp_path, table):
@@ -88,7 +88,7 @@ def test_a_number_of_the_observer_that_is_spoilt_is_found(made, tmp_path, table)
     path = tmp_path / "controller_tables.h"
     text = path.read_text()
     whole = re.search(table + r"[\[\]\d]+ =\n([^;]*);", text)
-    spoil = -1.0 if table == "ANSWER" else 1.01
+    spoil = -1.0 if table == "SUM_GAIN" else 1.01
     numbers = re.sub(
         r"-?\d[\d.e+-]*", lambda one: repr(spoil * float(one.group()) + 1e-3), whole.group(1)
     )
@@ -240,7 +240,7 @@ def test_rom_and_ram_are_those_of_the_files(made):
     integers = re.search(r"int32_t controller_LAG.* = \{(.*)\};", code).group(1).count(",") + 1
     rom = 8 * numbers + 4 * integers + 8 * len(SCHEDULE[0])
     assert f"Tables: {rom} bytes of constants." in header
-    ram = re.search(r"the caller owns: (\d+) bytes", header)
+    ram = re.search(r"controller_controller of (\d+) bytes", header)
     assert abs(int(ram.group(1)) - len(made[2].state)) <= 16
     includes = re.findall(r"#include .*", code)
     assert includes == ['#include "controller.h"', '#include "controller_tables.h"']
@@ -303,7 +303,7 @@ def test_a_problem_file_with_an_observer_becomes_c_and_an_fmu(tmp_path, monkeypa
         main(["export", "problem.toml", "--c", "out", "--fmu", "law.fmu"])
     assert stopped.value.code == 0
     header = (tmp_path / "out" / "controller.h").read_text()
-    assert "The mode must be given at every call: the observer" in header
+    assert "Pass the mode at every call: the law does not depend on it, but the observer" in header
     assert "States: z[0]: angle (rad), z[1]: rate (rad/s)." in header
     assert "const controller_real *y, int32_t mode," in header
     assert (tmp_path / "law.fmu").stat().st_size > 5_000

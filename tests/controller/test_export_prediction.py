@@ -94,7 +94,7 @@ def test_without_it_the_c_has_nothing_of_it_and_with_it_the_same_state():
     controller = dt.Controller(dt.AveragedPredictor(GENERIC, K), STEP)
     given = controller, "double", None, None, "controller", Names()
     plain, more = (c_sources(*given, prediction)[0] for prediction in (False, True))
-    assert "AHEAD_X" not in "".join(plain.values())
+    assert "FORECAST_X" not in "".join(plain.values())
     assert "controller_predict" not in "".join(plain.values())
     struct = plain["controller.h"].split("typedef struct")[1].split("_controller;")[0]
     assert struct in more["controller.h"]

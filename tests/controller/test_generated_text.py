@@ -144,4 +144,4 @@ def test_mathematics_without_nan_is_refused_by_the_file_itself(tmp_path, monkeyp
     monkeypatch.setenv("CC", f"{' '.join(command)} {option}")
     check = self_check(tmp_path, "controller")
     assert check.passed is False
-    assert "take the checks for NaN away" in check.message
+    assert "remove the checks for NaN" in check.message

@@ -65,7 +65,7 @@ def test_gains_times_predictions_are_the_input_of_every_law(name, plant):
     controller, _ = served(law)
     found, gains = controller.prediction, law.gain[None] if "mean" in name else K
     parts = np.einsum("ji,ija,jia->j", found.probabilities, gains, np.nan_to_num(found.by_mode))
-    plants.close(parts, controller._asked, 1e-12)
+    plants.close(parts, controller._command, 1e-12)
     assert np.allclose(found.probabilities.sum(axis=1), 1.0, rtol=1e-12)
 
 
@@ -128,14 +128,14 @@ def test_a_belief_predicts_as_it_weighs_the_modes_now():
             moved[j] += share * (table.state[at] @ x + table.input[at] @ past)
     plants.close(found.by_mode, moved / p[..., None], 1e-12)
     gained = np.einsum("ji,ija,jia->j", found.probabilities, K, found.by_mode)
-    plants.close(gained, controller._asked, 1e-12)
+    plants.close(gained, controller._command, 1e-12)
 
 
 def test_a_bank_predicts_each_mode_from_its_own_estimate():
     controller, _ = served(belief_laws.from_outputs(), belief_laws.STEP)
     found = controller.prediction
     gained = np.einsum("ji,ija,jia->j", found.probabilities, belief_laws.GAINS, found.by_mode)
-    plants.close(gained, controller._asked, 1e-12)
+    plants.close(gained, controller._command, 1e-12)
 
 
 def test_a_servo_predicts_the_states_that_its_law_is_given():
@@ -149,7 +149,7 @@ def test_a_servo_predicts_the_states_that_its_law_is_given():
         controller.update([y], 0)
     found = controller.prediction
     parts = np.einsum("i,iab,ib->a", found.probabilities[0], gains, found.by_mode[0])
-    plants.close(parts, controller._asked, 1e-12)
+    plants.close(parts, controller._command, 1e-12)
     with pytest.raises(dt.ArgumentError, match="covariance of a servo's prediction is not known"):
         found.covariance(1.0, 1.0)
 

@@ -299,9 +299,9 @@ def test_two_processes_that_compile_one_kernel_lose_nothing(tmp_path):
 
 def test_the_cache_follows_intrinsics_and_what_makes_them():
     from deadtime.numerics.compiling import _stamp
-    from deadtime.scenarios.by_period import fill_switched
+    from deadtime.scenarios.by_period import fill_series
 
-    files = {part[0] for part in _stamp(fill_switched)}
+    files = {part[0] for part in _stamp(fill_series)}
     assert {"by_period.py", "intrinsics.py", "code.py"} <= files
 
 

@@ -100,7 +100,7 @@ def test_an_fmu_describes_outputs_and_references_by_their_names(write, tmp_path)
     found = dict(re.findall(r'name="(y|reference)\[2\]"[^>]*description="([^"]*)"', text))
     assert found == {
         "y": "output at the sample: wheel speed (rad/s)",
-        "reference": "what a tracked output is to follow: gap (m)",
+        "reference": "reference of a tracked output: gap (m)",
     }
     for wrong, said in (
         (Names(outputs=("gap",)), "names.outputs must be 2 names, got 1"),

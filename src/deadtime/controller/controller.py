@@ -18,14 +18,14 @@ class Controller(RunningLaw):
     """A running law: call `update` once per period.
 
     The controller keeps the past inputs and the modes, and predicts with the inputs *as
-    applied*: saturated by its own limits, or as reported by `applied`, so that a
-    deviating actuator or an operator who takes over does not invalidate the prediction. The cost of
-    a factorised table does not depend on the delay.
+    applied*: saturated by its own limits, or as reported by `applied`. So the prediction remains
+    valid if an actuator deviates or an operator takes over. The cost of a factorised table does not
+    depend on the delay.
 
     Parameters
     ----------
     law : Law
-        A law that is a table, and not one that must know the future; or an `OutputFeedback` of
+        A law that is a table and does not need the future signal; or an `OutputFeedback` of
         such a law, at its observer's period, or a `BeliefPredictor`, at its filter's.
     step : float
         Sampling period h, in seconds.
@@ -45,18 +45,18 @@ class Controller(RunningLaw):
     status : Status
         The outcome of the last period.
     refused : int
-        How many periods had an unusable argument.
+        How many periods had an argument that was refused.
     late : int
-        How many periods had no call, by the times of the calls.
+        How many periods had no call, by the times of calls.
     samples : int
-        How many periods have run, those without a call included.
+        How many periods have passed, those without a call included.
     belief : (modes,) array or None
         The probability of each mode at the last sample, of a `BeliefPredictor`.
 
     Raises
     ------
     ArgumentError
-        If the law is no table or must know the future, or limits are out of order.
+        If the law is no table or needs the future signal, or limits are out of order.
 
     Examples
     --------
@@ -102,13 +102,13 @@ class Controller(RunningLaw):
         Parameters
         ----------
         folder : path
-            Made if it is not there. Files of the same names are replaced if deadtime wrote
-            them; one that lacks "Written by deadtime" is refused.
+            Created if missing. Files of the same names are replaced if they contain "Written by
+            deadtime", otherwise refused.
         precision : "double" or "float"
             Type of all numbers except times; a `BeliefPredictor` needs "double".
         accuracy : float
-            The allowed error of a compressed dense table, relative to the sum of the moduli of a
-            row's taps; 1e-13 by default, 1e-7 in `float`; 0 keeps the table exactly.
+            Allowed error of a compressed dense table, relative to the sum of the moduli of a row's
+            taps; 1e-13 by default, 1e-7 in `float`; 0 keeps the table exactly.
         rom_budget : int, optional
             Bytes that the tables may take.
         name : str
@@ -157,11 +157,11 @@ class Controller(RunningLaw):
 
         Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
         outputs u and the status. A `BeliefPredictor` has no mode input; its belief, the probability
-        of every mode, is an output. For laws that measure outputs y is an input instead of x; for
-        an `OutputFeedback` so is the reference if `report_reference` is set, and the estimate is an
-        output. Samples fall on the start and every period after it; a sample at the beginning of a
-        step is taken in that step, with the inputs of that instant. The FMU has sources and,
-        where there is a compiler, a binary for this machine.
+        of every mode, is an output. Laws on outputs have the input y instead of x; an
+        `OutputFeedback` also has the estimate as an output and, if `report_reference` is set, the
+        reference as an input. Samples are taken at the start and once a period; a sample at the
+        beginning of a step uses the inputs of that step. The FMU has sources and, where there is a
+        compiler, a binary for this machine.
 
         Parameters
         ----------
@@ -181,11 +181,5 @@ class Controller(RunningLaw):
         from deadtime.controller.export import export_fmu
 
         return export_fmu(
-            self,
-            path,
-            version=version,
-            precision=precision,
-            accuracy=accuracy,
-            u0=u0,
-            names=names,
+            self, path, version=version, precision=precision, accuracy=accuracy, u0=u0, names=names
         )

@@ -16,32 +16,32 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.plant import OperatingPoint
 
-_MOST = 100_000  # periods that a call may be ahead of the last one
+_MOST = 100_000  # periods between two calls; a later time is out of order
 
 
 class Status(enum.IntEnum):
-    """The status of a controller's last `update`."""
+    """The outcome of a controller's last `update`."""
 
     OK = 0
-    SATURATED = 1  # the law asked for more than the limits allow
-    BAD_STATE = 2  # x is not finite: the last input is held; y: nothing is corrected
-    BAD_MODE = 3  # the mode is none of the plant's: the last input is held
+    SATURATED = 1  # the command exceeds the limits
+    BAD_STATE = 2  # x is not finite: the last input is held; y: the observer predicts
+    BAD_MODE = 3  # the mode is not one of the plant's: the last input is held
     BAD_APPLIED = 4  # the applied input is not finite: the last input is held
-    OVERFLOW = 5  # the law's answer is not finite: the last input is held
-    BAD_REFERENCE = 6  # the reference is not finite: the last one goes on
-    LATE = 7  # whole periods went by without a call: their input counts as held
-    OUT_OF_ORDER = 8  # the period of this call has been served: nothing is done
+    OVERFLOW = 5  # the command is not finite: the last input is held
+    BAD_REFERENCE = 6  # the reference is not finite: the last one is kept
+    LATE = 7  # periods passed without a call: their input counts as held
+    OUT_OF_ORDER = 8  # the period of `time` has had its call: nothing is done
 
 
 class Clock:
-    """Counts the periods between calls, by the time of day that they bring with them.
+    """Counts the periods between calls by their times.
 
     A call belongs to the period nearest to its time: t_k + j with |j| < h/2 is sample k.
 
     Attributes
     ----------
     state : (2,)
-        The time of sample 0 (NaN before a call brought a time), and the last sample served.
+        The time of sample 0 (NaN before the first call with a time), and the last sample.
     """
 
     def __init__(self, step: float) -> None:
@@ -49,7 +49,7 @@ class Clock:
         self.state = np.array([math.nan, -1.0])
 
     def reset(self) -> None:
-        """Begin anew at the next call."""
+        """Start at the next call."""
         self.state[:] = math.nan, -1.0
 
     def periods(self, time: Any) -> int:
@@ -65,7 +65,7 @@ class Clock:
         if not math.isfinite(now):
             return 0
         if math.isnan(origin):
-            # As if the calls without a time had come on time.
+            # Earlier calls had no time: they are assumed to have come on time.
             self.state[0] = now - (last + 1.0) * self._step
             self.state[1] += 1.0
             return 1
@@ -93,7 +93,7 @@ def limits_of(
 
 
 def require_state(state: Any, own: dict[str, Any], modes: int) -> None:
-    """Refuse what is no state of the controller whose state is `own`."""
+    """Refuse a state that cannot be one of the controller whose state is `own`."""
     if not isinstance(state, Mapping):
         raise ArgumentError(f"state must be what `Controller.state` gave, got {state!r}.")
     for name in ("law", "step", "taps"):
@@ -108,7 +108,7 @@ def require_state(state: Any, own: dict[str, Any], modes: int) -> None:
                 f"state[{name!r}] must have shape {np.shape(value)}: pass what "
                 "`Controller.state` gave."
             )
-        # A clock that has not begun is NaN, as is a state that was missing.
+        # NaN is the clock before its first time, and a measurement that was missing.
         if name in ("law", "clock", "belief_x"):
             continue
         if not np.isfinite(as_floats(f"state[{name!r}]", state[name], "finite")).all():
@@ -128,12 +128,12 @@ def vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
 
 
 class RestValues(NamedTuple):
-    """Values of a call while the plant rests: a law works on deviations from them."""
+    """The operating point in the arguments of a call: a law works on deviations from it."""
 
     given: Float[np.ndarray, " measured"]  # x₀, or y₀ = C x₀
     u: Float[np.ndarray, " m"]
     reference: Float[np.ndarray, " r"]  # H y₀
-    z: Float[np.ndarray, " law"]  # what the law's table reads
+    z: Float[np.ndarray, " law"]  # the vector that the law's rows multiply
 
     @classmethod
     def of(
@@ -143,7 +143,7 @@ class RestValues(NamedTuple):
         tracked: Float[np.ndarray, "r p"] | None,
         point: OperatingPoint | None,
     ) -> RestValues:
-        """Of a law whose table reads `size` numbers beside inputs; 0 without a point.
+        """Of a law whose rows multiply `size` numbers beside past inputs; 0 without a point.
 
         tracked : H, of the outputs that follow a reference; None of a law without an observer
         """

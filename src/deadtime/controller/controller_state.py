@@ -20,14 +20,14 @@ from deadtime.loop.running_observer import RunningObserver
 
 
 class Observing:
-    """An observer that runs, and the reference that goes with it.
+    """A running observer and its reference.
 
     Attributes
     ----------
     reference : Reference or None
         The law's own.
     reads_mode : bool
-        Whether what it does depends on the mode.
+        Whether it depends on the mode.
     """
 
     def __init__(self, memory: Memory, reference: Reference | None) -> None:
@@ -37,12 +37,12 @@ class Observing:
         self.reads_mode = self.memory.reads_mode
 
     def begin(self, history: Float[np.ndarray, "N m"]) -> None:
-        """Start anew after these inputs, the oldest first."""
+        """Start after these inputs, oldest first."""
         self._running.begin(history)
         if self.reference:
             self._r[:] = self.reference(0.0)
 
-    def see(
+    def update(
         self,
         latest: Float[np.ndarray, " m"],
         y: Float[np.ndarray, " p"],
@@ -52,14 +52,15 @@ class Observing:
     ) -> tuple[Float[np.ndarray, " z"], bool, bool]:
         """The vector for the law, whether y was unusable, and whether the reference was unusable.
 
-        A mode below 0 is not known: then y corrects nothing, if what it would depends on the mode.
+        A mode below 0 is unknown: an observer that depends on it then predicts without y.
         """
-        astray = self._follow(reference, samples)
+        bad_reference = self._refuses(reference, samples)
         unknown = mode < 0 and self.reads_mode
         z = self._running.update(latest, None if unknown else y, mode, self._r)
-        return z, not self._running.corrected, astray
+        return z, not self._running.corrected, bad_reference
 
-    def _follow(self, reference: ArrayLike | None, samples: int) -> bool:
+    def _refuses(self, reference: ArrayLike | None, samples: int) -> bool:
+        """Take a reference, None for the law's own; whether it is refused as not finite."""
         if self.reference is None:
             return False
         if reference is None:
@@ -78,13 +79,13 @@ class Observing:
         r = as_floats("reference", reference, f"shape {self._r.shape}")
         return require_shape("reference", r, self._r.shape, "(tracked,)")
 
-    def note(self, asked: Float[np.ndarray, " m"]) -> None:
-        """Store the input that the law asked for, to be compared with the input applied."""
-        self._running.asked[:] = asked
+    def set_command(self, u: Float[np.ndarray, " m"]) -> None:
+        """Store the law's command, to which anti-windup compares the applied input."""
+        self._running.asked[:] = u
 
     @property
     def memory(self) -> Memory:
-        """The observer as data, with the reference of the first sample alone."""
+        """The observer as data; of the reference it has the first sample only."""
         return self._running.memory
 
     @property
@@ -94,23 +95,23 @@ class Observing:
 
     @property
     def z(self) -> Float[np.ndarray, " z"]:
-        """The vector that the law received last; a view that changes."""
+        """The vector that the law's rows multiply, at the last sample; a view that changes."""
         return self._running.z
 
     def snapshot(self) -> dict[str, Any]:
-        """Copies of everything that changes."""
+        """Copies of the state."""
         own = {f"observer_{name}": value for name, value in self._running.snapshot().items()}
         return {**own, "reference": self._r.copy()}
 
     def load(self, saved: dict[str, Any]) -> None:
-        """The opposite of `snapshot`."""
+        """Restore a `snapshot`."""
         own = {name: saved[f"observer_{name}"] for name in self._running.arrays}
         self._running.load(own)
         self._r[:] = saved["reference"]
 
 
 class ModeBelief:
-    """A mode filter that runs on the inputs as applied, and its shares of the rows of a table.
+    """A running mode filter on the applied inputs, and its weights of the rows of a table.
 
     Attributes
     ----------
@@ -129,12 +130,12 @@ class ModeBelief:
         self._place, self._zero = np.zeros(3, np.int64), np.zeros(n)
 
     def begin(self) -> None:
-        """Start anew; the inputs before are pushed afterwards."""
+        """Start; earlier inputs are pushed afterwards."""
         self.running.begin()
         self._ring[:], self._place[:] = 0.0, 0
 
     def push(self, u: Float[np.ndarray, " m"]) -> None:
-        """u, as applied, becomes the latest input."""
+        """Add an applied input."""
         from deadtime.controller.past_input_sums import push
 
         push(u, self._place, self._ring)
@@ -144,12 +145,12 @@ class ModeBelief:
         """The last inputs as applied, the oldest first; a view that changes."""
         return self._ring[self._place[0] :][: self._count]
 
-    def see(self, x: Float[np.ndarray, " n_or_p"]) -> None:
-        """One sample; what is not finite is missing."""
+    def update(self, x: Float[np.ndarray, " n_or_p"]) -> None:
+        """Update the belief at a sample; numbers that are not finite are missing."""
         self.running.see(x, self._ring, int(self._place[0]) + self._count - 1)
 
-    def ask(self, past: DensePast, x: np.ndarray, u: Float[np.ndarray, " m"]) -> None:
-        """Write into u the mean of the rows' inputs."""
+    def command(self, past: DensePast, x: np.ndarray, u: Float[np.ndarray, " m"]) -> None:
+        """Write into u the mean of the rows' commands by their weights."""
         running, share = self.running, self.running.share()
         if self.bank is None:
             past.mean(share, x, u)
@@ -158,17 +159,17 @@ class ModeBelief:
         running.add_states(self._gains, u)
 
     def known(self, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The share of every row, the state that it is given, and the covariance of that."""
+        """The weight of every row, the state that it multiplies, and its covariance."""
         running = self.running
         return running.share().copy(), running.states(rows), running.covariances(rows)
 
     def snapshot(self) -> dict[str, Any]:
-        """Copies of everything that changes."""
+        """Copies of the state."""
         own = {"belief_inputs": self._ring.copy(), "belief_place": self._place.copy()}
         return self.running.snapshot() | own
 
     def load(self, saved: dict[str, Any], begun: bool) -> None:
-        """The opposite of `snapshot`; `ArgumentError` where the belief is none."""
+        """Restore a `snapshot`; `ArgumentError` if its belief is not one."""
         self.running.load(saved)
         self.running.begun = begun
         self._ring[:], self._place[:] = saved["belief_inputs"], saved["belief_place"]

@@ -129,7 +129,7 @@ class _Observed:
     Attributes
     ----------
     past : how many past inputs it reads
-    states : names of what it keeps: z and the tracked outputs
+    states : names of its states: z and the tracked outputs
     references : names of the references
     """
 
@@ -147,10 +147,10 @@ class _Observed:
         given: Float[np.ndarray, " given"],
         mode: int,
     ) -> tuple[Float[np.ndarray, " z"], Float[np.ndarray, " kept"]]:
-        """z at this sample, and what is kept; `inputs` the latest first, `before` the last mode."""
+        """z at this sample, and the next state; `inputs` latest first, `before` the last mode."""
         observer, place = self._running, self.past - 1
         size, outputs = observer.z.size, observer.memory.sizes.p
-        # python-control owns the state and may call with any: the observer is rebuilt from it.
+        # python-control owns the state and may pass any: the observer is rebuilt from it.
         observer.load(
             {
                 "z": kept[:size],

@@ -1,15 +1,17 @@
 """Compiled sums over the past inputs: a period costs the same whatever N, and nothing drifts.
 
-A factorised row reads q = Σ_{j=1..M} S^{j−1} Γ u_{k−j}, M = N − 1. Moving the window by taking
-the oldest term away would multiply its round-off by e^{A t} for ever. Instead the inputs are cut
-into blocks of L = ⌈M/2⌉: the newest block has b < L inputs, the middle one is whole, and of the
-old one the f = M − L − b latest still count,
+A factorised row multiplies q = Σ_{j=1..M} S^{j−1} Γ u_{k−j}, M = N − 1. A running sum from which
+the oldest term is subtracted would keep its round-off, and e^{A t} would make it grow. Instead the
+inputs are divided into blocks of L = ⌈M/2⌉:
+
+      old block      | middle block | newest block
+    . . . [f inputs] | all of them  | [b inputs]      b < L,  f + L + b = M
 
     q = S^b (S^L Q_f + T) + B,    B, T, Q_f: Σ_{i≥1} S^{i−1} Γ w_i over the newest, the middle, and
                                   the f latest inputs of the old block, the latest first.
 
-Q_1, …, Q_L of a block are computed one a period while it is in the middle, so that no period
-does more than another, and every sum is made afresh once a block.
+Q_1, …, Q_L of a block are computed one per period while it is in the middle: all periods take equal
+time, and every sum is computed afresh once a block.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ def _add_product(M, v, result):
 
 @kernel(eager=True)
 def _copy(source, target):
-    """target = source: loops compile in a tenth of the time that assigning slices takes."""
+    """target = source; a loop compiles in a tenth of the time of an assignment of slices."""
     for i in range(target.size):
         target[i] = source[i]
 
@@ -42,11 +44,11 @@ def _clear(target):
 
 @kernel(eager=True)
 def push(u, place, ring):
-    """u becomes the latest input; from place[0] on `ring` (2N, m) holds the last N in a row."""
+    """Add u to `ring` (2N, m): from row place[0] on it holds the last N inputs, oldest first."""
     count = ring.shape[0] // 2
     at = place[0]
     for j in range(u.size):
-        # Twice, N rows apart: so the last N lie in a row wherever the ring begins.
+        # Twice, N rows apart: the last N are contiguous wherever the ring begins.
         ring[at, j] = u[j]
         ring[at + count, j] = u[j]
     place[0] = (at + 1) % count
@@ -54,14 +56,14 @@ def push(u, place, ring):
 
 @kernel(eager=True)
 def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
-    """Let the block sums follow the `push` of u.
+    """Update the block sums after the `push` of u.
 
     place : (position in the ring, b, which half of `partial` is the old block's)
     steps : (L, q, m) S^i Γ;  power : (q, q) S^b;  sums : (2, q) B and T
     partial : (2, L + 1, q) Q of the old and of the middle block;  spare : (q, q)
     """
     count, L, size = ring.shape[0] // 2, steps.shape[0], S.shape[0]
-    # B becomes S B + Γ u, from a copy, as each row of S reads all of B.
+    # B becomes S B + Γ u, from a copy, as each row of S multiplies all of B.
     _copy(sums[0], spare[0])
     _clear(sums[0])
     _add_product(S, spare[0], sums[0])
@@ -69,7 +71,7 @@ def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
     b = place[1] + 1
     filling = partial[1 - place[2]]
     _copy(filling[b - 1], filling[b])
-    # The middle block's input b is 2b − 1 inputs before the latest.
+    # Counted from its end, input b of the middle block is 2b − 1 inputs before the latest.
     latest = place[0] + count - 1
     _add_product(steps[b - 1], ring[(latest - 2 * b + 1) % count], filling[b])
     if b < L:
@@ -81,7 +83,7 @@ def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
         _copy(spare.reshape(-1), power.reshape(-1))
         place[1] = b
         return
-    # The newest block is whole: it becomes the middle one, and that one the old one.
+    # The newest block is full: it becomes the middle one, and that one the old one.
     place[1], place[2] = 0, 1 - place[2]
     _copy(sums[0], sums[1])
     _clear(sums[0])

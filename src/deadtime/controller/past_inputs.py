@@ -1,4 +1,4 @@
-"""The past inputs of a controller, and what a row of the table makes of them."""
+"""The past inputs of a controller, multiplied by rows of its table."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class DensePast:
         self.G = np.ascontiguousarray(table.oldest_first)
 
     def clear(self) -> None:
-        """As if all inputs had been 0."""
+        """Set all inputs to 0."""
         for name in self.arrays:
             getattr(self, name)[...] = 0
 
     def push(self, u: Float[np.ndarray, " m"]) -> None:
-        """u becomes the latest input."""
+        """Add u as the latest input."""
         from deadtime.controller.past_input_sums import push
 
         push(u, self.place, self.ring)
@@ -42,7 +42,7 @@ class DensePast:
         return self.ring[self.place[0] :][: self.table.taps]
 
     def row(self, row: int, x: Float[np.ndarray, " n"], u: Float[np.ndarray, " m"]) -> None:
-        """Write the input that the row asks for into u."""
+        """Write the command of a row into u."""
         from deadtime.controller.past_input_sums import dense_row
 
         dense_row(self.table.state_gain[row], self.G[row], x, self.place, self.ring, u)
@@ -53,17 +53,17 @@ class DensePast:
         x: Float[np.ndarray, " n"],
         u: Float[np.ndarray, " m"],
     ) -> None:
-        """Write into u the inputs that the rows ask for, weighed by their shares."""
+        """Write into u the mean of the rows' commands by their weights."""
         from deadtime.controller.past_input_sums import mean_of_dense
 
         mean_of_dense(self.table.state_gain, self.G, share, x, self.place, self.ring, u)
 
     def snapshot(self) -> dict[str, Any]:
-        """Copies of everything that changes."""
+        """Copies of the state."""
         return {name: getattr(self, name).copy() for name in self.arrays}
 
     def load(self, saved: dict[str, Any]) -> None:
-        """The opposite of `snapshot`."""
+        """Restore a `snapshot`."""
         for name in self.arrays:
             getattr(self, name)[...] = saved[name]
 
@@ -79,7 +79,7 @@ class FactoredPast(DensePast):
         self.ring = np.zeros((2 * taps, m))
         self.place = np.zeros(3, np.int64)
         q, self.window = len(factor.S), taps - 1
-        # Half a window, so that it never reaches into more than three blocks.
+        # Half a window: then it covers parts of three blocks at most.
         block = math.ceil(self.window / 2)
         self.steps = np.empty((block, q, m))
         column = factor.input
@@ -100,17 +100,8 @@ class FactoredPast(DensePast):
         from deadtime.controller.past_input_sums import accumulate
 
         super().push(u)
-        accumulate(
-            u,
-            self.place,
-            self.ring,
-            self.factor.S,
-            self.steps,
-            self.power,
-            self.sums,
-            self.partial,
-            self.spare,
-        )
+        fixed, sums = (self.factor.S, self.steps), (self.power, self.sums, self.partial)
+        accumulate(u, self.place, self.ring, *fixed, *sums, self.spare)
 
     def row(self, row: int, x: Float[np.ndarray, " n"], u: Float[np.ndarray, " m"]) -> None:
         from deadtime.controller.past_input_sums import factored_row
@@ -132,23 +123,15 @@ class FactoredPast(DensePast):
         mean_of_factored(F, H, last, share, x, self.q, self.place, self.ring, u)
 
     def _sum_window(self) -> None:
-        """q, which all rows read."""
+        """Compute q, which all rows multiply."""
         from deadtime.controller.past_input_sums import window_sum
 
-        window_sum(
-            self.window,
-            self.place,
-            self.whole,
-            self.power,
-            self.sums,
-            self.partial,
-            self.spare,
-            self.q,
-        )
+        sums = self.power, self.sums, self.partial
+        window_sum(self.window, self.place, self.whole, *sums, self.spare, self.q)
 
 
 def past_inputs(table: Feedback) -> DensePast:
-    """The quicker of the two for a table."""
+    """The faster of the two for a table."""
     if table.factor is None or table.taps <= FEW:
         return DensePast(table)
     return FactoredPast(table, table.factor)

@@ -96,6 +96,7 @@ class Prediction(Frozen):
             missing; if the law's forecast switches and delays differ by input or mode; for a servo.
         """
         share, state, C = self._cases(disturbance, estimate)
+        # Law of total covariance: the mean of C and the covariance of the means.
         apart = state - np.einsum("cji,cjia->ja", share, state)[:, None]
         return np.einsum("cji,cjiab->jab", share, C + apart[..., :, None] * apart[..., None, :])
 
@@ -195,7 +196,7 @@ def prediction_of(running: RunningLaw) -> Prediction:
 
 
 def _moments(table: PredictionTable, known: Known) -> tuple[np.ndarray, np.ndarray]:
-    """p_i and p_i P_i of every row in play, (cases, inputs, futures) and (…, n)."""
+    """p_i and p_i P_i of every row that may apply, (cases, inputs, futures) and (…, n)."""
     F, G, p = (part[known.row] for part in table[:3])
     moved = (F @ known.x[:, None, None, :, None])[..., 0] + G @ known.past.reshape(-1)
     return p[:, table.of_input], moved[:, table.of_input]

@@ -72,12 +72,12 @@ class RunningLaw(Stateful):
         self.reads_mode = self._reads_row or bool(self.observing and self.observing.reads_mode)
         self.measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
         self._clock, self._nothing = Clock(self.step), np.full(self.measured, np.nan)
-        self._u, self._latest, self._asked = np.zeros((3, law.plant.inputs))
-        self._x = np.empty(self.measured)  # of the last sample, which only predictions read
+        self._u, self._latest, self._command = np.zeros((3, law.plant.inputs))
+        self._x = np.empty(self.measured)  # of the last sample, for predictions
         self.reset(u0, mode_age)
 
     def reset(self, u0: InitialInput = None, mode_age: int = 0) -> None:
-        """Start anew, after the inputs u0 (as `simulate` takes them); None: at rest."""
+        """Start after the inputs u0, as `simulate` takes them; None: at rest."""
         m, taps = self.law.plant.inputs, self.table.taps
         history = held_samples(u0, m, taps, self.step, self.law.plant.longest_delay)
         if u0 is not None:
@@ -86,6 +86,7 @@ class RunningLaw(Stateful):
         self._past.clear()
         if self.mode_belief:
             self.mode_belief.begin()
+        # The first call pushes the last one, or the input that was applied instead.
         for u in history[:-1]:
             self._push(u)
         self._u[:] = history[-1]
@@ -115,18 +116,16 @@ class RunningLaw(Stateful):
             The mode at t_k; laws whose rows depend on it need it. A `BeliefPredictor` does not
             read it.
         applied : array_like, shape (m,), optional
-            The input applied in the period that ends, if it differs from the value that `update`
-            returned.
+            The input applied in the period that ends, if it differs from the last return value.
         out : (m,) float array, optional
-            Where to write the input; without it a new array is made.
+            Receives the input; by default a new array does.
         reference : array_like, shape (tracked,), optional
-            r at t_k, of a law with a servo; without it the law's own.
+            r at t_k, of a law with a servo; by default the law's own.
         time : float, optional
-            When this sample was taken, seconds on any clock that goes on; a call without one is
-            the next period. Jitter below half a period is ignored. A call whose period has
-            been served is refused; for periods without a call the input counts as held, and `late`
-            counts them. A time more than 100,000 periods later is
-            refused like one out of order: the clock is not the same.
+            When this sample was taken, seconds on any clock that only goes forward; by default the
+            next period. Jitter below half a period is ignored. A second call for a period is
+            refused. In periods without a call the input counts as held; `late` counts them. A time
+            more than 100,000 periods later is refused as out of order: it is of another clock.
         belief : array_like, shape (modes,) or (modes, ages), optional
             For a `BeliefPredictor`: a belief at t_k from another source, which replaces the
             filter's own; a call out of order ignores it. Over modes alone, each mode keeps the
@@ -135,9 +134,9 @@ class RunningLaw(Stateful):
         Returns
         -------
         (m,) array
-            Unusable values (x or `applied` not finite, a mode that is none) are refused: the
-            last input is held, `status` says why and `refused` counts. A law that measures outputs
-            goes on without a y that is not finite: its observer, or its filter, predicts.
+            If x or `applied` is not finite or the mode is not valid, the call is refused: the last
+            input is held, `status` says why and `refused` counts. If y is not finite, the observer
+            or the filter of a law on outputs predicts without it, and u is new.
 
         Raises
         ------
@@ -147,7 +146,7 @@ class RunningLaw(Stateful):
         """
         x = vector("x" if self.law.outputs is None else "y", x, self.measured)
         applied = None if applied is None else vector("applied", applied, self._u.size)
-        # Whatever may raise comes first: an error leaves the controller as it was.
+        # Checks that may raise come first: an error leaves the controller unchanged.
         self._require(mode, reference)
         x = x - self.rest.given
         applied = None if applied is None else applied - self.rest.u
@@ -164,16 +163,16 @@ class RunningLaw(Stateful):
         if not periods:
             self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
             return self._answer(out)
-        # The missed periods before this one: past inputs are pushed in the order of time.
-        self._pass(applied, periods - 1)
+        # Missed periods come first: past inputs are pushed in the order of time.
+        self._skip(applied, periods - 1)
         self._x[:] = x
         status = self._record(applied)
         # A refused mode outranks an applied input that is not finite.
-        status = self._see(mode) or status
+        status = self._update_mode(mode) or status
         if self.mode_belief:
-            self._believe(x, given_belief)
+            self._update_belief(x, given_belief)
         if self.observing:
-            status = self._observe(x, reference, status)
+            status = self._command_from_outputs(x, reference, status)
         else:
             usable = bool(np.isfinite(x).all())
             if not status and (usable or (self.mode_belief and self.mode_belief.running.usable(x))):
@@ -194,7 +193,7 @@ class RunningLaw(Stateful):
         return out
 
     def _require(self, mode: int | None, reference: ArrayLike | None) -> None:
-        """Refuse a call that lacks or misshapes something, before anything is changed."""
+        """Refuse missing or misshapen arguments before anything changes."""
         if self.reads_mode and mode is None:
             readers = ["the rows of this law"] * self._reads_row
             other = "a `BeliefPredictor` tells it from x or y"
@@ -212,22 +211,23 @@ class RunningLaw(Stateful):
             raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
         self.observing.require(reference)
 
-    def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
-        """Periods without a call: observer and belief run over all, the window holds the last."""
+    def _skip(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
+        """Periods without a call: observer and belief predict over each of them."""
         follows = self.observing is not None or self.mode_belief is not None
+        # Without a state beside the past inputs, periods beyond those inputs change nothing.
         for _ in range(missed if follows else min(missed, self.table.taps)):
             self._record(applied)
             if self.mode_belief:
-                self._believe(self._nothing, None)
+                self._update_belief(self._nothing, None)
             if self.observing:
-                self.observing.see(self._latest, self._nothing, self._mode, None, self.samples)
-                self.observing.note(self._u)
+                self.observing.update(self._latest, self._nothing, self._mode, None, self.samples)
+                self.observing.set_command(self._u)
             self.samples += follows
         self.samples += 0 if follows else missed
         self._age = min(self._age + missed, self.table.ages)
 
     def _record(self, applied: Float[np.ndarray, " m"] | None) -> Status:
-        """The input of the period that ends becomes the latest of the past ones."""
+        """Add the input of the period that ends to the past inputs."""
         u = self._u if applied is None else applied
         finite = bool(np.isfinite(u).all())
         self._latest[:] = u if finite else self._u
@@ -239,54 +239,58 @@ class RunningLaw(Stateful):
         if self.mode_belief:
             self.mode_belief.push(u)
 
-    def _believe(
+    def _update_belief(
         self, x: Float[np.ndarray, " n"], given_belief: Float[np.ndarray, "mode age"] | None
     ) -> None:
-        """Set the belief at this sample: updated by x, or the one that was passed."""
+        """Update the belief by x, or replace it by the one that was passed."""
         assert self.mode_belief is not None
-        self.mode_belief.see(x)
+        self.mode_belief.update(x)
         if given_belief is not None:
             self.mode_belief.running.now[:] = given_belief
 
-    def _see(self, mode: int | None) -> Status:
-        """Follow the sampled mode and its age."""
+    def _update_mode(self, mode: int | None) -> Status:
+        """Update mode and age by the mode at this sample."""
         if not self.reads_mode:
             return Status.OK
         number = int(mode) if isinstance(mode, (int, np.integer)) else -1
         number = number if 0 <= number < self.law.plant.modes else -1
+        # The age first: it is counted from the mode of the sample before.
         self._age = min(age_after(self._mode, self._age, number), self.table.ages)
         if number < 0:
             return Status.BAD_MODE
         self._mode = number
         return Status.OK
 
-    def _observe(self, y: np.ndarray, reference: ArrayLike | None, status: Status) -> Status:
+    def _command_from_outputs(
+        self, y: np.ndarray, reference: ArrayLike | None, status: Status
+    ) -> Status:
         """Update the observer; then u_k from its estimate, unless an argument was refused."""
         observing = self.observing
         assert observing is not None
         known = -1 if status == Status.BAD_MODE else self._mode
-        z, lost, astray = observing.see(self._latest, y, known, reference, self.samples)
+        z, bad_y, bad_reference = observing.update(self._latest, y, known, reference, self.samples)
         if not status:
             status = self._compute(z)
             if status != Status.OVERFLOW:
-                status = Status.BAD_STATE if lost else Status.BAD_REFERENCE if astray else status
-                observing.note(self._asked)
+                if bad_y or bad_reference:
+                    status = Status.BAD_STATE if bad_y else Status.BAD_REFERENCE
+                observing.set_command(self._command)
                 return status
-        # The held input counts as commanded: anti-windup must not correct the sums of errors.
-        observing.note(self._u)
+        # The held input counts as the command, so that anti-windup sees no saturation.
+        observing.set_command(self._u)
         return status
 
     def _compute(self, x: np.ndarray) -> Status:
-        """u_k within the limits, or the last one where it is not finite."""
+        """Compute and saturate u_k; hold the last one if it is not finite."""
         if self.mode_belief:
-            self.mode_belief.ask(self._past, x, self._asked)
+            self.mode_belief.command(self._past, x, self._command)
         else:
             row = self.table.row(self._mode, self._age) if self._reads_row else 0
-            self._past.row(row, x, self._asked)
-        if not np.isfinite(self._asked).all():
+            self._past.row(row, x, self._command)
+        if not np.isfinite(self._command).all():
             return Status.OVERFLOW
-        np.clip(self._asked, self.low, self.high, out=self._u)
-        return Status.OK if (self._u == self._asked).all() else Status.SATURATED
+        np.clip(self._command, self.low, self.high, out=self._u)
+        return Status.OK if (self._u == self._command).all() else Status.SATURATED
 
     @property
     def belief(self) -> Float[np.ndarray, " mode"] | None:
@@ -300,7 +304,7 @@ class RunningLaw(Stateful):
 
     @property
     def state(self) -> dict[str, Any]:
-        """Everything that the next periods depend on, to `restore` it: copies."""
+        """Copies of the state on which the next periods depend, for `restore`."""
         return {
             "law": self.law.label,
             "step": self.step,
@@ -318,7 +322,7 @@ class RunningLaw(Stateful):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on where `state` was taken: the inputs that follow are the same to the last bit.
+        """Continue from a `state`: the following inputs are the same to the last bit.
 
         Raises `ArgumentError` for a state of another law or step.
         """

@@ -1,4 +1,4 @@
-"""The targets of `deadtime export`: an entry here is an option there, with its help and report."""
+"""The targets of `deadtime export`: each entry is an option, with its help and its report."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Written(NamedTuple):
-    """The output of a target: a record of it, its files, lines for readers, and its self-check."""
+    """The output of a target: facts as a record and in words, its files, its self-check."""
 
     facts: Mapping[str, Any]
     files: Sequence[Path]
@@ -22,10 +22,10 @@ class Written(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A target: what its path is, in a word and in a sentence, and what writes it there.
+    """A target: its path in a word, its help, and the function that writes it.
 
-    `write` is given the options of all targets by name, those of `export_c`, `export_fmu` and
-    `export_plant_fmu`, and takes its own.
+    `write` receives the options of `export_c`, `export_fmu` and `export_plant_fmu` together, by
+    name, and uses its own.
     """
 
     path: str
@@ -85,9 +85,7 @@ TARGETS: Mapping[str, Target] = {
         _write_c,
     ),
     "fmu": Target(
-        "FILE",
-        "FMU of the controller, a path in .fmu; replaced if it is there.",
-        _write_fmu,
+        "FILE", "FMU of the controller, a path in .fmu; replaced if it is there.", _write_fmu
     ),
     "plant_fmu": Target(
         "FILE",

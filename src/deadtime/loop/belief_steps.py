@@ -319,7 +319,7 @@ def share_rows(state):
 
 
 @kernel
-def believe(form, state, k, past, known_inputs, measured, trace):
+def run_belief(form, state, k, past, known_inputs, measured, trace):
     """The belief at sample k of a run, the shares of the rows, and π_k over modes in the trace.
 
     u_k is in row past + k of `known_inputs`, the measurement of sample k in row k of `measured`.

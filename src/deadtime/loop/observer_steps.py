@@ -165,7 +165,7 @@ def _integrate(memory, state, applied, at_push):
 
 
 @kernel
-def observe(memory, state, mode, known, k, known_inputs, past, y, estimates):
+def run_observer(memory, state, mode, known, k, known_inputs, past, y, estimates):
     """z at sample k of a run, in its row of the estimates; `mode` is that of every sample.
 
     `known_inputs` are the inputs that the law knows of, u_k in row past + k.

@@ -31,7 +31,7 @@ class RunningBelief:
     """
 
     bank: BankForm | None = None
-    arrays: ClassVar = {"belief": "now", "belief_x": "before"}  # what the next periods depend on
+    arrays: ClassVar = {"belief": "now", "belief_x": "before"}  # the state
 
     def __init__(self, form: Belief, rows: int) -> None:
         self.form, self.state, self.begun = form, BeliefState.of(form, rows), False
@@ -48,7 +48,7 @@ class RunningBelief:
         return self.now.sum(axis=1)
 
     def begin(self) -> None:
-        """Start anew."""
+        """Start."""
         self.begun, self.before[:] = False, np.nan
         begin_belief.function(self.form, self.state)
 

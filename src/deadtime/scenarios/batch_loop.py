@@ -89,6 +89,7 @@ class Loop:
     def late(self) -> int:
         """The first sample of the second half."""
         step, half = self.step, 0.5 * self.horizon
+        # The quotient may be off by a rounding: the comparison of `simulate` decides.
         first = max(0, math.floor(half / step) - 1)
         return next(k for k in range(first, first + 4) if k * step >= half)
 
@@ -153,13 +154,15 @@ class Loop:
         self, maps: np.ndarray, records: Records, modes: np.ndarray, tables: CellSeries
     ) -> None:
         """Fill in the cut periods: with one switch from series, the others piece by piece."""
-        from deadtime.scenarios.by_period import compose_cuts, fill_switched
+        from deadtime.scenarios.by_period import compose_cuts, fill_series
 
         last, series, acting = records.last, tables.switched, self.acting
+        # Series are of whole periods: the last one ends at the horizon.
         alone = ~last & (records.until - records.sojourn == 2) & (series.shape[2] > 0)
-        given = records.sojourn, alone, modes, records.at, acting.edges, series
-        width = (0.0,) * (tables.width // WIDE)
-        fill_switched(maps, *given, self.plant.modes, width)
+        which, width = np.flatnonzero(alone), (0.0,) * (tables.width // WIDE)
+        i = records.sojourn[which].astype(np.int64)
+        pair = modes[i] * np.int64(self.plant.modes) + modes[i + 1]
+        fill_series(maps, which, pair, records.at[i + 1], acting.edges, series, width)
         left = ~alone
         # A horizon at a sample leaves nothing of the last period: x stays, and costs nothing.
         if self.rest == 0.0:

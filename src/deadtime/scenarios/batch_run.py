@@ -23,13 +23,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.threads import processors
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
-from deadtime.imperfections import (
-    Disturbance,
-    Imperfection,
-    Relaying,
-    TimingImperfection,
-    streams,
-)
+from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection, streams
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.batch_loop import Loop
@@ -81,8 +75,8 @@ def run_blocks(
 ) -> tuple[int, bool]:
     """Run all scenarios in blocks of `size`; the sum of the blocks' results, and if interrupted.
 
-    Ctrl-C ends the run within a block's time: running blocks are left, finished ones are kept. An
-    error in a block ends the run, too.
+    Ctrl-C ends the run within a block's time: running blocks are dropped, finished ones are kept.
+    An error in a block ends the run, too.
     """
     starts = iter(range(0, scenarios, size))
     stop = threading.Event()

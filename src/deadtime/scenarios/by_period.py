@@ -72,7 +72,7 @@ def fill_records(room, offset, times, modes, samples, step, arrival, arriving, p
         i, stop = offset[s], offset[s + 1]  # i: the sojourn that is going on
         k = 0
         while True:
-            # Switches at the sample come first: they are what the law sees.
+            # Switches at the sample come first: the law is given the mode after them.
             ahead, within = final + 1, 0.0
             while i + 1 < stop:
                 ahead, within = _place(times[i + 1], step, arrival, arriving, rate)
@@ -118,8 +118,8 @@ def series(flat, index, cells, degrees, size, start, cell, t, width):
 
 
 @kernel(eager=True, nogil=True)
-def fill_series(found, row, time, edges, table, width):
-    """Fill found[c] from row[c] of `table` (row, part, cell, degree, size), at time[c]."""
+def fill_series(found, which, row, time, edges, table, width):
+    """Fill found[which[c]] from row[c] of `table` (row, part, cell, degree, size), at time[c]."""
     _, parts, cells, degrees, size = table.shape
     flat, place = table.reshape(-1), found.reshape(-1)
     for c in range(time.size):
@@ -128,28 +128,7 @@ def fill_series(found, row, time, edges, table, width):
             part += 1
         low, cell = edges[part], (edges[part + 1] - edges[part]) / cells
         value = series(flat, row[c] * parts + part, cells, degrees, size, low, cell, time[c], width)
-        store(place, c * size, value)
-
-
-@kernel(eager=True, nogil=True)
-def fill_switched(maps, sojourn, alone, modes, at, edges, table, count, width):
-    """Fill maps[c] of the cut periods that are `alone`, one switch in each, from series.
-
-    table : (mode·count + mode, part, cell, degree, size)
-    """
-    _, parts, cells, degrees, size = table.shape
-    flat, place = table.reshape(-1), maps.reshape(-1)
-    for c in range(sojourn.size):
-        if alone[c]:
-            i = sojourn[c]
-            t = at[i + 1]
-            part = 0
-            while part + 1 < parts and t >= edges[part + 1]:
-                part += 1
-            low, cell = edges[part], (edges[part + 1] - edges[part]) / cells
-            index = (modes[i] * count + modes[i + 1]) * parts + part
-            value = series(flat, index, cells, degrees, size, low, cell, t, width)
-            store(place, c * size, value)
+        store(place, which[c] * size, value)
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)

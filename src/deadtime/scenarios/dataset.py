@@ -119,11 +119,7 @@ class Results:
 
     @classmethod
     def empty(
-        cls,
-        laws: int,
-        scenarios: int,
-        path: tuple[int, int, int] | None = None,
-        tracked: int = 0,
+        cls, laws: int, scenarios: int, path: tuple[int, int, int] | None = None, tracked: int = 0
     ) -> Results:
         """Empty arrays; `path` = (n, m, samples) of trajectories, None to keep none."""
         shape = laws, scenarios
@@ -167,7 +163,7 @@ class Comparison:
 
     @property
     def scenarios(self) -> int:
-        """How many are done."""
+        """The number of finished scenarios."""
         return int(self.results.done.sum())
 
     @property

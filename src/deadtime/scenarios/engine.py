@@ -412,12 +412,12 @@ class Engine:
         work = work_of(shape, plant, self._run, table.taps, carry, count)
         ahead = None if table.model is None else PreviewLanes.of(shape, table.model)
         kept = None if table.memory is None else ObserverLanes.of(table.memory)
-        mind = None
+        beliefs = None
         if table.belief is not None and table.gains is not None:
-            mind = belief_lanes(shape, table.belief, table.bank, table.gains)
+            beliefs = belief_lanes(shape, table.belief, table.bank, table.gains)
         outputs = None if table.outputs is None else OutputLanes.of(table.outputs)
         # The fields up to `taps` are the law's arguments, in the order of `run_scenarios`.
-        room = work, ahead, kept, mind, outputs
+        room = work, ahead, kept, beliefs, outputs
         run_scenarios(*table[:8], *loop, first, count, path, keep, *room)
         # The last two are exponents, which the kernel has added to the logarithms.
         figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)

@@ -65,7 +65,8 @@ class ForceMaps:
             found = np.empty((once.size, flat.shape[-1]))
             i, edges = records.sojourn[once], self.loop.acting.edges
             pair = modes[i] * len(held) + modes[i + 1]
-            fill_series(found, pair, records.at[i + 1], edges, flat, (0.0,) * width)
+            given = np.arange(once.size), pair, records.at[i + 1]
+            fill_series(found, *given, edges, flat, (0.0,) * width)
             cut[once] = found[:, : held[0].size].reshape(-1, *held.shape[1:])
         rest = np.ones(switches.size, np.bool_)
         rest[whole] = rest[once] = False
@@ -112,7 +113,8 @@ class ForceMaps:
             ]
         )
         found = np.empty((pair.size, flat.shape[-1]))
-        fill_series(found, pair, np.tile(t, modes * modes), edges, flat, width)
+        given = np.arange(pair.size), pair, np.tile(t, modes * modes)
+        fill_series(found, *given, edges, flat, width)
         exact = self._with_switch(t[:, None]).reshape(-1, self._held.shape[3])
         error = np.abs(found[:, :size].reshape(exact.shape) - exact).max(axis=0)
         fits = (error <= ACCURACY * np.abs(exact).max(axis=0)).all()
@@ -148,6 +150,7 @@ class ForceMaps:
         tau = np.minimum(at[:, None, 1:], stop) - np.maximum(at[:, None, :-1], start)
         shape = tau.shape
         mode = np.broadcast_to(mode[:, None], shape).reshape(-1, shape[2])
+        # Parts outside a stretch have negative lengths here: none of their time counts.
         tau = np.maximum(tau, 0.0).reshape(-1, shape[2])
         inverse = force_over(A, mode, tau, loop.step)
         spreads = [spread_over(kind, sizes, A, mode, tau) for kind in self.kinds]

@@ -54,9 +54,9 @@ from deadtime.numerics.lanes import (
 from deadtime.scenarios.lane_types import LoopSizes, PlantLanes, RunLanes
 from deadtime.scenarios.law_lanes import (
     answer_with_preview,
+    begin_previews,
     choose_rows,
     enter,
-    look_ahead,
     refill,
     sum_dense,
     turn,
@@ -75,12 +75,12 @@ from deadtime.scenarios.measured_lanes import (
 )
 from deadtime.scenarios.state_lanes import (
     begin_observers,
-    believe_again,
-    look_at_outputs,
     mean_dense_row,
     mean_row,
-    note_answer,
-    observe_again,
+    measure_outputs,
+    store_commands,
+    update_beliefs,
+    update_observers,
 )
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
@@ -99,7 +99,7 @@ class LaneScratch(NamedTuple):
     own : (M and E, lane), flat;  xs : (n, lane), x₀;  carry : of factorised rows (`refill`)
     mode : (lane,), `number` the same as a float, for `choose`;  began : the sample of its begin
     at, stop : (lane,), the next record and the end of records
-    coming : (lane,), 8 · period + lane of the next record
+    coming : (lane,), 8 · period + lane of the next record, as one number to compare
     acting : (lag,), the places in `ring` of the inputs that act
     """
 
@@ -154,7 +154,7 @@ def _begin(n, m, work, plant, run, start, count):
 
 @inner_kernel
 def _switch(plant, work, k, soon):
-    """Apply the records of period k; the next of `coming`."""
+    """Apply the records of period k; return the next of `coming`."""
     size = work.own.size // LANES
     while soon // LANES == k:
         lane = soon % LANES
@@ -187,7 +187,7 @@ def _turn_around(places, m, size):
 @kernel(eager=True, nogil=True)
 def run_scenarios(
     shape, factored, dense, model, memory, belief, bank, taps, plant, run, limits, relayed,
-    instants, force, start, count, path, keep, work, ahead, kept, mind, outputs,
+    instants, force, start, count, path, keep, work, ahead, kept, beliefs, outputs,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
@@ -197,7 +197,7 @@ def run_scenarios(
     relayed, instants : measurements and modes as received (`lane_types.MeasurementLanes`)
     force : of disturbances (`forces`)
     path : gets x and u of every sample from `keep` on, unless it is empty
-    work, ahead, kept, mind : memory of the loop, of a model, an observer and a belief
+    work, ahead, kept, beliefs : memory of the loop, of a model, an observer and a belief
     outputs : C of the plant, None if the state is measured
 
     All but shape, plant, run, path and work may be None. The last scenario fills the last group.
@@ -230,7 +230,7 @@ def run_scenarios(
             window, places = window_of(shape, dense), m * np.arange(LANES)
             width = window.line.size // LANES
         if model is not None:
-            enters = look_ahead(shape, model, ahead, line, begin, few, period)
+            enters = begin_previews(shape, model, ahead, line, begin, few, period)
         if relayed is not None:
             recent = recent_of(shape, relayed, instants)
             lost_now = lanes_of(recent.lost.reshape(1, LANES))
@@ -255,14 +255,14 @@ def run_scenarios(
             latest = period - 1 if now == 0 else now - 1
             before, missing = load(ring, latest * m * LANES, shape.u), nothing_lost
             if outputs is not None:
-                y = look_at_outputs(shape, outputs, work.mode, x)
+                y = measure_outputs(shape, outputs, work.mode, x)
             seen = first_of(y, x, x, shape.seen)
             if relayed is not None:
                 at = first * run.samples + k * LANES
                 if instants is not None:
                     there = see(shape, relayed, instants, recent, x, at)
                     if outputs is not None:
-                        y = look_at_outputs(shape, outputs, work.mode, there)
+                        y = measure_outputs(shape, outputs, work.mode, there)
                     seen = first_of(y, there, there, shape.seen)
                 elif late:
                     seen = receive(shape, relayed, recent, seen, at)
@@ -279,10 +279,10 @@ def run_scenarios(
                         reported = kept.reported
                 received = first_of(seen, seen, seen, shape.output)
                 given = line, latest, reported, received, missing, k
-                z = observe_again(shape, memory, kept, outputs, *given)
+                z = update_observers(shape, memory, kept, outputs, *given)
             known = first_of(z, seen, seen, shape.known)
             if belief is not None:
-                believe_again(belief, bank, mind, line, latest, seen, missing, k)
+                update_beliefs(belief, bank, beliefs, line, latest, seen, missing, k)
             if model is not None:
                 if enters // LANES == k:
                     enters = turn(model, ahead, k, enters)
@@ -295,7 +295,7 @@ def run_scenarios(
                 sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
                 sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
                 if belief is not None:
-                    u = mean_row(shape, bank, mind, sums)
+                    u = mean_row(shape, bank, beliefs, sums)
                 else:
                     number = load(work.number, 0, _ONE)
                     if relayed is not None:  # noqa: SIM102
@@ -304,7 +304,7 @@ def run_scenarios(
                     u = choose(sums, number, shape.u)
             if dense is not None:
                 if belief is not None:
-                    u = mean_dense_row(shape, bank, mind, dense, window, place, known, before)
+                    u = mean_dense_row(shape, bank, beliefs, dense, window, place, known, before)
                 else:
                     choose_rows(dense, work, window, k)
                     if relayed is not None:  # noqa: SIM102
@@ -315,7 +315,7 @@ def run_scenarios(
                     sums = gather(window.sums, places, shape.u)
                     u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
             if memory is not None:
-                note_answer(kept, u)
+                store_commands(kept, u)
             elif relayed is not None and bank is None:
                 u = command(shape, recent, u, asked)
                 asked = u

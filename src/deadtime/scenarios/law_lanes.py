@@ -125,7 +125,7 @@ def choose_rows(dense, work, window, k):
 def sum_dense(shape, dense, window, place):
     """Sums of all inputs but the latest, scenario by scenario.
 
-    They do not wait for what the last period gave: a processor works on both at once.
+    They do not depend on the last period: a processor computes both at once.
     """
     m, head = len(shape.u), len(shape.head)
     width = window.line.size // LANES
@@ -185,8 +185,8 @@ class PreviewLanes(NamedTuple):
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def look_ahead(shape, model, ahead, ring, start, count, period):
-    """Fill the stacks with the first W periods, for time 0; the next of `coming`.
+def begin_previews(shape, model, ahead, ring, start, count, period):
+    """Fill the stacks with the first W periods, for time 0; return the next of `coming`.
 
     Inputs from before time 0 are 0.
     """
@@ -207,7 +207,7 @@ def look_ahead(shape, model, ahead, ring, start, count, period):
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def turn(model, ahead, k, soon):
-    """Apply the records of the period that enters the window at t_k; the next of `coming`."""
+    """Apply the records of the period that enters at t_k; return the next of `coming`."""
     while soon // LANES == k:
         lane = soon % LANES
         record = ahead.at[lane]
@@ -247,7 +247,7 @@ def answer_with_preview(shape, length, ahead, k, x, latest):
     eight = lanes_of(ahead)
     if length > 0:
         move_window(eight.stacks, k)
-        # What is stored after it stays in registers.
+        # In this order: values that are stored after the move stay in registers.
         store(ahead.stacks.x, 0, x)
         predict_ahead(eight.stacks, k)
     else:

@@ -71,12 +71,12 @@ def receive(shape, relayed, recent, x, at):
 
 @inner_kernel
 def see(shape, relayed, instants, recent, x, at):
-    """The measurement at an instant within a period, whose inputs follow by `go_on`."""
+    """The measurement at an instant within a period; `go_on` adds the inputs of the period."""
     size, slots = len(shape.z), relayed.reach + 1
     spread(recent.states, recent.slot[0] * size, slots * size, x)
     _look_back(relayed, recent, at, slots, size)
     if instants.news[at // LANES]:
-        _lay_out(instants, recent, at)
+        _load_series(instants, recent, at)
     z, delta = gather(recent.states, recent.places, shape.z), load(instants.place, at, _ONE)
     block = len(shape.x) * size * LANES
     x = same(0.0, shape.x)
@@ -87,8 +87,8 @@ def see(shape, relayed, instants, recent, x, at):
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _lay_out(instants, recent, at):
-    """Copy the series of scenarios whose row is another one into their lanes."""
+def _load_series(instants, recent, at):
+    """Copy the series into the lanes of scenarios whose row has changed."""
     several, cut_size = len(instants.series), instants.cuts.shape[1]
     for lane in range(LANES):
         row = np.int64(instants.row[at + lane])
@@ -119,7 +119,7 @@ def _look_back(relayed, recent, at, slots, size):
     for lane in range(LANES):
         lag = np.int64(relayed.lag[at + lane])
         recent.lost[lane] = 1.0 if lag < 0 else 0.0
-        # Of a lost sample any place will do: `lost` masks what is read there.
+        # Of a lost sample any place will do: `lost` masks its value.
         place = slot - max(lag, 0)
         place += slots if place < 0 else 0
         recent.places[lane] = (lane * slots + place) * size

@@ -83,6 +83,7 @@ class BlockInstants:
         sizes, step = Sizes.of(loop.plant, loop.step), loop.step
         if all(each.is_fixed(sizes, samples) for each in kinds):
             fixed = _sum(kinds, [each.lags(0, nobody, sizes, samples) for each in kinds])
+            # Fixed lags of whole periods: x is measured at samples.
             if not lags_of_run(np.arange(samples), fixed, step)[1].any():
                 return cls(loop, kinds, None, None, None, rooms)
         periods = groups(count) * samples

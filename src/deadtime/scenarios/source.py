@@ -91,6 +91,7 @@ def _sample(model: SignalSampler, reach: float, seed: int, modes: int) -> Switch
             "model.sample(horizon, seed) must return a SwitchingSignal, got "
             f"{type(signal).__name__}."
         )
+    # A sampler that adds up sojourns may end a rounding early.
     if signal.end < reach * (1.0 - 1e-12):
         raise ArgumentError(
             f"model.sample(horizon={reach:g}) must return a signal known up to its horizon, "

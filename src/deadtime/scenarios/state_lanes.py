@@ -45,7 +45,7 @@ class OutputLanes(NamedTuple):
     """The outputs of eight plants.
 
     table : (modes, p n), C of each mode;  own : (p n, lane), of the mode of each plant
-    mode : (lane,), which that is;  y : (p, lane), what is measured
+    mode : (lane,), that mode;  y : (p, lane)
     """
 
     table: np.ndarray
@@ -73,7 +73,7 @@ class ObserverLanes(NamedTuple):
 
 
 @inner_kernel
-def look_at_outputs(shape, outputs, mode, x):
+def measure_outputs(shape, outputs, mode, x):
     """y of every scenario, by the C of its plant's mode."""
     select_mode(outputs.table, outputs.own, outputs.mode, mode)
     return own_product(outputs.own, 0, x, same(0.0, shape.output))
@@ -81,7 +81,7 @@ def look_at_outputs(shape, outputs, mode, x):
 
 @inner_kernel
 def begin_observers(memory, kept):
-    """z before anything is measured, after inputs and answers of 0."""
+    """The initial z, after inputs and commands of 0."""
     state = lanes_of(kept.state)
     begin_observer(memory, state)
     for i in range(state.asked.size):
@@ -89,7 +89,7 @@ def begin_observers(memory, kept):
 
 
 @inner_kernel
-def observe_again(shape, memory, kept, outputs, line, row, mode, received, lost, k):
+def update_observers(shape, memory, kept, outputs, line, row, mode, received, lost, k):
     """z at sample k of all scenarios, from received outputs; `line` are the inputs to row `row`."""
     state, y = lanes_of(kept.state), lanes_of(outputs.y)
     store(outputs.y, 0, received)
@@ -103,7 +103,7 @@ def observe_again(shape, memory, kept, outputs, line, row, mode, received, lost,
 
 
 @inner_kernel
-def note_answer(kept, u):
+def store_commands(kept, u):
     """Store the command, before limits: the sums of errors compare it with the applied input."""
     store(kept.state.asked, 0, u)
 
@@ -131,7 +131,7 @@ class BeliefLanes(NamedTuple):
 def belief_lanes(
     shape: LoopSizes, belief: Belief, bank: BankForm | None, gains: np.ndarray
 ) -> BeliefLanes:
-    """Room for eight scenarios of a law with rows of these gains."""
+    """Memory for eight scenarios of a law with rows of these gains."""
     rows = len(gains)
     all_of = None if bank is None else BankState.of(bank, rows, LANES)
     chain = BeliefState.of(belief, rows, LANES) if all_of is None else all_of.chain
@@ -142,15 +142,15 @@ def belief_lanes(
 
 
 @inner_kernel
-def believe_again(belief, bank, mind, line, row, seen, lost, k):
+def update_beliefs(belief, bank, beliefs, line, row, seen, lost, k):
     """Each scenario's belief at sample k, from its measurement, and the shares of the rows.
 
     `line` are the inputs, u_{k−1} in row `row`.
     """
-    eight = lanes_of(mind)
-    store(mind.x, 0, seen)
+    eight = lanes_of(beliefs)
+    store(beliefs.x, 0, seen)
     for a in range(eight.x.size):
-        # A filter takes NaN as missing, so that lanes with and without a measurement share it.
+        # NaN is a missing number: so lanes with and without a measurement take one path.
         eight.x[a] = where(lost[0] > 0.0, math.nan, eight.x[a])
     if bank is not None:
         if k > 0:
@@ -168,31 +168,31 @@ def believe_again(belief, bank, mind, line, row, seen, lost, k):
 
 
 @inner_kernel
-def mean_row(shape, bank, mind, answers):
+def mean_row(shape, bank, beliefs, answers):
     """The mean of the answers of factorised rows."""
-    store(mind.answer, 0, answers)
-    return _mean(shape, bank, mind)
+    store(beliefs.answer, 0, answers)
+    return _mean(shape, bank, beliefs)
 
 
 @inner_kernel
-def mean_dense_row(shape, bank, mind, dense, window, place, known, before):
+def mean_dense_row(shape, bank, beliefs, dense, window, place, known, before):
     """The mean of the answers of dense rows."""
     both = len(shape.both)
-    spread(mind.both, 0, both, first_of(known, before, before, shape.both))
-    _answer_dense(mind, dense, window.line, place, len(shape.u), both)
-    return _mean(shape, bank, mind)
+    spread(beliefs.both, 0, both, first_of(known, before, before, shape.both))
+    _answer_dense(beliefs, dense, window.line, place, len(shape.u), both)
+    return _mean(shape, bank, beliefs)
 
 
 @kernel(eager=True, nogil=True)
-def _answer_dense(mind, dense, line, place, m, both):
+def _answer_dense(beliefs, dense, line, place, m, both):
     """Fill in the answers of the dense rows that have any weight, in every scenario."""
-    width, answer, share, z = line.size // LANES, mind.answer, mind.chain.weight, mind.both
+    width, answer, share, z = line.size // LANES, beliefs.answer, beliefs.chain.weight, beliefs.both
     for lane in range(LANES):
         start = lane * width + (place + 1) * m
         for c in range(answer.shape[0]):
             for i in range(m):
                 total, row = 0.0, c * m + i
-                # Most rows have no weight: their sums over all past inputs are spared.
+                # Most rows have weight 0: their sums over all past inputs are left out.
                 if share[c, lane] > 0.0:
                     total = dot(dense.rest, row * dense.width, line, start, dense.width)
                     for j in range(both):
@@ -201,9 +201,9 @@ def _answer_dense(mind, dense, line, place, m, both):
 
 
 @inner_kernel
-def _mean(shape, bank, mind):
+def _mean(shape, bank, beliefs):
     """Σ_c π_c u_c, and with a bank Σ_c π_c F_c x̂."""
-    eight = lanes_of(mind)
+    eight = lanes_of(beliefs)
     share, answer, u = eight.chain.weight, eight.answer, eight.u
     for i in range(u.size):
         total = 0.0
@@ -211,5 +211,5 @@ def _mean(shape, bank, mind):
             total += share[c] * answer[c, i]
         u[i] = total
     if bank is not None:
-        add_estimates(mind.gains, share, eight.bank.x, u)
-    return load(mind.u, 0, shape.u)
+        add_estimates(beliefs.gains, share, eight.bank.x, u)
+    return load(beliefs.u, 0, shape.u)

@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.imperfections.sensors_and_actuators import InputLimits, limit_input
-from deadtime.loop.belief_steps import believe
-from deadtime.loop.observer_steps import observe
+from deadtime.loop.belief_steps import run_belief
+from deadtime.loop.observer_steps import run_observer
 from deadtime.loop.preview_steps import answer_ahead, enter_piece, move_window, predict_ahead
 from deadtime.loop.received_samples import is_held
 from deadtime.numerics.exponential import advance
@@ -34,7 +34,7 @@ def is_bare(
     limits: InputLimits,
     shift: np.ndarray,
 ) -> bool:
-    """Whether the law receives the state at every sample, and the plant what the law asks for."""
+    """Whether the law receives the state at every sample, and the plant every command."""
     seen = not (instants.noise.size or instants.C.shape[1]) and (instants.way < 0).all()
     given = line.known_inputs is line.inputs is line.asked and not (
         limits.relative.size or shift.size
@@ -252,7 +252,7 @@ def closed_loop(
             _see(instants, k, spare, measured, seen)
             if memory is not None:
                 estimates = line.estimates
-                observe(
+                run_observer(
                     memory, observer, rows.mode, known_mode, k, known_inputs, past, seen, estimates
                 )
                 for i in range(known.size):
@@ -261,7 +261,7 @@ def closed_loop(
             if preview is not None:
                 answer_with_preview(preview, k, past, known_inputs, known, answer)
             elif belief is not None:
-                believe(belief, state, k, past, known_inputs, measured, line.beliefs)
+                run_belief(belief, state, k, past, known_inputs, measured, line.beliefs)
                 _mean_row(rows, state.weight, recent, known, answer)
             else:
                 for i in range(m):

@@ -36,12 +36,7 @@ class Forcing:
     stretch into pieces: the force that adds the ξ drawn is held over all of them.
     """
 
-    def __init__(
-        self,
-        sampled: SampledPlant,
-        steps: int,
-        disturbances: Drawn,
-    ) -> None:
+    def __init__(self, sampled: SampledPlant, steps: int, disturbances: Drawn) -> None:
         plant = self._plant = sampled.plant
         self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
         self._starts = np.array([part.start for part in sampled.stretches(0)])
@@ -72,7 +67,7 @@ class Forcing:
         shift = np.zeros((table.entry.size, self._plant.states))
         period, entry = table.period, table.entry
         place = np.searchsorted(self._starts, table.start[entry], "right") - 1
-        # The entries of modes held come first.
+        # The entries of modes held come first: in `own` they are left out.
         cut = [table.parts(e, cuts) for e in range(len(self._held), table.mode.size)]
         own = [[(i, b - a) for i, a, b in e] for e in cut]
         # A piece that goes on in a stretch has the force of the one that begins it.
@@ -89,8 +84,7 @@ class Forcing:
         parts = np.flatnonzero(np.isin(head, shared))
         if parts.size:
             # The head's force is held over all pieces of its stretch, each by its own Γ.
-            given = _stacked([own[entry[q] - first] for q in parts])
-            Gamma = pushed_over(self._plant.A, *given)
+            Gamma = pushed_over(self._plant.A, *_stacked([own[entry[q] - first] for q in parts]))
             shift[parts] = np.einsum("qij,qj->qi", Gamma, force[parts])
         for kind, draws in self._offsets:
             spread = spread_over(kind, self._sizes, self._plant.A, *_stacked(self._held + own))
@@ -109,7 +103,7 @@ class Forcing:
         return np.concatenate((inverse[entry] @ shift, *active))
 
     def _maps(self, entries: list[list[tuple[int, float]]]) -> tuple[list[np.ndarray], np.ndarray]:
-        """How each disturbance's numbers become ξ over every entry, and Γ_I⁻¹."""
+        """The map from each disturbance's draws to ξ over every entry, and Γ_I⁻¹."""
         mode, tau = _stacked(entries)
         A = self._plant.A
         spreads = [spread_over(force, self._sizes, A, mode, tau) for force in self._kinds]
@@ -128,7 +122,7 @@ def lengths_of(sampled: SampledPlant) -> tuple[float, ...]:
 def spread_over(
     force: Disturbance, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
 ) -> Float[np.ndarray, "count n r"]:
-    """How a disturbance's numbers become ξ over many stretches.
+    """The map from a disturbance's draws to ξ over many stretches.
 
     Each has tau (count, pieces) seconds, 0 for no piece, in a mode (count, pieces).
     """

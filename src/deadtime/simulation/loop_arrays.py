@@ -63,7 +63,7 @@ class DelayLine(NamedTuple):
         drawn: DrawnImperfections | None,
         measured: int,
         memory_size: int,
-        believed: int,
+        modes: int,
     ) -> DelayLine:
         """A line before its run, for states or outputs, a memory and a belief of these sizes."""
         inputs, samples = grid.inputs, grid.samples
@@ -71,7 +71,7 @@ class DelayLine(NamedTuple):
         asked = inputs.copy() if limited else inputs
         known_inputs = asked if drawn is not None and drawn.commanded else inputs
         estimates = np.empty((samples if memory_size else 0, memory_size))
-        own = np.empty((samples, measured)), estimates, np.empty((samples, believed))
+        own = np.empty((samples, measured)), estimates, np.empty((samples, modes))
         return cls(grid.past, inputs, asked, known_inputs, *own)
 
 
@@ -84,7 +84,7 @@ class MeasurementInstants(NamedTuple):
     Phi : (ways, n, n), Gamma : (ways, n, q), the maps of x and of the inputs; q = m, or m + f with
         the forces of the piece behind the inputs
     force : (pieces, f) or (pieces, 0)
-    noise : (samples, p) or (0, 0), what is added
+    noise : (samples, p) or (0, 0), added to it
     C : (modes, p, n), or (1, 0, n) where x is measured itself
     mode : (samples,), that of C
     """

@@ -150,11 +150,7 @@ def run_online(update: Update, truth: Truth, x0: np.ndarray, horizon: float) -> 
 
 
 def _run(
-    truth: Truth,
-    update: Update,
-    lags: MeasurementLags | None,
-    x0: np.ndarray,
-    horizon: float,
+    truth: Truth, update: Update, lags: MeasurementLags | None, x0: np.ndarray, horizon: float
 ) -> tuple[int, list[np.ndarray], _Stop | None]:
     """Run over the samples and on until an input is missing, as `closed_loop` does.
 

@@ -189,9 +189,9 @@ def _ideal(
         )
     if not isinstance(switching, SwitchingSignal):
         return run_ideal_rule(plant, law, switching, x0, horizon, u0)
-    believed = law.ideal(switching, horizon)
+    forecast = law.ideal(switching, horizon)
     history = input_function(u0, plant.inputs, max(delay, law.plant.longest_delay))
-    record, end = run_ideal(plant, believed, switching, x0, horizon, history)
+    record, end = run_ideal(plant, forecast, switching, x0, horizon, history)
     return RunOutcome(record, switching, end, end is not None)
 
 

@@ -54,9 +54,7 @@ def numbered_columns(
 
 
 def write_csv(
-    path: str | PathLike[str],
-    columns: Mapping[str, np.ndarray],
-    names: Mapping[str, Sequence[str]],
+    path: str | PathLike[str], columns: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]
 ) -> None:
     """Write columns as CSV in full precision, names of signals behind a colon: "x[0]: position".
 
@@ -332,7 +330,7 @@ class Trajectory(Frozen):
     def to_pandas(self) -> pd.DataFrame:
         """A data frame indexed by time, columns x[0], …, u[0], …, mode, w[0], …, belief[0], ….
 
-        Of a law with a servo also y[0], …, what is tracked, and r[0], ….
+        Of a law with a servo also the tracked outputs y[0], … and r[0], ….
         """
         import pandas as pd
 

@@ -206,13 +206,7 @@ class RuleTruth(Truth):
     the record is made.
     """
 
-    def __init__(
-        self,
-        grid: Grid,
-        rule: Rule,
-        x0: np.ndarray,
-        disturbances: Drawn = (),
-    ) -> None:
+    def __init__(self, grid: Grid, rule: Rule, x0: np.ndarray, disturbances: Drawn = ()) -> None:
         sampled, steps = grid.sampled, grid.periods
         self.grid, every, self._forcing = grid, EveryReading.of(sampled), None
         plant, self._step, self._stretches = every.plant, sampled.step, every.stretches

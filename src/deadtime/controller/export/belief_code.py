@@ -1,7 +1,7 @@
-"""The mode filter of a controller in C: its tables, its room and its bounds.
+"""The mode filter of a controller in C: its tables, memory and bounds.
 
-The C does what `loop/belief_steps.py` and `loop/bank_steps.py` do, so that both agree to
-the round-off of exp, log and the square root, of which it has its own.
+The C has the operations of `loop/belief_steps.py` and `loop/bank_steps.py`, and its own
+exp, log and square root: the results agree to the round-off of these.
 """
 
 from __future__ import annotations
@@ -14,26 +14,25 @@ from deadtime.base.errors import ArgumentError
 from deadtime.controller.controller_state import ModeBelief
 from deadtime.controller.export.c_text import literal
 
-_BOUND = 2.0**100  # of states and inputs, {P}_BELIEF_BOUND of controller.h.j2
-_LARGEST = 2.0**190  # of predictions and of variances: their squares leave room
+_BOUND = 2.0**100  # of states and inputs: {P}_BELIEF_BOUND of controller.h.j2
+_LARGEST = 2.0**190  # of predictions and variances: their squares do not overflow
 _BYTES, _COUNTERS = 8, 8
-
 
 # By field of a filter's form: the name of its table in ROM and a comment.
 _TABLES = {
-    "Phi": ("MODEL_X", "the model over a period in each mode: what becomes of x"),
-    "Gamma": ("MODEL_U", "what becomes of inputs, by lag"),
-    "noise": ("MODEL_NOISE", "covariance of what a prediction misses"),
-    "hazard": ("HAZARD", "probability that a mode of that age ends within a period"),
+    "Phi": ("MODEL_X", "the model over a period, by mode: gains of the state"),
+    "Gamma": ("MODEL_U", "gains of inputs, by mode and lag"),
+    "noise": ("MODEL_NOISE", "covariance of the prediction error"),
+    "hazard": ("HAZARD", "probability that a mode of this age ends within a period"),
     "jump": ("JUMP", "probabilities of the next mode"),
-    "start": ("PRIOR", "the belief before anything is seen"),
-    "bend_x": ("BEND_X", "a change in the middle of a period less the mean of both"),
-    "bend_u": ("BEND_U", "the same of inputs, by lag"),
-    "C": ("OUTPUT_X", "what is measured in each mode"),
-    "variance": ("OUTPUT_NOISE", "variance of the noise of outputs"),
-    "gain": ("OBSERVER_GAIN", "gains of the observers"),
-    "estimate": ("FIRST_X", "the first estimate"),
-    "covariance": ("FIRST_P", "the covariance of the first state about it"),
+    "start": ("PRIOR", "the initial belief"),
+    "bend_x": ("BEND_X", "x after a change in mid-period less the mean of both modes, by x"),
+    "bend_u": ("BEND_U", "and by inputs, by lag"),
+    "C": ("OUTPUT_X", "the output matrix, by mode"),
+    "variance": ("OUTPUT_NOISE", "noise variance of the outputs"),
+    "gain": ("OBSERVER_GAIN", "observer gains, by mode"),
+    "estimate": ("FIRST_X", "the initial estimate"),
+    "covariance": ("FIRST_P", "covariance of the initial state about it"),
 }
 
 
@@ -43,7 +42,7 @@ def _parts(belief: ModeBelief) -> dict[str, Any]:
 
 
 def arrays(belief: ModeBelief) -> dict[str, tuple[np.ndarray, str]]:
-    """The constant arrays in ROM, with a comment each; those that are empty are left out."""
+    """The constant arrays in ROM, with a comment each, without empty ones."""
     parts = _parts(belief)
     if not by_end(belief):
         parts["noise"] = parts["noise"][:, 0]
@@ -71,12 +70,12 @@ def values(belief: ModeBelief) -> dict[str, Any]:
 
 
 def outputs_of(belief: ModeBelief | None) -> int:
-    """How many outputs come in; 0 where the state does."""
+    """How many outputs are measured; 0 if the state is."""
     return 0 if belief is None or belief.bank is None else belief.bank.variance.size
 
 
 def ram_bytes(belief: ModeBelief) -> int:
-    """Of the belief, what goes with it and the inputs that the filter reads."""
+    """Bytes of the belief, the estimates or the last state, and the inputs of the filter."""
     form = belief.form
     modes, _, n, m = form.Gamma.shape
     beside = n if belief.bank is None else modes * n * (1 + n)
@@ -89,7 +88,7 @@ def require_bounded(belief: ModeBelief) -> None:
     reach = np.abs(form.Phi).sum(axis=2) + np.abs(form.Gamma).sum(axis=(1, 3))
     if reach.max() * _BOUND > _LARGEST or np.abs(form.noise).max() > _LARGEST:
         raise ArgumentError(
-            f"law's filter cannot be held in C: over one period its model grows by "
+            f"law's filter has no C: over one period its model grows by "
             f"{reach.max():.0e}, its variances are up to {np.abs(form.noise).max():.0e}. Take a "
             "shorter step, or units in which the numbers are of about 1."
         )
@@ -101,6 +100,6 @@ def require_bounded(belief: ModeBelief) -> None:
             size = float(np.abs(array).max(initial=0.0))
             if size * array.shape[-1] > most:
                 raise ArgumentError(
-                    f"law's filter cannot be held in C: its {name} is as large as {size:.0e}: take "
+                    f"law's filter has no C: its {name} is as large as {size:.0e}: take "
                     "units in which the numbers are of about 1."
                 )

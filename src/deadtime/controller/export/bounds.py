@@ -1,6 +1,6 @@
-"""Bounds of the exported state, and the exports that are refused: no C, no such name, no bounds.
+"""Bounds of the exported state, and refused exports: no C, no such name, no bounds.
 
-The bounds of a state are declared in the C, and each of its steps re-establishes them.
+The C declares bounds of its state, and every update keeps them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _LARGEST = {"double": float(np.finfo(np.float64).max), "float": float(np.finfo(np.float32).max)}
 _WANTED = {"double": 2.0**332, "float": 2.0**40}  # 9e99, 1e12
-_LEAST = 1e6
+_LEAST = 1e6  # in units of an input: a smaller bound would refuse ordinary numbers
 
 
 def largest(precision: Precision) -> float:
@@ -33,13 +33,13 @@ def largest(precision: Precision) -> float:
 def bounds(
     table: Feedback, form: Form, precision: Precision, rows: int = 1, more: float = 1.0
 ) -> dict[str, float]:
-    """Of every number that comes in or goes out, and of the sums over past inputs.
+    """Bounds of all arguments and results, and of the sums over past inputs.
 
-    `rows` is how many rows of the table are added up, and `more` by how much what runs beside the
-    table may multiply a number.
+    `rows` is how many rows of the table are added up, `more` the largest gain of an observer or a
+    prediction.
 
-    Sums within their bounds never overflow on the way; the bounds of sums are at least twice what
-    inputs within theirs can reach. All are powers of two, which C and its contracts read alike.
+    Within these bounds no sum overflows; the bounds of sums are at least twice the largest sum over
+    inputs within theirs. All are powers of two, which C and its contracts read alike.
     """
     if form.kind != "factorised":
         gains = _most(table.state_gain) * table.state_gain.shape[2]
@@ -49,6 +49,7 @@ def bounds(
     S, gamma, whole, H, last = (array for array, _ in form.arrays.values())
     order, m = gamma.shape
     reach, column, power = np.zeros(order), gamma, H
+    # The largest entries of S^b Γ and H S^b, which the C raises period by period, b < block.
     columns, powers = _most(gamma), _most(H)
     for _ in range(form.sizes["block"]):
         reach += np.abs(column).sum(axis=1)
@@ -73,12 +74,12 @@ def _most(array: np.ndarray) -> float:
 
 
 def _up(value: float) -> float:
-    """The next power of two; not below what a float holds with ease."""
+    """The next power of two, at least 1e-20, which a float holds."""
     return float(2.0 ** np.ceil(np.log2(max(value, 1e-20))))
 
 
 def _bound(gain: float, precision: Precision) -> float:
-    """The power of two within which a gain of so much cannot overflow."""
+    """The power of two within which this gain cannot overflow."""
     room = np.floor(np.log2(_LARGEST[precision]) - np.log2(gain)) - 4.0
     bound = min(_WANTED[precision], float(2.0**room)) if np.isfinite(room) else 0.0
     if bound < _LEAST:
@@ -104,7 +105,7 @@ _TAKEN = frozenset(
 
 
 def require_exportable(controller: RunningLaw, precision: str, name: str) -> None:
-    """Refuse what has no C."""
+    """Refuse a controller, a precision or a name that has no C."""
     if precision not in _PRECISIONS:
         raise ArgumentError(f"precision must be 'double' or 'float', got {precision!r}.")
     if not re.fullmatch("[a-z][a-z0-9_]{0,30}", name):
@@ -125,7 +126,7 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
 
 
 def require_limits(controller: RunningLaw, most: float) -> None:
-    """Refuse limits that leave nothing of what the C can count."""
+    """Refuse limits that no input within the bound of the C satisfies."""
     if (controller.low > most).any() or (controller.high < -most).any():
         raise ArgumentError(
             f"limits must leave inputs within {most:.0e}, the bound of the C, got "

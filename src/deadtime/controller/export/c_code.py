@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 _ACCURACY = {"double": 1e-13, "float": 1e-7}
 _TOLERANCE = {"double": 1e-12, "float": 2e-5}
-_OF_A_BANK = 1e-9  # its densities are of residuals, which a jump of y makes large
+_OF_A_BANK = 1e-9  # a jump of y makes residuals, and the round-off of densities, large
 _FILES = {
     "controller.h": "{}.h",
     "controller.c": "{}.c",
@@ -69,7 +69,7 @@ class Exported:
     form : "dense", "low rank" or "factorised", with its size
     rom, ram : bytes of constants, and of one controller (about)
     error : of a table of low rank, relative to the sum of the moduli of a row's taps
-    check : what came of compiling it and running its vectors
+    check : the result of compiling it and running its vectors
     """
 
     folder: Path
@@ -99,7 +99,7 @@ def export_c(
     prediction: bool = False,
     staging: Staging | None = None,
 ) -> Exported:
-    """See `Controller.export_c`; with `staging` the files appear together with its others."""
+    """See `Controller.export_c`; with `staging` the files appear together with its other files."""
     names = names or Names()
     texts, form = c_sources(controller, precision, accuracy, rom_budget, name, names, prediction)
     folder = Path(folder)
@@ -143,7 +143,7 @@ def c_sources(
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
-    # Of these tables nothing can be spared: what they leave of the budget is the law's.
+    # These tables cannot be compressed: the law's table gets the rest of the budget.
     beside = _beside(controller, precision, prediction)
     left = None if budget is None else budget - beside.rom
     form = form_of(controller.table, accuracy, precision, left)
@@ -171,12 +171,12 @@ def c_sources(
 
 
 def _tolerance(controller: RunningLaw, precision: Precision) -> float:
-    """By how much the C may differ, relative to the largest sum of moduli of terms."""
+    """Allowed difference of the C, relative to the largest sum of moduli of terms."""
     return _OF_A_BANK if belief_code.outputs_of(controller.mode_belief) else _TOLERANCE[precision]
 
 
 def environment(folder: str) -> Environment:
-    """The templates of a folder, for C: whitespace as it stands, nothing escaped."""
+    """The templates of a folder, for C: nothing is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -212,7 +212,7 @@ def _values(
     tables = [_table(key, *array, precision) for key, array in arrays.items()]
     rom, ram = _room(controller, form, precision, prediction)
     beside = [values for values in (belief, observer) if values is not None]
-    # The last digit is never 0, so that cleared memory is not taken for a state of this law.
+    # The last digit is not 0: cleared memory is no state of this law.
     content = repr((tables, controller.step, table.ages, __version__, *beside))
     magic = hashlib.sha256(content.encode()).hexdigest()[:7] + "d"
     return {
@@ -252,7 +252,7 @@ def given_of(controller: RunningLaw) -> dict[str, Any]:
 
 
 def _table(name: str, array: np.ndarray, comment: str, precision: Precision) -> dict[str, str]:
-    """One table as the template writes it."""
+    """One table for the template."""
     text = initializer(array, precision)
     return {"name": name, "comment": comment, "shape": brackets(array), "text": text}
 
@@ -267,7 +267,7 @@ def _room(
 
 
 def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> TableExtra:
-    """The names and bytes of everything that is exported beside the law's table."""
+    """The names and bytes of all tables beside the law's."""
     parts, integers, ram = {}, 0, 0
     if controller.mode_belief is not None:
         parts["the mode filter"] = belief_code.arrays(controller.mode_belief)

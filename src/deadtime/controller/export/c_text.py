@@ -16,13 +16,13 @@ from deadtime.plant import OperatingPoint, SwitchedSystem
 
 @dataclass(frozen=True)
 class Names:
-    """Names for what is exported (immutable); what is empty is numbered.
+    """Names in an export (immutable); elements without a name are numbered.
 
     Attributes
     ----------
     title : of the law, or of the plant
     states, modes, inputs : with their units, if they have some
-    outputs, tracked : of what is measured and what follows a reference, likewise
+    outputs, tracked : of outputs and of those that follow a reference, likewise
 
     Examples
     --------
@@ -49,7 +49,7 @@ class Names:
         return getattr(self, kind) or [""] * count
 
     def point_in_words(self, point: OperatingPoint, plant: SwitchedSystem) -> str:
-        """Where the plant rests, by the names of its states and inputs."""
+        """The operating point, by the names of states and inputs."""
         states = tuple(self.states) or tuple(f"x[{i}]" for i in range(plant.states))
         inputs = tuple(self.inputs) or tuple(f"u[{i}]" for i in range(plant.inputs))
         return point.in_words(states, inputs)
@@ -60,7 +60,7 @@ class Names:
 
 
 def in_comment(text: str) -> str:
-    """On one line, and nothing that could end a comment in C, begin one or splice its lines.
+    """A text for a comment in C: one line that neither ends nor begins a comment nor splices lines.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def _with_point(text: str) -> str:
 def initializer(
     array: np.ndarray, precision: Precision, indent: int = 0, braces: str = "{}"
 ) -> str:
-    """An array as nested braces, or between what a language other than C writes."""
+    """An array as nested braces, or in the brackets of another language."""
     (begin, end), pad = braces, " " * 4 * indent
     if array.ndim == 1:
         numbers = [literal(value, precision) for value in array.astype(DTYPE[precision])]

@@ -1,4 +1,4 @@
-"""This machine's C compiler, the check that exported C makes of itself, where files may go."""
+"""This machine's C compiler, the self-check of exported C, and which files may be replaced."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MARK = "Written by deadtime"
 
 
 def require_own(folder: Path, names: Iterable[str]) -> None:
-    """Refuse to replace a file that does not say that deadtime wrote it."""
+    """Refuse to replace a file without the mark of deadtime."""
     for name in names:
         path = folder / name
         if path.is_symlink() or path.exists():
@@ -63,7 +63,7 @@ def compiler() -> list[str] | None:
 
 
 def no_compiler() -> str:
-    """Why there is none."""
+    """Why there is no compiler."""
     asked = os.environ.get("CC", "").strip()
     if asked:
         return f"the compiler CC={asked!r} was not found"
@@ -71,7 +71,7 @@ def no_compiler() -> str:
 
 
 def compile_and_link(sources: list[Path], target: Path, *options: str) -> str | None:
-    """Compile and link; what the compiler complains of, or None."""
+    """Compile and link; return the complaint, or None."""
     command = compiler()
     if command is None:
         return no_compiler()

@@ -34,9 +34,9 @@ _TIME = Variable("time", "Real", "independent", "time, s")
 def controller_variables(controller: RunningLaw, names: Names, past: np.ndarray) -> list[Variable]:
     """The variables that a controller reads and writes; `past` (m,) is the input before the start.
 
-    What it reads is at rest until something is connected. On a belief it writes how likely each
-    mode is in place of reading it. With an observer it reads outputs and references, and writes the
-    estimate.
+    Inputs are at the operating point until something is connected. With a mode filter the belief is
+    an output, and there is no mode input. With an observer outputs and references are inputs, and
+    the estimate is an output.
     """
     plant, rest, observing = controller.law.plant, controller.rest, controller.observing
     inputs, p = names.each("inputs", plant.inputs), rest.given.size
@@ -48,16 +48,14 @@ def controller_variables(controller: RunningLaw, names: Names, past: np.ndarray)
     referred, reference_flag, estimated = [], [], []
     if observing is not None:
         size, r = observing.memory.sizes.n, observing.memory.sizes.r
-        followed = _each("what a tracked output is to follow", names.each("tracked", r))
+        followed = _each("reference of a tracked output", names.each("tracked", r))
         referred = _read("reference", followed, rest.reference)
         estimated = _estimated(names, size, plant.states)
-        what = "whether reference is read, or the law's own followed"
+        what = "whether reference is used, or the law's own"
         reference_flag = [Variable("report_reference", "Boolean", "parameter", what, False)] * bool(
             r
         )
-    status = Variable(
-        "status", "Integer", "output", "what became of the last sample, 0: all is well"
-    )
+    status = Variable("status", "Integer", "output", "outcome of the last sample, 0: no error")
     reported = [
         _mode("mode at the sample, from 0", names),
         status,
@@ -66,14 +64,14 @@ def controller_variables(controller: RunningLaw, names: Names, past: np.ndarray)
     return [
         _TIME,
         *given,
-        *_read("applied", _each("what the actuator had", inputs), rest.u),
+        *_read("applied", _each("input that the actuator applied", inputs), rest.u),
         *referred,
         *_written("u", _each("input, held", inputs)),
         *_at_start("u", "input before the start", past),
-        *(_believed(names, plant.modes) if belief else []),
+        *(_belief_outputs(names, plant.modes) if belief else []),
         *estimated,
         *([status] if belief else reported),
-        Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
+        Variable("report_applied", "Boolean", "parameter", "whether applied is used", False),
         *reference_flag,
     ]
 
@@ -107,7 +105,7 @@ def _written(symbol: str, texts: Iterable[str]) -> list[Variable]:
     ]
 
 
-def _believed(names: Names, modes: int) -> list[Variable]:
+def _belief_outputs(names: Names, modes: int) -> list[Variable]:
     called = names.modes or [str(i) for i in range(modes)]
     return [
         Variable(f"belief[{i}]", "Real", "output", f"probability of mode {one}")
@@ -226,7 +224,7 @@ def _common(variable: Variable, reference: int) -> dict[str, str]:
 
 
 def _variability(variable: Variable) -> str:
-    """Continuous for reals but parameters; what a controller gives changes at its samples."""
+    """Continuous for reals except parameters: outputs of a controller jump at its samples."""
     if variable.causality == "parameter":
         return "fixed"
     return "continuous" if variable.kind == "Real" else "discrete"
@@ -240,7 +238,7 @@ def _start(variable: Variable) -> dict[str, str]:
 
 
 def _unit(variable: Variable) -> dict[str, str]:
-    """Of time alone: of states and inputs the descriptions say what the problem says."""
+    """Only of time: units of states and inputs are text, in the descriptions."""
     return {"unit": "s"} if variable.causality == "independent" else {}
 
 
@@ -255,7 +253,7 @@ def _variable3(listed: xml.Element, variable: Variable, reference: int) -> None:
 
 
 def _structure(root: xml.Element, variables: Sequence[Variable], version: Version) -> None:
-    """Outputs depend on no input directly: what is set works in the step that follows."""
+    """Outputs depend on no input directly: a value that is set acts in the next step."""
     structure = xml.SubElement(root, "ModelStructure")
     outputs = [i for i, variable in enumerate(variables) if variable.causality == "output"]
     names = [variable.name for variable in variables]

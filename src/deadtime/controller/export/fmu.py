@@ -51,7 +51,7 @@ def export_fmu(
     names: Names | None = None,
     staging: Staging | None = None,
 ) -> ExportedFmu:
-    """See `Controller.export_fmu`; with `staging` the file appears together with its others."""
+    """See `Controller.export_fmu`; with `staging` it appears together with the others."""
     name, plant = "controller", controller.law.plant
     past, names = _finite(u0, plant.inputs) + controller.rest.u, names or Names()
     texts, _ = c_sources(controller, precision, accuracy, None, name, names)
@@ -67,8 +67,8 @@ def export_fmu(
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
             f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
-            "    double start, next; /* of the samples */\n"
-            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} memory;"
+            "    double start, next; /* time of sample 0; next sample */\n"
+            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} inner;"
         ),
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
@@ -95,8 +95,7 @@ def export_plant_fmu(
     """Write a plant with its input delay as an FMU for co-simulation.
 
     Its inputs are u and the mode, held over a step of any length; its outputs the state. Inputs
-    arrive exactly their delays later, those of the mode in force, on the grid of the steps or off
-    it: the state is exact to round-off.
+    arrive after the delays of the present mode, within steps, too: the state is exact to round-off.
     Parameters set the state at the start, and the constant input before it.
 
     Parameters
@@ -114,10 +113,10 @@ def export_plant_fmu(
     names : Names, optional
         Of states, inputs and modes, for the descriptions.
     operating_point : OperatingPoint, optional
-        Where the plant rests. With it u and x of the FMU, and its parameters, are absolute; x0 and
-        u0 are given as deviations from it all the same.
+        Equilibrium of the plant. With it u, x and the parameters of the FMU are absolute; x0 and u0
+        here are still deviations from it.
     staging : Staging, optional
-        What the file is to appear together with.
+        Other files, with which this one appears together.
 
     Raises
     ------
@@ -143,8 +142,9 @@ def export_plant_fmu(
         "slack": literal(1e-6 * plant.longest_delay, "double"),
         "include": (
             f"enum {{ N = {n}, M = {m}, MODES = {plant.modes}, CHANGES = {size} }};\n\n"
-            "typedef struct {\n    int first, count; /* of the inputs that have not passed */\n"
-            "    double began[CHANGES];\n    double u[CHANGES][M];\n} memory;"
+            "typedef struct {\n"
+            "    int first, count; /* of the inputs that act now or later */\n"
+            "    double began[CHANGES];\n    double u[CHANGES][M];\n} inner;"
         ),
         "tables": [
             {"name": key, "shape": brackets(array), "text": initializer(array, "double")}
@@ -167,14 +167,14 @@ def export_plant_fmu(
 
 
 def _about(point: OperatingPoint | None, names: Names, plant: SwitchedSystem) -> str:
-    """The operating point, for the title of what takes absolute values; nothing without one."""
+    """The operating point, for the title; nothing without one."""
     if point is None:
         return ""
     return f"; absolute values, at rest {names.point_in_words(point, plant)}"
 
 
 def _at_rest(controller: RunningLaw) -> dict[str, np.ndarray]:
-    """Values of a controller's variables while its plant rests; none without a point."""
+    """Values of a controller's variables at the operating point; none without one."""
     if controller.operating_point is None:
         return {}
     given, u, reference, z = controller.rest
@@ -190,7 +190,7 @@ def _finite(u0: ArrayLike, m: int) -> np.ndarray:
     return real_array("u0", past, "(m,)", 1)
 
 
-_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the same FMU twice is the same file
+_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # one date, so that equal FMUs are equal files
 _SUFFIX = {"linux": "so", "darwin": "dylib", "win32": "dll"}
 _SYSTEM = {"linux": "linux", "darwin": "darwin", "win32": "windows"}
 _OLD_SYSTEM = {"linux": "linux", "darwin": "darwin", "win32": "win"}
@@ -227,13 +227,13 @@ def write_fmu(
 ) -> ExportedFmu:
     """Zip description, sources and, where there is a compiler, a binary for this machine.
 
-    A half-written FMU is never seen; with `staging` it appears together with its others.
+    The file appears when it is complete, and with `staging` together with its other files.
     """
     if version not in ("2.0", "3.0"):
         raise ArgumentError(f"version must be '2.0' or '3.0', got {version!r}.")
     require_suffix(path, ".fmu")
     wrapper = f"fmi{version[0]}.c"
-    sources = sources | {wrapper: render(wrapper, {})}
+    sources = sources | {wrapper: render(f"{wrapper}.j2", {})}
     kinds = {"reals": "Real", "integers": "Integer", "booleans": "Boolean"}
     counts: dict[str, Any] = {
         key: [v for v in variables if v.kind == kind] for key, kind in kinds.items()
@@ -267,7 +267,7 @@ def write_fmu(
 def _binary(
     sources: dict[str, str], name: str, version: Version, entries: dict[str, bytes]
 ) -> tuple[str | None, str]:
-    """Add the binary of this machine, and say so; or why there is none."""
+    """Add the binary of this machine; return its path and a message, or why there is none."""
     system, machine = sys.platform, platform.machine().lower()
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
     if system not in _SUFFIX:
@@ -281,6 +281,7 @@ def _binary(
             (Path(place) / file).write_text(text, encoding="utf-8")
         units = [Path(place) / file for file in sorted(sources) if file.endswith(".c")]
         library = Path(place) / "library"
+        # The standard prescribes arguments that this FMU does not need.
         options = ("-Wno-unused-parameter", "-fvisibility=hidden", "-fPIC", "-shared")
         complaint = compile_and_link(units, library, *options)
         if complaint is not None:

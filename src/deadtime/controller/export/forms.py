@@ -1,13 +1,13 @@
 """The forms in which a table is stored in ROM: dense, of low rank, or factorised.
 
-A dense table is one matrix, rows (context, output), columns (tap, input), G = L R of rank r where
-its rows resemble each other. Where rows read further back in some inputs than in others, as they do
-where delays differ, every input has columns of its own, (input, tap), as many as its window W_j: so
-room and work are those of Σ W_j past values. The error of a form is
+A dense table is one matrix G, rows (context, output), columns (tap, input); one of low rank is
+G ≈ L R, where rows are similar. If inputs have different delays, the columns are (input, tap), as
+many for each input as its window W_j, so that memory and work are those of Σ W_j past values. The
+error of a form is
 
     max over rows of Σ|G − L R| / Σ|G|,
 
-so it bounds |Δu| by so much of Σ|G| max|u|.
+so that |Δu| is at most this share of Σ|G| max|u|.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _COUNTERS = 80  # bytes of integers and clock in a controller's state
 
 
 class TableExtra(NamedTuple):
-    """The name and the bytes of the parts that are exported with a law's table, in any form of it.
+    """The name and the bytes of the tables beside a law's, whatever form that takes.
 
     `single` is ROM in single precision, None where there is none.
     """
@@ -60,7 +60,7 @@ class Form:
 
 
 def windows_of(table: Feedback) -> tuple[int, ...]:
-    """W_j of every input: how many of its past values some row reads; none where all are the same.
+    """W_j of every input: how many of its past values the rows use; empty if all are equal.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def windows_of(table: Feedback) -> tuple[int, ...]:
 def past_of(
     table: Feedback, windows: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "context m past"], str]:
-    """The taps side by side in the order in which a controller stores inputs, and that order."""
+    """The taps in the order in which a controller stores inputs, and this order in words."""
     if not windows:
         return table.oldest_first, "the oldest input first"
     own = [table.input_gain[:, :count, :, j][:, ::-1] for j, count in enumerate(windows)]
@@ -92,7 +92,7 @@ def dense(table: Feedback) -> Form:
 
 
 def low_ranks(table: Feedback) -> Iterator[Form]:
-    """The taps as a product of rank 1, 2, …, while that takes less room than `dense`."""
+    """The taps as a product of rank 1, 2, …, while it is smaller than `dense`."""
     windows = windows_of(table)
     G, order = past_of(table, windows)
     contexts, m, past = G.shape
@@ -100,13 +100,13 @@ def low_ranks(table: Feedback) -> Iterator[Form]:
     rows, columns = G.shape
     sums = np.abs(G).sum(axis=1)
     scale = np.where(sums > 0.0, sums, 1.0)
-    # A row counts relative to its own sum.
+    # The error is relative to the sum of a row, so rows are scaled by theirs.
     left, values, right = np.linalg.svd(G / scale[:, None], full_matrices=False)
     missing = G / scale[:, None]
     for rank in range(1, len(values) + 1):
         if rank * (rows + columns) >= G.size:
             return
-        # Half of each singular value on either side: single precision serves both alike.
+        # Half of each singular value on either side: both factors lose the same digits in float.
         root = np.sqrt(values[:rank])
         missing = missing - np.outer(left[:, rank - 1] * values[rank - 1], right[rank - 1])
         L, R = scale[:, None] * left[:, :rank] * root, root[:, None] * right[:rank]

@@ -1,4 +1,4 @@
-"""A controller as tables and sizes: what the templates of every target are filled from."""
+"""A controller as tables and sizes, from which all templates are filled."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class LawRecord(NamedTuple):
     """Tables and sizes of a controller, by name.
 
     arrays : constant arrays, with a comment each; F of the state, then those of the `Form`
-    sizes : how many there are of everything, and what of it is read
-    bounds : of all numbers that come in or go out, and of sums over past inputs
-    belief, observer, prediction : the values of what runs beside the rows, where it does
+    sizes : numbers of states, inputs, rows, …, and flags of what is used
+    bounds : of all arguments and results, and of sums over past inputs
+    belief, observer, prediction : values of these parts, None without them
     """
 
     arrays: dict[str, tuple[np.ndarray, str]]
@@ -50,6 +50,7 @@ class LawRecord(NamedTuple):
         require_limits(controller, most)
         if observer is not None:
             observer_code.require_within(observer, most)
+        # Limits beyond the bound never act: the C clamps inputs to the bound first.
         low, high = (np.clip(limit, -most, most) for limit in (controller.low, controller.high))
         arrays = {
             "F": (table.state_gain, "gains of the state"),

@@ -1,10 +1,9 @@
-"""Calls of a plant in motion, with an observer or a belief: what a plant of the model could give.
+"""Test calls for controllers with an observer or a belief: measurements of a plant in motion.
 
-Modes last for a while, under the inputs that the controller or `applied` gives. With an observer x
-follows the observer's own model; where it has gone too far it is put elsewhere: the estimate
-follows. With a mode filter x follows the model with noise, as of states drawn at random no mode
-could be identified; before it is put elsewhere it is missing for a call, so that nobody takes
-the jump for a motion.
+The plant follows the model under the inputs of the controller or of `applied`, in modes that last
+for a while. A state that has grown too large is replaced by a new one, and the estimate converges
+to it. With a mode filter the model has noise, as no mode could be identified from states drawn at
+random, and a new state comes after a missing one, so that the filter sees no jump.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from deadtime.controller.controller_state import Observing
 from deadtime.controller.running import RunningLaw
 from deadtime.feedback.belief import held_noise
 
-FAR = 30.0  # amplitudes beyond which a state is put elsewhere
+FAR = 30.0  # amplitudes beyond which a state is replaced
 _HOSTILE = 300
 
 
 class Slot(NamedTuple):
-    """When a call comes: after periods without one, out of order, or without a clock."""
+    """The time of a call: after missed periods, out of order, or without a time."""
 
     mode: int
     missed: int
@@ -44,7 +43,7 @@ def slots(modes: np.ndarray, step: float) -> Iterator[Slot]:
 
 
 def lasting_modes(run: RunningLaw, rng: np.random.Generator, least: int) -> np.ndarray:
-    """A mode for every call: short ones, and each `least` calls and two windows by all of them."""
+    """A mode for every call: short ones, then each for `least` calls and two windows in all."""
     count = run.law.plant.modes
     stay = max(least, -(-(2 * run.table.taps + 10) // count))
     short = np.repeat(rng.integers(0, count, _HOSTILE), rng.integers(1, 30, _HOSTILE))
@@ -55,7 +54,7 @@ def lasting_modes(run: RunningLaw, rng: np.random.Generator, least: int) -> np.n
 def inputs_of(
     run: RunningLaw, rng: np.random.Generator, amplitude: float, k: int, reported: bool
 ) -> tuple[Float[np.ndarray, " m"] | None, Float[np.ndarray, " m"]]:
-    """The input reported to call k, NaN now and then, and the one that acts."""
+    """The `applied` of call k, sometimes NaN, and the input that acts on the plant."""
     applied = rng.normal(size=run.law.plant.inputs) * amplitude if reported else None
     if k % 61 == 30:
         return np.full(run.law.plant.inputs, math.nan), run._u
@@ -68,26 +67,26 @@ Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None, np.ndarray |
 
 
 class _ObserverMotion:
-    """A state of the observer's model, and what is measured of it."""
+    """A state of the observer's model, and its measurements."""
 
     def __init__(self, observing: Observing, rng: np.random.Generator, amplitude: float) -> None:
         self.memory, self.rng, self.amplitude = observing.memory, rng, amplitude
         self.sent = np.zeros((int(self.memory.lag.max()) + 1, self.memory.sizes.m))
-        self.put()
+        self.draw_state()
 
-    def put(self) -> None:
-        """Anywhere within the amplitude."""
+    def draw_state(self) -> None:
+        """Draw a new state."""
         self.x = self.amplitude * self.rng.normal(size=self.memory.gain.shape[1])
 
     def go(self, mode: int, u: Float[np.ndarray, " m"]) -> None:
-        """Over a period in which u was sent."""
+        """Move over a period under u."""
         memory = self.memory
         self.sent = np.vstack((self.sent[1:], u))
         self.x = memory.Phi[mode] @ self.x
         for drive, lag in zip(memory.Gamma[mode], memory.lag, strict=True):
             self.x += drive @ self.sent[-1 - lag]
         if np.abs(self.x).max() > FAR * self.amplitude:
-            self.put()
+            self.draw_state()
 
     def outputs(self, mode: int) -> Float[np.ndarray, " p"]:
         """y, with noise."""
@@ -109,7 +108,7 @@ def observer_calls(run: RunningLaw, amplitude: float) -> Iterator[Call]:
         y = motion.outputs(mode)
         if rng.random() < 0.1:
             y[k % y.size] = (math.nan, math.inf, -math.inf)[k % 3]
-        if r and k % 40 == 20:  # one of its own now and then
+        if r and k % 40 == 20:  # at times the law's own
             reference = rng.normal(size=r) * amplitude if k % 120 != 20 else None
         given = np.full(r, math.nan) if r and k % 67 == 50 else reference
         yield 0, when, run.law.plant.modes + k if k % 71 == 45 else mode, y, applied, given
@@ -127,19 +126,19 @@ class _FilterMotion:
         assert run.mode_belief is not None
         self.belief, self.rng, self.amplitude = run.mode_belief, rng, amplitude
         self.roots = [_root(Q) for Q in held_noise(run.mode_belief.form)]
-        self.put()
+        self.draw_state()
 
-    def put(self) -> None:
-        """Anywhere within the amplitude."""
+    def draw_state(self) -> None:
+        """Draw a new state."""
         self.x = self.amplitude * self.rng.normal(size=self.belief.form.Phi.shape[1])
 
     @property
     def far(self) -> bool:
-        """Whether it has left where the controller works."""
+        """Whether the state is too large."""
         return bool(np.abs(self.x).max() > FAR * self.amplitude)
 
     def next(self, mode: int, u: Float[np.ndarray, " m"], periods: int) -> Float[np.ndarray, " n"]:
-        """x after periods in which u was sent."""
+        """x after some periods under u."""
         form, x, sent = self.belief.form, self.x, self.belief.inputs
         for _ in range(periods):
             sent = np.vstack((sent[1:], u))
@@ -167,7 +166,7 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     """(skip, time, mode, x, applied): modes that last, missing and jumping states, clocks."""
     rng = np.random.default_rng(0)
     motion = _FilterMotion(run, rng, amplitude)
-    # A jump is hidden by a state that is missing.
+    # A filter of states would read a jump as a switch: a missing state hides it.
     hidden = run.mode_belief is not None and run.mode_belief.bank is None
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
@@ -177,11 +176,11 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
             motion.x = x.copy()
         lost = not missed and (motion.far or k % 53 == 20)
         if missed and hidden:
-            motion.put()
+            motion.draw_state()
             x = motion.x.copy()
         elif lost and (hidden or motion.far):
-            motion.put()
+            motion.draw_state()
         seen = motion.seen(mode, x if k else motion.x)
         if lost:
             seen[k % seen.size] = (math.nan, math.inf, -math.inf)[k % 3]
-        yield 0, when, k, seen, applied  # no mode is read: any number does
+        yield 0, when, k, seen, applied  # the mode is ignored: any number will do

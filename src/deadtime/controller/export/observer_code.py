@@ -1,7 +1,7 @@
-"""The observer of a controller in C, and what a servo adds to it: tables, room and bounds.
+"""The observer of a controller in C, with the sums of a servo: tables, memory and bounds.
 
-All of it comes from a `Memory` and the reference as a schedule. The C does what
-`loop/observer_steps.py` does in the same order, so that both agree to round-off.
+The source is a `Memory`, and the reference as a schedule. The C has the operations of
+`loop/observer_steps.py` in the same order: the results agree to round-off.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ROUND_OFF = {"double": 1e-9, "float": 1e-5}
 
 
 class ObserverForm(NamedTuple):
-    """An observer as data: how z moves, and from which sample on each reference holds."""
+    """An observer as data: its `Memory`, and the sample at which each reference begins."""
 
     memory: Memory
     changes: list[int]
@@ -35,7 +35,7 @@ class ObserverForm(NamedTuple):
     def of(cls, observing: Observing) -> ObserverForm:
         """Of a controller's; its reference is a schedule (`require_schedule`).
 
-        What depends on no mode is that of one.
+        An observer that does not depend on the mode has the matrices of one.
         """
         memory, reference = observing.memory, observing.reference
         if not observing.reads_mode:
@@ -56,6 +56,7 @@ def _first_sample(time: float, slack: float, step: float) -> int:
     """The first k ≥ 0 with k h + slack ≥ time, in floats as `Schedule` counts."""
     if (time - slack) / step > 2.0**60:
         return _NEVER
+    # The quotient may be off by a rounding: the comparison of `Schedule` decides.
     k = max(0, math.ceil((time - slack) / step) - 1)
     while k > 0 and (k - 1) * step + slack >= time:
         k -= 1
@@ -65,7 +66,7 @@ def _first_sample(time: float, slack: float, step: float) -> int:
 
 
 def require_schedule(observing: Observing) -> None:
-    """Refuse a reference that is known as a function alone."""
+    """Refuse a reference that is a function of time."""
     if observing.reference is not None and observing.reference.schedule is None:
         raise ArgumentError(
             "reference is a function of time, which has no C: make the loop with a constant or "
@@ -88,17 +89,20 @@ def arrays(form: ObserverForm) -> dict[str, tuple[np.ndarray, str]]:
     start = memory.start.copy()
     start[n + q :] = form.values[0]
     found = {
-        "PREDICT_X": (memory.Phi, "the model over a period in each mode: the estimate"),
-        "PREDICT_U": (memory.Gamma, "inputs, by lag"),
-        "MEASURE": (memory.C, "outputs of the estimate, by mode"),
+        "PREDICT_X": (
+            memory.Phi,
+            "the observer's model over a period, by mode: gains of the estimate",
+        ),
+        "PREDICT_U": (memory.Gamma, "gains of inputs, by mode and lag"),
+        "MEASURE": (memory.C, "the output matrix, by mode"),
         "CORRECT": (memory.gain, "the observer's gain, by mode"),
-        "BEGIN": (start, "z before anything is measured"),
+        "INITIAL": (start, "the initial z"),
     }
     if r:
-        found["TRACK"] = memory.tracked, "tracked outputs, of all outputs"
-        found["REFERENCE"] = form.values, "the reference, one value after the other"
+        found["TRACK"] = memory.tracked, "tracked outputs as combinations of the outputs"
+        found["REFERENCE"] = form.values, "the values of the law's own reference"
     if q:
-        found["ANSWER"] = memory.push, "how the law's input answers the sum, by mode"
+        found["SUM_GAIN"] = memory.push, "the law's gain of the sums, by mode"
     return found
 
 
@@ -120,23 +124,23 @@ def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
 
 
 def integer_bytes(form: ObserverForm) -> int:
-    """Bytes of tables of integers: four each, and eight for samples."""
+    """Bytes of tables of integers: four each, eight for numbers of samples."""
     samples = len(form.changes) if len(form.changes) > 1 else 0
     return 4 * form.memory.lag.size + 8 * samples
 
 
 def ram_bytes(form: ObserverForm, precision: Precision) -> int:
-    """Of z, what was measured and asked for last, and the inputs that the observer reads."""
+    """Bytes of z, the last outputs and command, and the inputs of the observer."""
     *_, r = form.sizes
     m = form.memory.sizes.m
     return BYTES[precision] * (form.memory.start.size + r + m + _sent(form) * m) + _COUNTERS
 
 
 def gain(form: ObserverForm, largest: float) -> float:
-    """By what factor sums within a period may exceed their terms: for `bounds`.
+    """The largest gain from terms to sums within a period, for `bounds`.
 
-    The part of an input beyond its limits is multiplied by its change, so the square of the bound,
-    times that gain, must not overflow either.
+    Anti-windup multiplies the part of an input beyond its limits by its change, so the square of
+    the bound, times that gain, must not overflow either.
     """
     memory, (n, p, q, _) = form.memory, form.sizes
     m = memory.sizes.m * memory.lag.size

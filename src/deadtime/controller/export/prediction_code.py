@@ -1,7 +1,7 @@
-"""The prediction of a controller in C: its rows, its room and its bounds.
+"""The prediction of a controller in C: its rows, memory and bounds.
 
-`{name}_predict` gives x̂(t_k + D_j) of the last sample that was served, the sum over the futures. It
-reads the past inputs that the controller keeps anyway, and changes nothing.
+`{name}_predict` returns x̂(t_k + D_j) at the last sample, the mean over the modes in which the
+forecast may end. It uses the past inputs of the controller and changes nothing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class PredictionForm(NamedTuple):
 
     @classmethod
     def of(cls, controller: RunningLaw) -> PredictionForm:
-        """Of a controller; `ArgumentError` where its law predicts nothing."""
+        """Of a controller; `ArgumentError` if its law has no prediction."""
         table, m = controller.prediction_table, controller.law.plant.inputs
         taps = table.input.sum(axis=2)
         taps = taps.reshape(*taps.shape[:3], -1, m)[..., ::-1, :]
@@ -40,8 +40,11 @@ def arrays(form: PredictionForm) -> dict[str, tuple[np.ndarray, str]]:
     rows, horizons, n = form.state.shape[:3]
     taps = form.input.reshape(rows, horizons * n, *form.input.shape[3:])
     return {
-        "AHEAD_X": (form.state.reshape(rows, horizons * n, n), "the state ahead, of the state now"),
-        "AHEAD_U": (taps, "the state ahead, of past inputs, the latest first"),
+        "FORECAST_X": (
+            form.state.reshape(rows, horizons * n, n),
+            "the predicted state: gains of the state",
+        ),
+        "FORECAST_U": (taps, "the predicted state: gains of past inputs, the latest first"),
     }
 
 
@@ -51,6 +54,6 @@ def values(form: PredictionForm) -> dict[str, Any]:
 
 
 def gain(form: PredictionForm, rows: int) -> float:
-    """How many times a number may be exceeded by sums over so many rows at once: for `bounds`."""
+    """The largest gain from terms to sums over this many rows, for `bounds`."""
     each = np.abs(form.state).sum(axis=3) + np.abs(form.input).sum(axis=(3, 4))
     return 2.0 * rows * float(each.max())

@@ -1,4 +1,4 @@
-"""The operating point of a controller in C: what is subtracted, what is added, and words of it."""
+"""The operating point of a controller in C: its arrays, and its description in words."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def arrays(controller: RunningLaw, prediction: bool) -> dict[str, tuple[np.ndarr
         return {}
     rest = controller.rest
     found = {
-        "REST": (rest.given, "what is measured at the operating point"),
+        "REST": (rest.given, "the measurement at the operating point"),
         "REST_U": (rest.u, "the inputs there"),
     }
     if rest.reference.size:
         found["REST_R"] = rest.reference, "the tracked outputs there"
     if prediction:
-        found["REST_Z"] = rest.z, "what the law is given there"
+        found["REST_Z"] = rest.z, "the law's state vector there"
     return found
 
 

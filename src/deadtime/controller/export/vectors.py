@@ -1,7 +1,7 @@
-"""Test vectors: what a controller is given, hostile calls among it, and what it answers.
+"""Test vectors: arguments of calls, hostile ones among them, and the results of a controller.
 
-A line may stand for many calls, with numbers that check.c makes itself (`Draws`): their answers are
-compared as a sum, so that long windows and many rows are visited by a short table.
+A line may stand for many calls whose arguments check.c draws itself (`Draws`). Their inputs u are
+compared as a sum, so that a short table covers long windows and many rows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from deadtime.base.version import __version__
 from deadtime.controller.export.moving_calls import Call, belief_calls, observer_calls
 from deadtime.controller.running import RunningLaw
 
-_SHARE = 1e-3  # of a row that counts as visited, where rows are weighed
+_SHARE = 1e-3  # least weight of a row that counts as visited, with a belief
 _HOSTILE, _MOST_LINES = 300, 800
 
 
@@ -24,19 +24,19 @@ _Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None]
 
 
 class Vectors(NamedTuple):
-    """A CSV table, what check.c needs to know of it, and how much of the law it exercises."""
+    """A CSV table, constants for check.c, and the coverage."""
 
     csv: str
     scale: float  # the largest sum of moduli of terms
     line: int  # characters of the longest line
-    amplitude: float  # of the numbers that check.c makes
+    amplitude: float  # of the numbers that check.c draws
     mode_age: int  # at reset
     calls: int
     rows: int  # visited
 
 
 class Draws:
-    """Numbers in [-amplitude, amplitude) that C makes to the last bit, in single precision too."""
+    """Numbers in [-amplitude, amplitude) that C draws to the last bit, in single precision too."""
 
     def __init__(self, amplitude: float) -> None:
         self.amplitude, self.seed = amplitude, 1
@@ -50,7 +50,7 @@ class Draws:
 
 
 def vectors(controller: RunningLaw) -> Vectors:
-    """Run a copy of the controller from a random past, through every row, with all that is bad."""
+    """Run a copy of the controller from random past inputs through all rows, with bad calls."""
     point, rest = controller.operating_point, controller.rest
     run = RunningLaw(
         controller.law, controller.step, limits=controller.limits, operating_point=point
@@ -58,6 +58,7 @@ def vectors(controller: RunningLaw) -> Vectors:
     plant, table = run.law.plant, run.table
     n, m = run.measured, plant.inputs
     amplitude = _amplitude(run)
+    # Drawn in the order in which check.c draws: past inputs, then call by call.
     draws, age = Draws(amplitude), 7 if plant.modes > 1 else 0
     run.reset((rest.u + draws(table.taps * m).reshape(table.taps, m)).T, age)
     observed = run.observing
@@ -95,21 +96,21 @@ def vectors(controller: RunningLaw) -> Vectors:
     if observed:
         scale = float((np.abs(table.state_gain) @ widest).max())
     scale += float(np.abs(table.input_gain).sum(axis=(1, 3)).max()) * max(seen, 5.0 * amplitude)
-    if point is not None:  # what is subtracted and added rounds, too
+    if point is not None:  # the operating point has round-off, too
         scale += float((np.abs(table.state_gain) @ np.abs(rest.z)).max() + np.abs(rest.u).max())
     csv, longest = "\n".join(lines) + "\n", max(map(len, lines))
     return Vectors(csv, scale, longest, amplitude, age, calls, len(visited))
 
 
 def _calls_of(run: RunningLaw, amplitude: float) -> Iterator[_Call | Call]:
-    """Calls that suit what a controller keeps."""
+    """The calls for a kind of controller."""
     if run.observing is not None:
         return observer_calls(run, amplitude)
     return (_calls if run.mode_belief is None else belief_calls)(run, amplitude)
 
 
 def _calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
-    """(skip, time, mode, x, applied): hostile ones, good ones through all rows, clocks."""
+    """(skip, time, mode, x, applied): bad values, all rows, then times."""
     plant, rng = run.law.plant, np.random.default_rng(0)
     modes = np.repeat(rng.integers(0, plant.modes, _HOSTILE), rng.integers(1, 30, _HOSTILE))
     half, time = _HOSTILE // 2, 0.0
@@ -137,7 +138,7 @@ def _calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
 def _through_rows(
     run: RunningLaw, rng: np.random.Generator, amplitude: float, last: int
 ) -> Iterator[_Call]:
-    """Two windows of inputs at least, each mode for as long as its rows differ."""
+    """At least two windows of inputs, and each mode until its rows no longer change."""
     plant, table = run.law.plant, run.table
     stay = max(table.ages + 2, -(-(2 * table.taps + 10) // plant.modes))
     skip = plant.modes * stay // _MOST_LINES
@@ -150,7 +151,7 @@ def _through_rows(
 
 
 def _rows(run: RunningLaw) -> Iterable[int]:
-    """The rows that had a say in the last answer."""
+    """The rows that contributed to the last input."""
     if run.mode_belief is not None:
         return np.flatnonzero(run.mode_belief.running.state.weight > _SHARE).tolist()
     mode, age = run._mode, run._age  # `state` would copy the past at every call
@@ -158,7 +159,7 @@ def _rows(run: RunningLaw) -> Iterable[int]:
 
 
 def _amplitude(run: RunningLaw) -> float:
-    """A power of two, so small that answers are mostly within the limits: a clipped one hides."""
+    """A power of two, so small that most inputs are within the limits: saturation hides errors."""
     table = run.table
     each = (table.state_gain**2).sum(axis=2) + (table.input_gain**2).sum(axis=(1, 3))
     spread = float(np.sqrt(each.max(axis=0)).max())

@@ -42,10 +42,7 @@ FAMILIES: Mapping[str, tuple[str, Callable[[float], Any]]] = {
             "scale": (TAIL - 1.0) * time,
         },
     ),
-    "fixed": (
-        "always 2 τ_d, so that with two modes the future is known",
-        lambda time: 2.0 * time,
-    ),
+    "fixed": ("always 2 τ_d, so that with two modes the future is known", lambda time: 2.0 * time),
 }
 
 

@@ -30,13 +30,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Forecast
 from deadtime.numerics.kernels import kernel
 from deadtime.numerics.polynomials import Nodes, gauss, shares
-from deadtime.simulation.ideal.collocation import (
-    arrivals,
-    flows,
-    interpolate,
-    locate,
-    solve_alone,
-)
+from deadtime.simulation.ideal.collocation import arrivals, flows, interpolate, locate, solve_alone
 from deadtime.simulation.initial_input import refit
 from deadtime.simulation.loop_arrays import LIMIT
 
@@ -132,7 +126,7 @@ def feedback_through_rereading(
         path.append(stop, S, forcing, nodes)
         e += stop == switch
     raise ArgumentError(
-        f"step must be given: what is sent at {t:.6g} s takes a prediction that reads its own "
+        f"step must be given: the input at {t:.6g} s takes a prediction that reads its own "
         f"inputs again, in more than {_MOST_PIECES} pieces: delays that differ so little between "
         "modes are better made equal."
     )

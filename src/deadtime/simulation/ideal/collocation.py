@@ -345,7 +345,7 @@ def _window_sum(line, law, p, g, whole, moved, nodes, y):
 
 @kernel(eager=True)
 def _shift(line, law, p, times, backward, nodes, hint, result):
-    """e^{−S (t − a)} of what is known of dy_p/dt at the nodes of a segment."""
+    """e^{−S (t − a)} times the known terms of dy_p/dt, at the nodes of a segment."""
     count, n = result.shape
     known = line.inputs, nodes.support, nodes.barycentric
     leaving = sample(line.edges, *known, times - law.far[p], hint)

@@ -26,7 +26,7 @@ class IdealRecord:
     Attributes
     ----------
     states : Piecewise
-        x from 0 until the plant reads what is sent after the run's end.
+        x from 0 until the plant reads inputs after the end of the run.
     inputs : Piecewise
         u from the longest delay before 0 to the end of the run.
     """

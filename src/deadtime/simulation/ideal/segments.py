@@ -219,7 +219,7 @@ def segments_of(
         apart = np.unique(reaches[:, None] - reaches)
         longer = np.concatenate([law.breaks + more for more in apart if more > 0.0])
         breaks = np.concatenate([breaks, longer, *(longer - reach for reach in reaches)])
-    # x is known until the plant reads what is not sent any more.
+    # x is known until the plant reads inputs after the end of the run.
     high = float(first_reads(signal, plant.delays, np.array([horizon]), 0.0).min())
     low = -max(reaches[-1], delays[-1])
     before = np.concatenate((history.jumps, breaks, -reaches, -delays))
