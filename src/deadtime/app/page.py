@@ -309,7 +309,8 @@ class Page:
             label="Problem", options=["", *NAMED], value="", helper_text="or a file:", **WIDE
         )
         choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
-        phone = _on_a_phone()
+        # By the name that the browser gives itself: there the controls would cover the curves.
+        phone = "Mobi" in pn.state.headers.get("User-Agent", "")
 
         def take(name: str, size: int, content: bytes | None) -> None:
             page.sidebar_open = page.sidebar_open and not phone
@@ -322,8 +323,7 @@ class Page:
             active=[0, 1, 2], title_variant="subtitle1", disable_gutters=True,
             sizing_mode="stretch_width", margin=(5, 5),
         )  # fmt: skip
-        curves = self.about, self.panels, *self.actions.drawing()
-        left = pmui.Column(*curves)
+        left = pmui.Column(self.about, self.panels, *self.actions.drawing())
         right = pmui.Column(self.costs, *self.actions.judging(), sizing_mode="stretch_width")
         body = pmui.Grid(
             pmui.Grid(left, size={"xs": 12, "lg": 7}),
@@ -341,13 +341,5 @@ class Page:
             theme_toggle=True,
         )  # fmt: skip
 
-        def close(_: Any) -> None:
-            page.sidebar_open = False
-
-        closing.on_click(close)
+        closing.on_click(lambda _: page.param.update(sidebar_open=False))
         return page
-
-
-def _on_a_phone() -> bool:
-    """Whether the controls would cover the curves at first, by what the browser calls itself."""
-    return "Mobi" in pn.state.headers.get("User-Agent", "")

@@ -44,22 +44,17 @@ class Sessions:
         """The page for the visitor whose session begins now."""
         context = pn.state.curdoc.session_context if pn.state.curdoc else None
         if context is not None and len(context.server_context.sessions) >= self._most:
-            view, close = self._refusal(), lambda: None
+            text = (
+                f"Too many pages are open: this explorer serves {self._most} at once. Close one of "
+                "yours, or load this page again in a minute."
+            )
+            alert = pmui.Alert(object=text, severity="warning")
+            view, close = pmui.Page(title="deadtime explorer", main=[alert]), lambda: None
         else:
             page = self._make()
             view, close = page.view(), page.close
         self._when_over(view, close)
         return view
-
-    def _refusal(self) -> pmui.Page:
-        """For a visitor for whom there is no room."""
-        text = (
-            f"Too many pages are open: this explorer serves {self._most} at once. Close one of "
-            "yours, or load this page again in a minute."
-        )
-        return pmui.Page(
-            title="deadtime explorer", main=[pmui.Alert(object=text, severity="warning")]
-        )
 
     def _when_over(self, view: pmui.Page, close: Callable[[], None]) -> None:
         """Call `close` when the session that begins now is over, then drop what shows its view."""
@@ -81,7 +76,8 @@ class Sessions:
         """Collect what all sessions left that ended a moment ago."""
         self._sweeps = False
         gc.collect()
-        _return_memory()
+        with suppress(OSError, AttributeError):  # glibc keeps free memory for itself
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _unwatch(view: pmui.Page) -> None:
@@ -95,12 +91,6 @@ def _unwatch(view: pmui.Page) -> None:
     for watcher in watchers:
         if getattr(getattr(watcher.fn, "__self__", None), "self", None) is view:
             pn.state.param.unwatch(watcher)
-
-
-def _return_memory() -> None:
-    """Give free memory back to the system, where glibc would keep it for later."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 PORT = 5006

@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from deadtime.plant.plant_set import PlantUncertainty
 
 
-HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
+HEADINGS = ("law", "stability", "decay, 1/s", "proof", "growth, 1/s", "delay margin, s")
 LEGEND = (
-    "Stable: yes, for every such signal; no, |x| grows along one of them; no answer, neither was "
-    "found. Decay: every run falls at least this fast. Proved: verified in ball arithmetic, also "
-    "where a signal refutes. Growth: along the worst signal found. Delay margin: the true delays "
-    "for which the law keeps every constant mode stable; of several delays, their common change."
+    "Stability: yes, for every such signal; no, |x| grows along one; no answer, neither was found. "
+    "Decay: every run falls at least this fast. Proof: in ball arithmetic (yes), in floating point "
+    "(numerical), by a signal that grows (witness). Growth: along the worst signal found. Delay "
+    "margin: the true delays that keep every constant mode stable; of several, their common change."
 )
 
 
@@ -203,17 +203,21 @@ def _judge(
 
 def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     """Rows of the table of certificates, columns as in `HEADINGS`."""
-    return [
-        (
+    rows = []
+    for one in judged:
+        rate = one.certificate and one.certificate.decay_rate
+        decay = "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
+        proven = "yes" if one.certificate and one.certificate.proven else "numerical"
+        growth = math.inf if one.worst is None else one.worst.growth_rate
+        rows.append((
             one.law,
             {True: "yes", False: "no", None: "no answer"}[one.stable],
-            _decay(one.certificate),
-            _proof_in_words(one.certificate),
-            _growth(one.worst),
+            decay,
+            {True: proven, False: "witness", None: "–"}[one.stable],
+            as_rate(growth) if math.isfinite(growth) else "–",
             margin_text(one.margin),
-        )
-        for one in judged
-    ]
+        ))  # fmt: skip
+    return rows
 
 
 def without_imperfections(problem: Problem, signals: SignalClass | None = None) -> list[str]:
@@ -360,24 +364,6 @@ def delay_sentence(problem: Problem) -> list[str]:
     return [f"Under the law “{name}”{but} {with_names(margin.message, problem.modes)}."]
 
 
-def _decay(certificate: Certificate | None) -> str:
-    rate = None if certificate is None else certificate.decay_rate
-    return "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
-
-
-def _proof_in_words(certificate: Certificate | None) -> str:
-    if certificate is None or certificate.stable is None:
-        return "–"
-    if certificate.stable:
-        return "yes" if certificate.proven else "numerical"
-    return "witness"
-
-
-def _growth(worst: WorstCase | None) -> str:
-    rate = None if worst is None else worst.growth_rate
-    return "–" if rate is None or not math.isfinite(rate) else as_rate(rate)
-
-
 def bound_headings(
     bounds: Mapping[str, TheoremBound], published: Mapping[str, float] | None = None
 ) -> tuple[str, ...]:
@@ -434,12 +420,12 @@ def bound_rows(
         "ν₁": large("nu1", "log10_nu1"),
         "ν₂": large("nu2", "log10_nu2"),
         "κ": large("kappa", "log10_kappa"),
-        "b": lambda bound: _optional(bound.b),
+        "b": lambda bound: "–" if bound.b is None else compact(bound.b),
         "δ₁(ε)": lambda bound: compact(bound.delta1(bound.epsilon)),
         "δ₂(ε)": lambda bound: compact(bound.delta2(bound.epsilon)),
-        "μ, 1/s": lambda bound: _optional(bound.mu),
+        "μ, 1/s": lambda bound: "–" if bound.mu is None else compact(bound.mu),
         "ρ": large("rho", "log10_rho"),
-        "ξ, 1/s": lambda bound: _optional(bound.xi),
+        "ξ, 1/s": lambda bound: "–" if bound.xi is None else compact(bound.xi),
         "ε < ε*": lambda bound: "yes" if bound.holds else "no",
     }
     rows = []
@@ -477,7 +463,3 @@ def bounds_record(bounds: Mapping[str, TheoremBound]) -> dict[str, dict[str, Any
     logs = [f"log10_{name}" for name in ("epsilon_star", "nu1", "nu2", "kappa", "rho")]
     fields = (*names, *logs, "holds", "message")
     return {form: record(bound, *fields) for form, bound in bounds.items()}
-
-
-def _optional(value: float | None) -> str:
-    return "–" if value is None else compact(value)

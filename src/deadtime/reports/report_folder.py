@@ -49,7 +49,8 @@ def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[s
     figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
     png, image = inlined(figure)
     (folder / "figures" / f"{name}.png").write_bytes(png)
-    return {"name": name, "caption": caption, "image": image}
+    inches = f"{figure.get_figwidth():.2f}"
+    return {"name": name, "caption": caption, "image": image, "inches": inches}
 
 
 def inlined(figure: Figure) -> tuple[bytes, str]:

@@ -83,7 +83,7 @@ def plot_robustness(
         _noise_panel(panels[0, 2], result)
         _cost_panel(panels[1, 0], result.drops, "samples lost (%)", 100.0)
         _cost_panel(panels[1, 1], result.late, "samples late (periods)", 1.0)
-        _cost_panel(panels[1, 2], result.lag, "mode detection delay (periods)", 1.0)
+        _cost_panel(panels[1, 2], result.lag, "delay (periods)", 1.0)
         for panel, heading in zip(panels.flat, HEADINGS, strict=True):
             panel.set_title(heading)
         keys = [Line2D([], [], color=COLOURS[i % 6], linestyle=LINES[i % len(LINES)],
@@ -200,8 +200,9 @@ def _noise_panel(panel: Axes, result: Robustness) -> None:
         return
     kept = np.isfinite(noise.cost).all(axis=1)  # runs may diverge at twice the noise
     std, cost = noise.std[kept], noise.cost[kept] / noise.base
-    panel.fill_between(std, cost.min(axis=1), cost.max(axis=1), color=COLOURS[0], alpha=0.25)
-    panel.plot(std, cost.mean(axis=1), ".-", color=COLOURS[0], linewidth=1.0)
+    panel.vlines(std, cost.min(axis=1), cost.max(axis=1), color=COLOURS[0], alpha=0.5, linewidth=3)
+    panel.plot(std, cost.mean(axis=1), ".", color=COLOURS[0])
+    panel.xaxis.set_major_locator(MaxNLocator(3))
     panel.axvline(noise.doubling, color=COLOURS[6], linewidth=0.8, linestyle=":")
     panel.text(noise.doubling, 0.97, " doubled", transform=panel.get_xaxis_transform(), va="top",
                ha="right", rotation=90, fontsize=7.5)  # fmt: skip

@@ -69,7 +69,8 @@ def table(caption: str, fight: xr.Dataset, outcomes: tuple[str, str]) -> AnswerT
                 str(neither),
             )
         )
-    headings = ("D, s", "τ_d, s", "τ_d/D", "median", "least", "largest", *outcomes, "neither")
+    counts = (f"cells {outcome}" for outcome in (*outcomes, "undecided"))
+    headings = ("D, s", "τ_d, s", "τ_d/D", "median", "least", "largest", *counts)
     return AnswerTable(caption, headings, tuple(rows))
 
 
@@ -97,7 +98,7 @@ def averaged_or_mean(data: xr.Dataset) -> Answer:
     return Answer(
         "When is the averaged law better than the mean law?",
         tuple(sentences),
-        (table(caption, fight, ("averaged better", "mean better")),),
+        (table(caption, fight, ("won by averaged", "won by mean")),),
         ((AVERAGED, MEAN),),
     )
 

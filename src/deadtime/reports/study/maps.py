@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import STYLE, WIDTH, plain
 from deadtime.reports.figures.colours import colour_of
+from deadtime.reports.figures.sweeps.bands import is_wide, set_scale
 from deadtime.reports.figures.sweeps.maps import Scale, colour_map, winners
 from deadtime.reports.figures.sweeps.panels import PanelGrid
 from deadtime.reports.study.findings import LOST, best, duel, summary
@@ -83,31 +84,25 @@ def plot_lines(data: xr.Dataset, laws: Sequence[str]) -> Figure:
     The line has the longest delay, α nearest to 1 and the first kind of sojourns.
     """
     place = reference(data)
-    figures, times = summary(data).sel(place), data.dwell_time.values
+    figures, times = summary(data).sel(place).transpose(..., "law", "dwell_time"), data.dwell_time
+    cells = [figures[name].sel(law=laws).values for name in ("regret_low", "regret", "regret_high")]
+    seen = (cells[1] <= LOST).any(axis=1)
     with rc_context(STYLE):
         figure = new_figure(WIDTH, 3.5)
         axes = figure.subplots()
         axes.axhline(1.0, color="#888888", linewidth=0.8)
-        for number, law in enumerate(laws):
-            middle, low, high = (
-                figures[name].sel(law=law).values
-                for name in ("regret", "regret_low", "regret_high")
-            )
+        for number, (law, low, middle, high) in enumerate(zip(laws, *cells, strict=True)):
             shown = np.isfinite(middle)
             gaps = np.nan_to_num([middle - low, high - middle], posinf=0.0)[:, shown]
             axes.errorbar(
                 np.flatnonzero(shown) + 0.05 * (number - (len(laws) - 1) / 2.0),
-                middle[shown],
-                gaps,
-                fmt="s--" if law.endswith(AWARE) else "o-",
-                color=colour_of(law),
-                markersize=3.5,
-                capsize=2.0,
-                label=plain(law),
-            )
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.set_xticks(range(times.size), [f"{time:g}" for time in times])
+                middle[shown], gaps, fmt="s--" if law.endswith(AWARE) else "o-",
+                color=colour_of(law), markersize=3.5, capsize=2.0,
+                label=plain(law) + " (off the axis)" * (not seen[number]),
+            )  # fmt: skip
+        near = np.array([1.0, *(value for value in np.ravel(cells) if value <= LOST)])
+        set_scale(axes, np.stack([near] * 3, axis=-1), is_wide(near))
+        axes.set_xticks(range(times.size), [f"{time:g}" for time in times.values])
         axes.set_xlabel("dwell time (s)")
         axes.set_ylabel("∫|x|² over the oracle's")
         axes.set_title(words_of(place))

@@ -70,12 +70,8 @@ def run_study(
     if not set(READ) <= set(study.metrics):
         raise ArgumentError(f"metrics must hold {' and '.join(READ)} for a report.")
     data = sweep(study, store, scheduler, workers=workers, progress=progress)
-    return _complete(data[[*READ, "diverged", "reason"]].load(), study)
-
-
-def _complete(data: xr.Dataset, study: FileStudy) -> xr.Dataset:
-    """All axes of the maps, those that the grid leaves out with one value."""
-    given = {
+    data = data[[*READ, "diverged", "reason"]].load()
+    given = {  # an axis that the grid leaves out has one value
         "sojourn": "exponential",
         "delay": float(np.max(study.problem["plant"]["delay"])),  # as the axis has it
         "distance": 1.0,
