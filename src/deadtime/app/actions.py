@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import html
 import io
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
 
 import panel as pn
 import panel_material_ui as pmui
 
-from deadtime.app.controls import WIDE, download_button
+from deadtime.app.controls import WIDE, Controls, download_button
+from deadtime.app.documents import Document
 from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
-from deadtime.app.page_outcome import csv_of
-from deadtime.app.page_panels import BOUNDS, KEY, Chart
+from deadtime.app.page_outcome import ProblemOutcome, csv_of
+from deadtime.app.page_panels import BOUNDS, KEY, Chart, ProblemPanels
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import GivenSignal
 from deadtime.base.wording import as_rate, file_name
 from deadtime.problems import Problem
 from deadtime.reports.figures.runs import plot_laws
 from deadtime.reports.verdict import held_in_words
-
-if TYPE_CHECKING:
-    from deadtime.app.page import Page
 
 _LIMIT = 120.0  # seconds that a search may take
 _REST = 250  # milliseconds after which a hand that moved something rests
@@ -40,10 +38,28 @@ cursor.tags = [timer];
 """
 
 
+class ActionPage(Protocol):
+    """The page that shows the buttons, and on which they act."""
+
+    document: Document
+    offer: Mapping[str, Any]
+    outcome: ProblemOutcome
+    controls: Controls
+    figures: ProblemPanels
+
+    def toml(self) -> str: ...
+    def draft(self, without: Sequence[str] = ()) -> dict[str, Any]: ...
+    def draw_by_hand(self, at: float, mode: int) -> None: ...
+    def elsewhere(
+        self, limit: float, done: Callable[[Any], None], failed: Callable[[str], None],
+        job: Callable[..., Any], *given: Any,
+    ) -> None: ...  # fmt: skip
+
+
 class Actions:
     """The buttons of a page and the chart."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: ActionPage) -> None:
         self.page = page
         self.chart = Chart()
         self.law = pmui.Select(label="Law in question", options=[""], **WIDE)

@@ -26,30 +26,16 @@ _STEPS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
 @dataclass(frozen=True)
 class Range:
-    """A number that can be moved (immutable).
+    """A number that can be moved (immutable): its start value, its ends and its step."""
 
-    Attributes
-    ----------
-    name : str
-        In `Settings.values`.
-    label : str
-        With its unit.
-    group : str
-        The heading that it stands under.
-    value, low, high, step : float
-        Where it starts, and between what it moves.
-    scale : float
-        What a number on the page is multiplied with to be a value: 0.01 for per cent.
-    """
-
-    name: str
-    label: str
-    group: str
+    name: str  # in `Settings.values`
+    label: str  # with its unit
+    group: str  # the heading above it
     value: float
     low: float
     high: float
     step: float
-    scale: float = 1.0
+    scale: float = 1.0  # value per number on the page: 0.01 for per cent
 
 
 def ranges_of(document: Document) -> list[Range]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import panel as pn
 import panel_material_ui as pmui
 
 from deadtime.app.background_jobs import BackgroundJobs, ProgressBar
 from deadtime.app.controls import download_button
-from deadtime.app.documents import file_stem
+from deadtime.app.documents import Document, file_stem
 from deadtime.app.jobs import look_at_log, try_log
 from deadtime.app.page_outcome import MOST_MODES
 from deadtime.app.uploaded_log import (
@@ -25,9 +25,6 @@ from deadtime.app.workers import TooLongError, Workers
 from deadtime.base.errors import ArgumentError
 from deadtime.reports.identification_report import Picture
 from deadtime.reports.report_folder import render
-
-if TYPE_CHECKING:
-    from deadtime.app.page import Page
 
 UNUSED, STATE, INPUT, MODE = "not used", "state", "input", "mode"
 ONE, HIDDEN = "the plant has one", "there are several, not logged"
@@ -123,10 +120,18 @@ LIMIT = 120.0  # seconds after which a log is given up
 _LOOKING = 30.0
 
 
+class CardPage(Protocol):
+    """The page that shows the card."""
+
+    def open_found(self, document: Document, seconds: float, called: str) -> bool: ...
+    def refuse(self, why: str) -> None: ...
+    def say(self, text: str, severity: str = "info") -> None: ...
+
+
 class LogCard:
     """The card that a page shows of a log."""
 
-    def __init__(self, page: Page, workers: Workers) -> None:
+    def __init__(self, page: CardPage, workers: Workers) -> None:
         self._page, self._jobs = page, BackgroundJobs(workers)
         self._name, self._content = "", b""
         self._asked: LogRequest | None = None

@@ -49,13 +49,9 @@ _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 @dataclass(frozen=True, eq=False)
 class ProblemOutcome(ProblemRuns):
-    """The runs of a problem's laws, and the oracle's measure (immutable).
+    """The runs of a problem's laws, and the measure of the oracle (immutable).
 
-    Attributes
-    ----------
-    oracle : float or None
-        The measure of the law that knows the signal in advance, and measures what the
-        others measure; None where no signal is known in advance.
+    The oracle knows the signal in advance; None where no signal is known in advance.
     """
 
     oracle: float | None
@@ -192,7 +188,7 @@ def table_of(outcome: ProblemOutcome, laws: Sequence[str]) -> str:
     return render(
         "costs.html.j2",
         caption=f"{title}, and against the oracle{more}",
-        headings=("law", word, "× oracle", SETTLES, "max |x|"),
+        headings=("law", word, "/ oracle", SETTLES, "max |x|"),
         rows=[_row(outcome, law, looks[law]) for law in outcome.runs],
         reasons=outcome.reasons,
     )

@@ -159,24 +159,10 @@ def serve(
 ) -> None:
     """Serve pages until interrupted; every session has its own.
 
-    Parameters
-    ----------
-    problem : str
-        What sessions begin with: paper, three-mode, follower or a problem file.
-    address, port : str, int
-        Where; 127.0.0.1 is this machine alone.
-    show : bool
-        Open a browser.
-    origins : tuple of str
-        Names, host:port, by which browsers reach it, where that is not the address.
-    workers : int
-        Processes for what takes longer than a moment.
-    sessions : int
-        Pages that may be open at once; who comes then is asked to come later.
-    started : callable
-        Called with the page's URL once it is there.
-    progress : callable
-        Called before that with what is being done.
+    Sessions begin with `problem`, a named one or a file; at most `sessions` are open at once.
+    `show` opens a browser. `origins` are the names, host:port, by which browsers reach the server
+    where these differ from the address. `workers` is the number of processes for long jobs.
+    `progress` is called with each stage, `started` with the URL.
 
     Raises
     ------

@@ -70,23 +70,12 @@ class Workers:
     def submit(
         self, limit: float, job: Job, *given: Any, on_progress: Progress | None = None
     ) -> Future[Any]:
-        """Run a job when there is a process for it.
+        """Run a job, for `limit` seconds at most, when there is a process for it.
 
-        Parameters
-        ----------
-        limit : float
-            Seconds that the job may take once it has begun.
-        job : callable
-            A function of a module, its arguments and its result plain data.
-        on_progress : callable, optional
-            Called, in a thread, with what the job reports before its end: the job then gets a
-            keyword ``tell=``, to be called with plain data.
-
-        Returns
-        -------
-        Future
-            Of its result; of an `ArgumentError` if it takes longer, its process dies, or it
-            raises an error.
+        The job is a function of a module, its arguments and its result plain data. With
+        `on_progress` it gets a keyword ``tell=``; plain data that it calls that with arrive at
+        `on_progress`, in a thread. The future fails with an `ArgumentError` if the job takes
+        longer, its process dies, or it raises an error.
         """
         future: Future[Any] = Future()
         with self._lock:

@@ -211,14 +211,9 @@ class Summary:
 
 
 class LawRuns:
-    """The runs of laws over the same scenarios, read from a dataset or from the engine's arrays.
+    """The runs of laws over the same scenarios, from a dataset or the engine's arrays.
 
-    Attributes
-    ----------
-    names : list of str
-        Of the laws.
-    lost : (law, scenario) of bool
-        Where a law diverged.
+    `names` are those of the laws; `lost` tells where a law diverged.
     """
 
     _keep: Callable[[Any], np.ndarray]

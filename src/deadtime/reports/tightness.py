@@ -40,23 +40,12 @@ ROUNDS = 6  # of the fixed point for ε(α) = ε*(α); it converges in two or th
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """How far one certificate reaches.
-
-    Attributes
-    ----------
-    name : str
-    log10_distance : float
-        log₁₀ of ε there.
-    alpha : float
-        α there, 0.0 if it underflows.
-    stable : bool
-        False for the witness: at this distance the loop is not stable.
-    """
+    """The largest distance that one certificate allows, or that of the witness."""
 
     name: str
-    log10_distance: float
-    alpha: float
-    stable: bool = True
+    log10_distance: float  # log₁₀ of ε
+    alpha: float  # 0.0 if it underflows
+    stable: bool = True  # False for the witness
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +136,13 @@ def tightness(
             missing = [theorem_refusal(error)]
     progress("between proof and witness")
     margin = None
+
+    def loop(alpha: float) -> tuple[SwitchedSystem, AveragedPredictor]:
+        plant, gains = move_modes(problem, alpha)
+        return plant, AveragedPredictor(plant, gains, allow_unstable=True)
+
     try:
-        margin = _margin(problem, dwell_time, step, ratio)
+        margin = stability_margin(loop, (LOW, MOST), dwell_time, step, ratio)
     except ArgumentError as error:
         missing.append(f"There is no bracket between proof and witness: {error}")
     if margin is not None:
@@ -178,14 +172,6 @@ def reach_of(problem: Problem, dwell_time: float, form: str) -> Reach:
             break
     words = {"printed": "theorem as printed", "corrected": "corrected", "sharp": "sharp"}
     return Reach(words[form], log_star, 10.0**log_alpha)
-
-
-def _margin(problem: Problem, dwell_time: float, step: float, ratio: float) -> StabilityMargin:
-    def loop(alpha: float) -> tuple[SwitchedSystem, AveragedPredictor]:
-        plant, gains = move_modes(problem, alpha)
-        return plant, AveragedPredictor(plant, gains, allow_unstable=True)
-
-    return stability_margin(loop, (LOW, MOST), dwell_time, step, ratio)
 
 
 def _at(problem: Problem, name: str, alpha: float, stable: bool = True) -> Reach:

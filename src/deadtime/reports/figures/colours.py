@@ -10,23 +10,15 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from deadtime.base.figure_style import (
-    BLUE,
-    BROWN,
-    GREEN,
-    GREY,
-    OLIVE,
-    ORANGE,
-    PINK,
-    PURPLE,
-    SKY,
-    SLATE,
-    VERMILION,
-)
+from deadtime.base import figure_style as style
+from deadtime.base.figure_style import GREY
 from deadtime.problems.law_registry import LAWS
 
 HUES = {name: known.named.colour for name, known in LAWS.items() if known.named.colour}
-_SPARE = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, PURPLE, BROWN, OLIVE, SLATE)
+_SPARE = (
+    style.BLUE, style.VERMILION, style.GREEN, style.PINK, style.ORANGE, style.SKY, style.PURPLE,
+    style.BROWN, style.OLIVE, style.SLATE,
+)  # fmt: skip
 
 
 class Look(NamedTuple):
