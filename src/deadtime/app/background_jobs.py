@@ -20,7 +20,7 @@ class BackgroundJobs:
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
-        self._out: dict[object, Future[Any] | None] = {}
+        self._running: dict[object, Future[Any] | None] = {}
 
     def begin(
         self,
@@ -28,7 +28,7 @@ class BackgroundJobs:
         done: Callable[[Any], None],
         failed: Callable[[BaseException], None],
         job: Job,
-        *given: Any,
+        *arguments: Any,
         on_progress: Progress | None = None,
     ) -> None:
         """Run a job in another process, then go on here with its result or its error.
@@ -41,16 +41,16 @@ class BackgroundJobs:
             """Do something in the page's turn, if the job is still wanted then."""
 
             def unless_stopped() -> None:
-                if ticket in self._out:
+                if ticket in self._running:
                     act()
 
             if browser is None:
                 unless_stopped()
-            elif ticket in self._out and browser.session_context is not None:
+            elif ticket in self._running and browser.session_context is not None:
                 browser.add_next_tick_callback(unless_stopped)  # the session is not over
 
         def finish(future: Future[Any]) -> None:
-            del self._out[ticket]
+            del self._running[ticket]
             error = future.exception()
             failed(error) if error is not None else done(future.result())
 
@@ -58,21 +58,21 @@ class BackgroundJobs:
             if not future.cancelled():
                 here(partial(finish, future))
 
-        def pass_on(said: Any) -> None:
+        def pass_on(message: Any) -> None:
             if on_progress is not None:
-                here(partial(on_progress, said))
+                here(partial(on_progress, message))
 
-        self._out[ticket] = None  # progress may arrive before `submit` returns the future
+        self._running[ticket] = None  # progress may arrive before `submit` returns the future
         more = {"on_progress": pass_on} if on_progress else {}
-        future = self._workers.submit(limit, job, *given, **more)
-        if ticket in self._out:
-            self._out[ticket] = future
+        future = self._workers.submit(limit, job, *arguments, **more)
+        if ticket in self._running:
+            self._running[ticket] = future
         future.add_done_callback(on_finished)
 
     def stop(self) -> None:
         """End all that is out."""
-        out, self._out = self._out, {}
-        for future in out.values():
+        running, self._running = self._running, {}
+        for future in running.values():
             if future is not None:
                 self._workers.stop(future)
 
@@ -111,5 +111,5 @@ class ProgressBar:
 
     def _tick(self) -> None:
         seconds = time.monotonic() - self._began
-        said = f"{escape(self._stage)} … {seconds:.0f} s of at most {self._limit:.0f} s"
-        self.text.object = f"<div class='progress'>{said}</div>"
+        message = f"{escape(self._stage)} … {seconds:.0f} s of at most {self._limit:.0f} s"
+        self.text.object = f"<div class='progress'>{message}</div>"

@@ -188,11 +188,11 @@ class Controls:
         """The widgets under a heading."""
         if group == "Switching" and self._ruled:
             return [pmui.Typography("The state decides the mode, by the rule of the file.")]
-        found = [self.sliders[name] for name, one in self.ranges.items() if one.group == group]
+        sliders = [self.sliders[name] for name, one in self.ranges.items() if one.group == group]
         if group == "Switching":
             row = pmui.Row(self.redraw, self.original, sizing_mode="stretch_width", margin=0)
-            return [*found, self.sojourn, self.seed, row]
-        return [*found, self.step] if group == "Run" else found
+            return [*sliders, self.sojourn, self.seed, row]
+        return [*sliders, self.step] if group == "Run" else sliders
 
     def _draw(self) -> None:
         self.choose(DrawnSignal(int(self.seed.value or 0)))

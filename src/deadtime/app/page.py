@@ -185,9 +185,9 @@ class Page:
         Its document is gone, so no widget is touched.
         """
         self._closed = True
-        held = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "log")
+        names = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "log")
         with ExitStack() as steps:
-            for name in held:
+            for name in names:
                 steps.callback(vars(self).pop, name, None)
             steps.callback(self.log.drop)
             steps.callback(self._jobs.stop)

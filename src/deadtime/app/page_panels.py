@@ -114,9 +114,9 @@ class ProblemPanels:
         longest = max(runs.values(), key=lambda run: run.time[-1])
         along = longest.reference
         references = {} if along is None else {r: along[i] for r, i in self._references.items()}
-        kept = _samples_to_draw(longest.time.size, list(references.values()))
+        samples = _samples_to_draw(longest.time.size, list(references.values()))
         columns = {"t": longest.time, **references}
-        self._followed.data = {name: values[kept] for name, values in columns.items()}
+        self._followed.data = {name: values[samples] for name, values in columns.items()}
         for row, panel in self.panels.items():
             values = [one for run in runs.values() if (one := _values(run, row)) is not None]
             if values:
@@ -133,11 +133,11 @@ class ProblemPanels:
     def _columns(self, run: Trajectory) -> dict[str, np.ndarray]:
         """The columns that the panels read, of at most so many samples as can be told apart."""
         rows = {row: _values(run, row) for row in self._rows}
-        kept = _samples_to_draw(run.time.size, [row for row in rows.values() if row is not None])
-        columns = {"t": run.time[kept]}
+        samples = _samples_to_draw(run.time.size, [row for row in rows.values() if row is not None])
+        columns = {"t": run.time[samples]}
         for name, values in rows.items():
             whole = np.full(run.time.size, np.nan) if values is None else values
-            columns[name] = np.clip(whole[kept], -1e30, 1e30).astype(np.float32)
+            columns[name] = np.clip(whole[samples], -1e30, 1e30).astype(np.float32)
         return columns
 
     def _source(self, law: str, run: Trajectory) -> Any:

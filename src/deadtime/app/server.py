@@ -210,9 +210,9 @@ def _quieten() -> None:
 
 def _in_our_words(record: logging.LogRecord) -> bool:
     """Name our option where Bokeh names its own."""
-    found = re.search(r"connection from Origin '(?:https?://)?([^']*)'", record.getMessage())
-    if found:
-        record.msg = f"refused a page of {found[1]}: if it is yours, add --origin {found[1]}"
+    match = re.search(r"connection from Origin '(?:https?://)?([^']*)'", record.getMessage())
+    if match:
+        record.msg = f"refused a page of {match[1]}: if it is yours, add --origin {match[1]}"
         record.args = ()
     return True
 

@@ -99,12 +99,12 @@ class Workers:
             if not self._waiting:
                 return
             future = next(iter(self._waiting))
-            asked = self._waiting.pop(future)
+            request = self._waiting.pop(future)
             if not future.set_running_or_notify_cancel():
                 return
         result, error = None, None
         try:
-            result = self._done_somewhere(future, asked)
+            result = self._done_somewhere(future, request)
         except Exception as raised:
             error = raised
         with self._lock:  # from here on it is too late to stop it
@@ -117,7 +117,7 @@ class Workers:
         else:
             future.set_result(result)
 
-    def _done_somewhere(self, future: Future[Any], asked: _Job) -> Any:
+    def _done_somewhere(self, future: Future[Any], request: _Job) -> Any:
         """The result of a job; an idle process may have died, and is no reason to fail."""
         for _ in range(_TRIES):
             if self._closed.is_set():  # nobody puts back an idle process any more
@@ -128,7 +128,7 @@ class Workers:
                     if future in self._stopped:
                         raise StoppedError("that was stopped.")
                     self._doing[future] = worker
-                return worker.do(asked)
+                return worker.do(request)
             except _NotBegunError:
                 continue
             finally:
@@ -173,7 +173,7 @@ class _Worker:
     def alive(self) -> bool:
         return self._process.is_alive()
 
-    def do(self, asked: _Job) -> Any:
+    def do(self, request: _Job) -> Any:
         """Run a job here; the process does not outlive one that takes too long.
 
         Raises
@@ -182,25 +182,25 @@ class _Worker:
             If the process ends, or has ended, before it begins the job.
         """
         try:
-            self._pipe.send((asked.job, asked.given, asked.on_progress is not None))
+            self._pipe.send((request.job, request.given, request.on_progress is not None))
             self._pipe.recv()  # begun: what it imports before that is not the job's fault
         except (EOFError, OSError):
             self.end()
             raise _NotBegunError from None
-        end = time.monotonic() + asked.limit
+        end = time.monotonic() + request.limit
         try:
             while True:
                 if not self._pipe.poll(max(end - time.monotonic(), 0.0)):
                     self.end()
                     raise TooLongError(
-                        f"that takes longer than {asked.limit:g} s, and was stopped: make the "
+                        f"that takes longer than {request.limit:g} s, and was stopped: make the "
                         "problem smaller, or use the command line, which has no limit."
                     )
                 kind, answer = self._pipe.recv()
                 if kind != "progress":
                     break
-                if asked.on_progress is not None:
-                    asked.on_progress(answer)
+                if request.on_progress is not None:
+                    request.on_progress(answer)
         except (EOFError, OSError):
             self.end()
             raise ArgumentError(
@@ -230,7 +230,7 @@ def _serve(pipe: Connection) -> None:
         while True:
             job, given, tells = pipe.recv()
             pipe.send(("begun", None))
-            more = {"tell": lambda said: pipe.send(("progress", said))} if tells else {}
+            more = {"tell": lambda message: pipe.send(("progress", message))} if tells else {}
             try:
                 answer = ("done", job(*given, **more))
             except DeadtimeError as error:

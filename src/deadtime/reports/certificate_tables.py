@@ -126,7 +126,7 @@ def judge(
     def prove(name: str) -> None:
         law = problem.laws[name]
         try:
-            found = certify(
+            certificate = certify(
                 plant,
                 law,
                 signals,
@@ -135,7 +135,7 @@ def judge(
                 delays=delays,
                 progress=lambda what: trying(f"{name}: {what}"),
             )
-            certified[name].set_result(found)
+            certified[name].set_result(certificate)
         except BaseException as error:
             certified[name].set_exception(error)
 
@@ -244,11 +244,11 @@ def left_out(problem: Problem, signals: SignalClass | None = None) -> list[str]:
     >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
     ['Not covered: dropout (probability 0.1). Certificates are about the loop without it.']
     """
-    said, missing = [], without_imperfections(problem, signals)
+    sentences, missing = [], without_imperfections(problem, signals)
     if missing:
         them = "it" if len(missing) == 1 else "them"
         named = ", ".join(missing)
-        said.append(f"Not covered: {named}. Certificates are about the loop without {them}.")
+        sentences.append(f"Not covered: {named}. Certificates are about the loop without {them}.")
     # A drawn loss may be longer than any number of samples, so it is covered under this condition.
     drawn = [
         words
@@ -258,8 +258,8 @@ def left_out(problem: Problem, signals: SignalClass | None = None) -> list[str]:
     if drawn and signals is not None and signals.lost_samples:
         row = number_of(signals.lost_samples, "sample")
         are = "is" if signals.lost_samples == 1 else "are"
-        said.append(f"Covered while at most {row} in a row {are} lost: {', '.join(drawn)}.")
-    return said
+        sentences.append(f"Covered while at most {row} in a row {are} lost: {', '.join(drawn)}.")
+    return sentences
 
 
 def certificate_sentences(judged: Sequence[Judged], problem: Problem) -> list[str]:
@@ -285,10 +285,10 @@ def summary_of(judged: Sequence[Judged]) -> str:
     'Stable for every such signal: mean.'
     """
     kinds = {True: "Stable for every such signal", False: "Not stable", None: "No answer"}
-    found = (
+    groups = (
         (text, [one.law for one in judged if one.stable is kind]) for kind, text in kinds.items()
     )
-    return " ".join(f"{text}: {', '.join(laws)}." for text, laws in found if laws)
+    return " ".join(f"{text}: {', '.join(laws)}." for text, laws in groups if laws)
 
 
 def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:

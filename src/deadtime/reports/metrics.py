@@ -148,8 +148,8 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
         # A run settles where it comes to rest, which need not be 0.
         ends = {"outcome": ending.kind, "settling_time": ending.settling, "rest": ending.rest}
         run = result.runs[name]
-        told = record(run, "diverged", "message")
-        laws[name] = {**row, **ends, **told, **record_of_run(result.problem, run)}
+        end = record(run, "diverged", "message")
+        laws[name] = {**row, **ends, **end, **record_of_run(result.problem, run)}
     return plain({
         "problem": result.problem.name,
         "version": __version__,

@@ -55,11 +55,11 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     Figure); `statement` says what is proved, of the first certificate that is a proof.
     """
     progress, problem = reporter("progress", progress), result.problem
-    asked, step = signals_of(problem, result.signal), step_of(problem)
-    judged = judge(problem, asked.signals, step, progress=progress)
-    sentences = [*left_out(problem, asked.signals), *certificate_sentences(judged, problem)]
+    assumptions, step = signals_of(problem, result.signal), step_of(problem)
+    judged = judge(problem, assumptions.signals, step, progress=progress)
+    sentences = [*left_out(problem, assumptions.signals), *certificate_sentences(judged, problem)]
     figures = []
-    reach = _tightness_figure(problem, asked.dwell.value, step, progress)
+    reach = _tightness_figure(problem, assumptions.dwell.value, step, progress)
     if reach is not None:
         sentences.append(reach[0])
         figures.append(reach[1])
@@ -72,7 +72,7 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     ]
     statement, law = proofs[0] if proofs else ((), "")
     return {
-        "about": asked.in_words(problem.modes, step),
+        "about": assumptions.in_words(problem.modes, step),
         "headings": HEADINGS,
         "rows": certificate_rows(judged),
         "legend": LEGEND,
@@ -106,7 +106,7 @@ def _tightness_figure(
     from deadtime.reports.tightness import plot_tightness, tightness
 
     try:
-        found = tightness(
+        reach = tightness(
             problem, dwell, step, progress=lambda what: progress(f"certificates: {what}")
         )
     except ArgumentError:  # modes that do not differ
@@ -118,8 +118,8 @@ def _tightness_figure(
         "for the averaged law: what each certificate allows, and where a signal grows, if one was "
         "found. The theorem's ε* depends on the plant; it is that of modes as close as it allows."
     )
-    figure = ("certificates-reach", caption, plot_tightness(found))
-    return (found.message, figure) if len(found.reaches) > 1 else None
+    figure = ("certificates-reach", caption, plot_tightness(reach))
+    return (reach.message, figure) if len(reach.reaches) > 1 else None
 
 
 SCENARIOS = 1000

@@ -197,12 +197,12 @@ class Summary:
         low, median, high = self.headings[1:4]
         headings = ["law", low, median, _INTERVAL, high, "wins", _INTERVAL]
         measure = "∫|r - y|" if self.measure == "iae" else "the cost"
-        said = [
+        remarks = [
             f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
             *self.notes,
             "Those of shares are Wilson's.",
         ]
-        return booktabs([*headings, *self.interval_headings[3:], "diverged"], rows, said)
+        return booktabs([*headings, *self.interval_headings[3:], "diverged runs"], rows, remarks)
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
@@ -366,17 +366,17 @@ class SweepTable:
         interval, the geometric mean of its ratio to the oracle's on the same signal with its 95 %
         interval (where the sweep has an oracle, and ratios say something), and on how many signals
         the law diverged.
-    said : list of str
+    notes : list of str
         What the numbers are.
     """
 
     headings: list[str]
     rows: list[list[str]]
-    said: list[str]
+    notes: list[str]
 
     def to_latex(self) -> str:
         """The table for LaTeX, of the package booktabs."""
-        return booktabs(self.headings, self.rows, self.said)
+        return booktabs(self.headings, self.rows, self.notes)
 
 
 def sweep_table(data: xr.Dataset, metric: str | None = None) -> SweepTable:
@@ -413,11 +413,11 @@ def sweep_table(data: xr.Dataset, metric: str | None = None) -> SweepTable:
     known = metrics_of(data)
     default = "ise" if "ise" in known else known[0]
     metric = default if metric is None else one_of("metric", metric, known)
-    kept = select(data, metric)
-    laws, oracle = laws_of(kept), oracle_of(kept) if metric not in RATES else ""
+    cells = select(data, metric)
+    laws, oracle = laws_of(cells), oracle_of(cells) if metric not in RATES else ""
     found = xr.apply_ufunc(
         _figures,
-        score_of(kept, metric),
+        score_of(cells, metric),
         kwargs={"oracle": laws.index(oracle) if oracle else -1},
         input_core_dims=[RUNS],
         output_core_dims=[("law", "part")],
@@ -425,22 +425,22 @@ def sweep_table(data: xr.Dataset, metric: str | None = None) -> SweepTable:
         output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {"part": _PARTS}},
     ).compute()
-    axes = long_axes(kept)
+    axes = long_axes(cells)
     rows = []
     for place in np.ndindex(found.shape[:-1]):
         at = dict(zip(found.dims, place, strict=False))
-        cell = [text_of(kept[name].values[at[name]]) for name in axes]
+        cell = [text_of(cells[name].values[at[name]]) for name in axes]
         rows.append([laws[at["law"]], *cell, *_row(found.values[place], metric, bool(oracle))])
     ratio = [f"/ {oracle}", "95 % interval"] if oracle else []
-    symbol = formula_of(kept[metric]) if metric == "cost" else symbol_of(metric)
-    headings = ["law", *axes, f"median {symbol}", "95 % interval", *ratio, "diverged"]
-    said = [
-        f"deadtime: medians of {symbol} over {kept.sizes['scenario']:,} signals a cell, and their",
+    symbol = formula_of(cells[metric]) if metric == "cost" else symbol_of(metric)
+    headings = ["law", *axes, f"median {symbol}", "95 % interval", *ratio, "diverged runs"]
+    notes = [
+        f"deadtime: medians of {symbol} over {cells.sizes['scenario']:,} signals a cell, and their",
         "distribution-free intervals (order statistics)"
         + (f"; / {oracle}: the geometric mean of the ratio" if oracle else ""),
         *(["on the same signal, and Student's interval of the logarithms' mean"] if oracle else []),
     ]
-    return SweepTable(headings, rows, said)
+    return SweepTable(headings, rows, notes)
 
 
 def _figures(runs: Runs, oracle: int) -> np.ndarray:

@@ -198,17 +198,17 @@ def _improvements(reaches: list[Reach]) -> list[str]:
     return [f"{text} From the last proof to a signal that grows it is {100.0 * left:.2g} %."]
 
 
-def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
+def plot_tightness(result: Tightness, title: str | None = None) -> Figure:
     r"""How far each certificate reaches, on a logarithmic axis of the distance.
 
     Between two steps stands how many times farther the second one reaches.
     """
-    rows = [*found.reaches]
+    rows = [*result.reaches]
     count = len(rows)
     with rc_context(STYLE):
         figure = new_figure(WIDTH, 1.15 + 0.38 * count)
         axes = figure.subplots()
-        own = np.log10(found.own)
+        own = np.log10(result.own)
         logs = [own, *(reach.log10_distance for reach in rows)]
         left, right = min(logs), max(logs)
         room = max(right - left, 0.5)

@@ -151,10 +151,10 @@ def _trend_in_distance(data: xr.Dataset) -> str:
 
 
 EXPECTED = "expected"
-WORTH = 0.99  # a quotient below which a law brings something, beside being better
+GAIN = 0.99  # a quotient below which a law gains something, beside being better
 
 
-def worth_of_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
+def gain_from_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
     """The gain of the dwell-aware laws over the same laws without the dwell time."""
     sentences, tables = [], []
     for law in plain:
@@ -172,7 +172,7 @@ def worth_of_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
     return Answer(question, tuple(sentences), tuple(tables), duels)
 
 
-def worth_of_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
+def gain_from_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
     """The gain of the expected law over the best law that knows the dwell time at most."""
     fight, rival = against_best(data, EXPECTED, rivals), favourite(data, rivals)
     better, worse, _, total = tally(fight.verdict)
@@ -221,13 +221,13 @@ def _middle(values: np.ndarray) -> float:
 
 
 def _gain(fight: xr.Dataset) -> str:
-    total, cells = int(fight.ratio.notnull().sum()), (fight.verdict == 1.0) & (fight.ratio < WORTH)
-    text = f"It brings at least {percent(1.0 - WORTH)} in {of_cells(int(cells.sum()), total)}"
+    total, cells = int(fight.ratio.notnull().sum()), (fight.verdict == 1.0) & (fight.ratio < GAIN)
+    text = f"It brings at least {percent(1.0 - GAIN)} in {of_cells(int(cells.sum()), total)}"
     if cells.any():
         text += f", most at {_extreme(fight.ratio.where(cells), np.nanargmin)}"
     useless: dict[float, list[str]] = {}
     for delay, time, here in by_dwell_time(fight):
-        if _middle(here.ratio.values) >= WORTH:
+        if _middle(here.ratio.values) >= GAIN:
             useless.setdefault(delay, []).append(f"{time:g}")
     if useless:
         places = " and ".join(
@@ -238,12 +238,12 @@ def _gain(fight: xr.Dataset) -> str:
 
 
 def _cost(fight: xr.Dataset) -> list[str]:
-    cells = (fight.verdict == -1.0) & (fight.ratio > 1.0 / WORTH)
+    cells = (fight.verdict == -1.0) & (fight.ratio > 1.0 / GAIN)
     if not cells.any():
         return []
     total = int(fight.ratio.notnull().sum())
     return [
-        f"It costs at least {percent(1.0 - WORTH)} in {of_cells(int(cells.sum()), total)}, most at "
+        f"It costs at least {percent(1.0 - GAIN)} in {of_cells(int(cells.sum()), total)}, most at "
         f"{_extreme(fight.ratio.where(cells), np.nanargmax)}."
     ]
 
@@ -285,16 +285,16 @@ def answers(data: xr.Dataset) -> list[Answer]:
     A question is left out if the study does not run the laws that it is about.
     """
     laws = [str(law) for law in data.law.values]
-    found = [which_law(data)]
+    sections = [which_law(data)]
     if AVERAGED in laws and MEAN in laws:
-        found.append(averaged_or_mean(data))
+        sections.append(averaged_or_mean(data))
     plain = [law for law in laws if law + AWARE in laws]
     if plain:
-        found.append(worth_of_dwell_time(data, plain))
+        sections.append(gain_from_dwell_time(data, plain))
     rivals = within(laws, "the dwell time")
     if EXPECTED in laws and rivals:
-        found.append(worth_of_distribution(data, rivals))
-    return found
+        sections.append(gain_from_distribution(data, rivals))
+    return sections
 
 
 def which_law(data: xr.Dataset) -> Answer:

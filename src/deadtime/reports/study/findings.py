@@ -142,12 +142,12 @@ def steadier(data: xr.Dataset, first: str, second: str) -> xr.DataArray:
     """
     calm = is_stabilised(data)
     a, b = (calm.sel(law=law, drop=True) for law in (first, second))
-    found = []
+    verdicts = []
     for one, other in zip(_cells(a.values), _cells(b.values), strict=True):
         low, high = Proportion.of(one[one != other]).interval
-        found.append((low > 0.5) * 1.0 - (high < 0.5) * 1.0)
+        verdicts.append((low > 0.5) * 1.0 - (high < 0.5) * 1.0)
     missing = data.ise.sel(law=[first, second]).isnull().any(["law", "scenario"])
-    verdict = np.reshape(found, a.shape[:-1])
+    verdict = np.reshape(verdicts, a.shape[:-1])
     return missing.copy(data=np.where(missing.values, np.nan, verdict))
 
 

@@ -38,20 +38,20 @@ def _grid(data: xr.Dataset) -> PanelGrid:
 
 def plot_winners(data: xr.Dataset, laws: Sequence[str]) -> Figure:
     """Which of some laws is best in every cell, and the runner-up's ∫|x|² over the winner's."""
-    found = best(data, laws)
+    comparison = best(data, laws)
     number = {"": -1} | {law: i for i, law in enumerate(laws)}
-    places = np.vectorize(number.__getitem__, otypes=[int])(found.winner.values)
-    found = found.assign(winner=found.winner.copy(data=places))
-    return winners(data, _grid(data), found, {law: colour_of(law) for law in laws})
+    places = np.vectorize(number.__getitem__, otypes=[int])(comparison.winner.values)
+    comparison = comparison.assign(winner=comparison.winner.copy(data=places))
+    return winners(data, _grid(data), comparison, {law: colour_of(law) for law in laws})
 
 
 def plot_duel(data: xr.Dataset, first: str, second: str) -> Figure:
     """The mean quotient of two laws' ∫|x|²: blue where the first is better, red the second."""
-    found = duel(data, first, second)
+    comparison = duel(data, first, second)
     ticks = {1.0 / MOST_RATIO: "1/3", 0.5: "1/2", 1.0: "1", 2.0: "2", MOST_RATIO: "3"}
     norm, label = LogNorm(1.0 / MOST_RATIO, MOST_RATIO), f"∫|x|², {first} over {second}"
     scale = Scale(norm, "RdBu_r", "both", label, ticks)
-    return colour_map(data, _grid(data), found.ratio, scale, tied=found.verdict == 0.0)
+    return colour_map(data, _grid(data), comparison.ratio, scale, tied=comparison.verdict == 0.0)
 
 
 def plot_regret(data: xr.Dataset, law: str) -> Figure:

@@ -257,19 +257,19 @@ def plot_bands(
 
 
 def bands(
-    found: xr.Dataset,
+    reduced: xr.Dataset,
     metric: str,
     x: str | None,
     laws: Sequence[str] | None = None,
     width: Width | None = None,
 ) -> Figure:
     """`plot_bands` of what `reduce` gives."""
-    across, rest = panes(found, x)
-    shown = named_laws(found, laws, laws_of(found))
-    colours = colours_of(laws_of(found), oracle_of(found))
+    across, rest = panes(reduced, x)
+    shown = named_laws(reduced, laws, laws_of(reduced))
+    colours = colours_of(laws_of(reduced), oracle_of(reduced))
     marks = [(colours[law], LINES[i % len(LINES)]) for i, law in enumerate(shown)]
-    places = list(places_of(found, rest))
-    values = found["quantile"].sel(law=shown).transpose("law", ..., "level")
+    places = list(places_of(reduced, rest))
+    values = reduced["quantile"].sel(law=shown).transpose("law", ..., "level")
     logarithmic = is_wide(values.values)
     seen = np.zeros(len(shown), dtype=bool)
     with rc_context(style_of(width)):
@@ -277,18 +277,18 @@ def bands(
         for number, (panel, place) in enumerate(zip(panels, places, strict=True)):
             cells = values.isel(place).values
             cells = cells.reshape(len(shown), -1, cells.shape[-1])  # one axis is longer than 1
-            draw(panel, found, across, cells, marks)
+            draw(panel, reduced, across, cells, marks)
             top = set_scale(panel, cells, logarithmic)
             seen |= (cells[..., 2] < top).any(axis=1)
-            panel.set_title(title_of(words_of(found, place), columns), fontsize=8.5)
+            panel.set_title(title_of(words_of(reduced, place), columns), fontsize=8.5)
             if number % columns == 0:
-                panel.set_ylabel(plain(measure_of(found, metric)))
+                panel.set_ylabel(plain(measure_of(reduced, metric)))
             if across and number >= len(places) - columns:
-                panel.set_xlabel(plain(label_of(found[across])))
+                panel.set_xlabel(plain(label_of(reduced[across])))
         figure.align_ylabels()
         labels = [plain(law) + " (off the axes)" * (not seen[i]) for i, law in enumerate(shown)]
-        add_legend(figure, list(zip(labels, marks, strict=True)), is_ordered(found, across))
-    return add_title(figure, found, None)
+        add_legend(figure, list(zip(labels, marks, strict=True)), is_ordered(reduced, across))
+    return add_title(figure, reduced, None)
 
 
 def panes(data: xr.Dataset, x: str | None) -> tuple[str | None, list[str]]:

@@ -82,10 +82,10 @@ def plot_heat(
     >>> [cell.get_text() for cell in panel.texts]
     ['2.00', '4.00']
     """
-    kept = select(data, metric, where)
-    law = one_of("law", law, laws_of(kept))
-    sides(kept, x, y)  # names are checked before the store is read
-    return heat(reduce(kept, metric), law, metric, x, y)
+    cells = select(data, metric, where)
+    law = one_of("law", law, laws_of(cells))
+    sides(cells, x, y)  # names are checked before the store is read
+    return heat(reduce(cells, metric), law, metric, x, y)
 
 
 def plot_regret(
@@ -120,37 +120,37 @@ def plot_regret(
     >>> panel.texts[0].get_text()
     '4.00'
     """
-    kept = select(data, quotients_of(metric), where)
-    law = one_of("law", law, laws_of(kept))
-    sides(kept, x, y)
-    oracle = oracle_or_refuse(kept)
-    return regret(reduce(kept, metric, oracle=oracle), law, metric, x, y)
+    cells = select(data, quotients_of(metric), where)
+    law = one_of("law", law, laws_of(cells))
+    sides(cells, x, y)
+    oracle = oracle_or_refuse(cells)
+    return regret(reduce(cells, metric, oracle=oracle), law, metric, x, y)
 
 
-def heat(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
+def heat(reduced: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
     """`plot_heat` of what `reduce` gives."""
-    middle = found["quantile"].sel(law=law, level=0.5, drop=True)
-    label = f"median {measure_of(found, metric)}"
+    middle = reduced["quantile"].sel(law=law, level=0.5, drop=True)
+    label = f"median {measure_of(reduced, metric)}"
     scale = scale_of(middle.values, label, "YlOrRd_r" if metric in RATES else "YlOrRd")
-    grid = grid_for(found, x, y)
-    figure = colour_map(found, grid, middle, scale, figure_of, waiting=found[NOT_RUN])
-    return add_title(figure, found, grid, f"Law “{law}”")
+    grid = grid_for(reduced, x, y)
+    figure = colour_map(reduced, grid, middle, scale, figure_of, waiting=reduced[NOT_RUN])
+    return add_title(figure, reduced, grid, f"Law “{law}”")
 
 
-def regret(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
+def regret(reduced: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
     """`plot_regret` of what `reduce` gives."""
     ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", _LOST: "100"}
-    label = f"{symbol_of(metric, found)} over the oracle's"
+    label = f"{symbol_of(metric, reduced)} over the oracle's"
     scale = Scale(LogNorm(1.0, _LOST), "YlOrRd", "max", label, ticks)
-    grid, values = grid_for(found, x, y), found["regret"].sel(law=law, drop=True)
-    figure = colour_map(found, grid, values, scale, waiting=found[NOT_RUN])
-    return add_title(figure, found, grid, f"Law “{law}”")
+    grid, values = grid_for(reduced, x, y), reduced["regret"].sel(law=law, drop=True)
+    figure = colour_map(reduced, grid, values, scale, waiting=reduced[NOT_RUN])
+    return add_title(figure, reduced, grid, f"Law “{law}”")
 
 
-def grid_for(found: xr.Dataset, x: str | None, y: str | None) -> PanelGrid:
+def grid_for(reduced: xr.Dataset, x: str | None, y: str | None) -> PanelGrid:
     """The panels of a map."""
-    across, up = sides(found, x, y)
-    return grid_of(found, (across, up), [a for a in long_axes(found) if a not in (across, up)])
+    across, up = sides(reduced, x, y)
+    return grid_of(reduced, (across, up), [a for a in long_axes(reduced) if a not in (across, up)])
 
 
 def plot_wins(
@@ -187,23 +187,25 @@ def plot_wins(
     >>> figure.axes[0].texts[0].get_text(), figure.legends[0].get_texts()[0].get_text()
     ('2.00', 'mean')
     """
-    kept = select(data, quotients_of(metric), where)
-    rivals = named_laws(kept, laws, causal(kept))
+    cells = select(data, quotients_of(metric), where)
+    rivals = named_laws(cells, laws, causal(cells))
     if not rivals:
         raise ArgumentError(
             "laws must be given where the oracle is the only law: name it, or run more laws."
         )
-    sides(kept, x, y)
-    return wins(reduce(kept, metric, rivals), rivals, metric, x, y)
+    sides(cells, x, y)
+    return wins(reduce(cells, metric, rivals), rivals, metric, x, y)
 
 
 def wins(
-    found: xr.Dataset, rivals: Sequence[str], metric: str, x: str | None, y: str | None
+    reduced: xr.Dataset, rivals: Sequence[str], metric: str, x: str | None, y: str | None
 ) -> Figure:
     """`plot_wins` of what `reduce` gives for these rivals."""
-    colours = colours_of(laws_of(found))
-    grid = grid_for(found, x, y)
-    figure = winners(found, grid, found, {law: colours[law] for law in rivals}, found[NOT_RUN])
-    second = ", and the runner-up's over it" * grid.has_figures(found)
-    lead = f"Least {symbol_of(metric, found)}{second}"
-    return add_title(figure, found, grid, lead)
+    colours = colours_of(laws_of(reduced))
+    grid = grid_for(reduced, x, y)
+    figure = winners(
+        reduced, grid, reduced, {law: colours[law] for law in rivals}, reduced[NOT_RUN]
+    )
+    second = ", and the runner-up's over it" * grid.has_figures(reduced)
+    lead = f"Least {symbol_of(metric, reduced)}{second}"
+    return add_title(figure, reduced, grid, lead)

@@ -89,7 +89,7 @@ def colour_map(
 def winners(
     data: xr.Dataset,
     grid: PanelGrid,
-    found: xr.Dataset,
+    ranking: xr.Dataset,
     colours: Mapping[str, str],
     waiting: xr.DataArray | None = None,
 ) -> Figure:
@@ -104,7 +104,7 @@ def winners(
         figure, panels = panels_of(data, grid)
         for panel, place in panels:
             best, ratio, verdict = (
-                grid.table(found[name], place) for name in ("winner", "ratio", "verdict")
+                grid.table(ranking[name], place) for name in ("winner", "ratio", "verdict")
             )
             holes = None if waiting is None else grid.table(waiting, place)
             with np.errstate(divide="ignore"):
@@ -112,7 +112,7 @@ def winners(
             texts = [["" if np.isnan(gap) else short(gap) for gap in row] for row in gaps]
             same = (verdict == 0.0) | (ratio * _READS_1 > 1.0)
             _draw(panel, palette[best], texts, same, (best < 0, holes))
-        present = np.unique(found["winner"].values)
+        present = np.unique(ranking["winner"].values)
         keys = [
             Patch(facecolor=colour, label=plain(law))
             for i, (law, colour) in enumerate(colours.items())
@@ -120,7 +120,7 @@ def winners(
         ]
         keys.append(Patch(facecolor="white", edgecolor=HATCH, hatch="////", lw=0.0, label="tied"))
         if waiting is not None:
-            keys += keys_of(found["winner"] < 0, waiting)
+            keys += keys_of(ranking["winner"] < 0, waiting)
         columns = legend_columns(figure, (str(key.get_label()) for key in keys), 5)
         figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=1.6)
     return figure

@@ -231,7 +231,7 @@ SYMBOLS = {
 }
 
 
-def symbol_of(metric: str, found: xr.Dataset | None = None) -> str:
+def symbol_of(metric: str, reduced: xr.Dataset | None = None) -> str:
     """A metric as readers call it; the cost by the weight that the dataset was made with.
 
     Examples
@@ -239,24 +239,26 @@ def symbol_of(metric: str, found: xr.Dataset | None = None) -> str:
     >>> symbol_of("ise"), symbol_of("settling_time")
     ('∫|x|²', 'settling time')
     """
-    if metric == "cost" and found is not None:
-        return formula_of(found["quantile"])
+    if metric == "cost" and reduced is not None:
+        return formula_of(reduced["quantile"])
     return SYMBOLS.get(metric, metric.replace("_", " "))
 
 
-def measure_of(found: xr.Dataset, metric: str) -> str:
+def measure_of(reduced: xr.Dataset, metric: str) -> str:
     """A metric with its unit."""
-    attributes = found["quantile"].attrs
-    name = symbol_of(metric, found)
+    attributes = reduced["quantile"].attrs
+    name = symbol_of(metric, reduced)
     unit = str(attributes.get("units", "")).replace("^2", "²")
     return f"{name} ({unit})" if unit else name
 
 
-def add_title(figure: Figure, found: xr.Dataset, grid: PanelGrid | None, lead: str = "") -> Figure:
+def add_title(
+    figure: Figure, reduced: xr.Dataset, grid: PanelGrid | None, lead: str = ""
+) -> Figure:
     """A title: what is shown, and the axes that have one value."""
     shown = () if grid is None else (grid.x, grid.y)
-    held = [axis for axis in axes_of(found) if found.sizes[axis] == 1 and axis not in shown]
-    words = ", ".join(unbroken(say(found[axis], found[axis].values[0])) for axis in held)
+    held = [axis for axis in axes_of(reduced) if reduced.sizes[axis] == 1 and axis not in shown]
+    words = ", ".join(unbroken(say(reduced[axis], reduced[axis].values[0])) for axis in held)
     title = ": ".join(part for part in (lead, words) if part)
     if title:
         width, height = figure.get_size_inches()
