@@ -42,24 +42,22 @@ def ranges_of(document: Document) -> list[Range]:
     """The numbers of a problem that can be moved, in the order of the page."""
     draft = document.draft
     run = draft["run"]
-    many = len(draft["plant"]["A"]) > 1
-    dwell_time = dwell_time_of(draft)
-    horizon = float(run["horizon"])
     ranges = [_wide(name, label, "Plant", value) for name, label, value in moved_delays(draft)]
-    if many:
+    if len(draft["plant"]["A"]) > 1:
         ranges.append(Range("distance", "Mode distance α", "Plant", 1.0, 0.0, 2.0, 0.01))
-        ranges.append(_wide("dwell_time", "Dwell time τ_d (s)", "Switching", dwell_time, 5.0))
-    names = draft["plant"].get("states") or []
-    for i, x in enumerate(run["x0"]):
-        most = _nice(5.0 * max(abs(float(v)) for v in run["x0"]) or 5.0)
-        name = names[i] if names else f"x{subscript(i + 1)}"
-        label = f"{name} at t = 0"
-        ranges.append(Range(f"run.x0.{i}", label, "Run", float(x), -most, most, most / 100.0))
+        ranges.append(
+            _wide("dwell_time", "Dwell time τ_d (s)", "Switching", dwell_time_of(draft), 5.0)
+        )
+    names = draft["plant"].get("states") or [f"x{subscript(i + 1)}" for i in range(len(run["x0"]))]
     size = max(abs(float(x)) for x in run["x0"]) or 1.0
+    most = _nice(5.0 * size)
+    for i, x in enumerate(run["x0"]):
+        label = f"{names[i]} at t = 0"
+        ranges.append(Range(f"run.x0.{i}", label, "Run", float(x), -most, most, most / 100.0))
     group, off = "Imperfections", 100.0 * delay_error(draft)
     return [
         *ranges,
-        _wide("horizon", "Horizon T (s)", "Run", horizon),
+        _wide("horizon", "Horizon T (s)", "Run", float(run["horizon"])),
         Range("delay_error", "True delay off by (%)", group, off, -20.0, 20.0, 0.1, 0.01),
         *(
             _imperfect(name, group, slider, _imperfection(draft, kind, slider.key), size)

@@ -267,12 +267,13 @@ class Page:
 
     def _about(self, outcome: ProblemOutcome) -> str:
         problem, signal = outcome.problem, outcome.signal
-        given = self.controls.signal
-        kind = "the file's" if given is None else "drawn"
-        if isinstance(given, DrawnSignal):
-            kind = f"drawn with seed {given.seed}"
-        elif isinstance(given, GivenSignal):
-            kind = given.about
+        match self.controls.signal:
+            case DrawnSignal(seed):
+                kind = f"drawn with seed {seed}"
+            case GivenSignal(about=about):
+                kind = about
+            case None:
+                kind = "the file's"
         switches = int(((signal.times > 0) & (signal.times < problem.horizon)).sum())
         diverged = [name for name, run in outcome.runs.items() if run.diverged]
         more = f" Diverged: {html.escape(', '.join(diverged))}." if diverged else ""
@@ -341,5 +342,5 @@ class Page:
             theme_toggle=True,
         )  # fmt: skip
 
-        closing.on_click(lambda _: page.param.update(sidebar_open=False))
+        closing.on_click(lambda _: setattr(page, "sidebar_open", False))
         return page

@@ -118,13 +118,8 @@ def design_record(design: Design) -> dict[str, Any]:
 
 REACHED, BEYOND = "#e4f2e4", "#f3c3a3"
 _RING: dict[str, Any] = {
-    "ls": "",
-    "marker": "o",
-    "mfc": "none",
-    "mec": COLOURS[3],
-    "mew": 1.4,
-    "markersize": 10.0,
-}
+    "ls": "", "marker": "o", "mfc": "none", "mec": COLOURS[3], "mew": 1.4, "markersize": 10.0
+}  # fmt: skip
 
 
 def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
@@ -187,7 +182,11 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
     usual = any(math.isfinite(one.plain.cost) for one in ones)
     short = any(_falls_short(one, point) for one, point in drawn)
     endless = any(math.isinf(point.margin) for _, point in drawn)
-    asked = any(one.asked or one.input_limit is not None for one in ones)
+    limited, slow = any(one.input_limit is not None for one in ones), "slower than asked"
+    if limited:
+        slow = "slow, or |u| too large" if any(one.decay_asked for one in ones) else "|u| too large"
+    hollow = f"hollow: {slow}"
+    wishes = ["margin"] * any(one.asked for one in ones) + ["limit"] * limited
     beyond = any(100.0 * min(each.most for each in one.limits) < _right(one) for one in ones)
     return [
         *key(any(len(_front(one)) > 1 for one in ones), "least cost for a margin", lw=1.0, **blue),
@@ -195,9 +194,9 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
         *key(filtered, "gains and a filter", marker="s", **green, **dot),
         *key(usual, "plain design", color=COLOURS[6], marker="X", **dot),
         *key(any(point.law is one.law for one, point in drawn), "chosen", **_RING),
-        *key(short, _hollow(designs), color="grey", mfc="none", marker="o", **dot),
+        *key(short, hollow, color="grey", mfc="none", marker="o", **dot),
         *key(endless, "stable whatever the delay", color="grey", marker=">", **dot),
-        *key(asked, _dashed(designs), color=COLOURS[1], ls="--", lw=1.0),
+        *key(bool(wishes), f"{' and '.join(wishes)} asked for", color=COLOURS[1], ls="--", lw=1.0),
         Patch(facecolor=REACHED, label="within reach, by mode"),
         *[Patch(facecolor=BEYOND, label="beyond reach in some mode")] * beyond,
     ]
@@ -283,22 +282,6 @@ def _mark(panel: Axes, design: Design, point: TradeOff, x: np.ndarray, y: np.nda
 def _falls_short(design: Design, point: TradeOff) -> bool:
     """Of what the axes do not show."""
     return bool({DECAY, LIMIT} & set(design.missed(point)))
-
-
-def _dashed(designs: Mapping[str, Design]) -> str:
-    words = {
-        "margin": any(one.asked for one in designs.values()),
-        "limit": any(one.input_limit is not None for one in designs.values()),
-    }
-    return f"{' and '.join(word for word, there in words.items() if there)} asked for"
-
-
-def _hollow(designs: Mapping[str, Design]) -> str:
-    limited = any(one.input_limit is not None for one in designs.values())
-    if not limited:
-        return "hollow: slower than asked"
-    slow = any(one.decay_asked for one in designs.values())
-    return "hollow: slow, or |u| too large" if slow else "hollow: |u| too large"
 
 
 def _points_to_draw(design: Design) -> list[TradeOff]:

@@ -18,19 +18,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.json_records import plain
 from deadtime.base.latex import booktabs
 from deadtime.base.wording import compact
+from deadtime.reports.figures.sweeps import selection
 from deadtime.reports.figures.sweeps.panels import symbol_of
 from deadtime.reports.figures.sweeps.reduction import quantiles, score_of
-from deadtime.reports.figures.sweeps.selection import (
-    RATES,
-    RUNS,
-    laws_of,
-    long_axes,
-    metrics_of,
-    one_of,
-    oracle_of,
-    select,
-    text_of,
-)
 from deadtime.scenarios.dataset import Comparison, formula_of
 from deadtime.scenarios.paired_statistics import (
     Proportion,
@@ -410,26 +400,27 @@ def sweep_table(data: xr.Dataset, metric: str | None = None) -> SweepTable:
     """
     import xarray as xr
 
-    known = metrics_of(data)
+    known = selection.metrics_of(data)
     default = "ise" if "ise" in known else known[0]
-    metric = default if metric is None else one_of("metric", metric, known)
-    cells = select(data, metric)
-    laws, oracle = laws_of(cells), oracle_of(cells) if metric not in RATES else ""
+    metric = default if metric is None else selection.one_of("metric", metric, known)
+    cells = selection.select(data, metric)
+    laws = selection.laws_of(cells)
+    oracle = "" if metric in selection.RATES else selection.oracle_of(cells)
     found = xr.apply_ufunc(
         _figures,
         score_of(cells, metric),
         kwargs={"oracle": laws.index(oracle) if oracle else -1},
-        input_core_dims=[RUNS],
+        input_core_dims=[selection.RUNS],
         output_core_dims=[("law", "part")],
         dask="parallelized",
         output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {"part": _PARTS}},
     ).compute()
-    axes = long_axes(cells)
+    axes = selection.long_axes(cells)
     rows = []
     for place in np.ndindex(found.shape[:-1]):
         at = dict(zip(found.dims, place, strict=False))
-        cell = [text_of(cells[name].values[at[name]]) for name in axes]
+        cell = [selection.text_of(cells[name].values[at[name]]) for name in axes]
         rows.append([laws[at["law"]], *cell, *_row(found.values[place], metric, bool(oracle))])
     ratio = [f"/ {oracle}", "95 % interval"] if oracle else []
     symbol = formula_of(cells[metric]) if metric == "cost" else symbol_of(metric)
@@ -458,7 +449,7 @@ def _figures(runs: Runs, oracle: int) -> np.ndarray:
 def _row(parts: np.ndarray, metric: str, ratio: bool) -> list[str]:
     if math.isnan(parts[0]):
         return ["–"] * (5 if ratio else 3)
-    if metric in RATES:  # of either sign; −∞ where runs diverged
+    if metric in selection.RATES:  # of either sign; −∞ where runs diverged
         low, high = (f"{end:+.3g}" for end in parts[1:3])
         middle = [f"{parts[0]:+.3g}", f"{low} to {high}"]
     else:

@@ -14,7 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deadtime.base.checks import reporter
@@ -203,8 +202,7 @@ def plot_tightness(result: Tightness, title: str | None = None) -> Figure:
 
     Between two steps stands how many times farther the second one reaches.
     """
-    rows = [*result.reaches]
-    count = len(rows)
+    rows, count = result.reaches, len(result.reaches)
     with rc_context(STYLE):
         figure = new_figure(WIDTH, 1.15 + 0.38 * count)
         axes = figure.subplots()
@@ -215,7 +213,14 @@ def plot_tightness(result: Tightness, title: str | None = None) -> Figure:
         left, right = left - 0.06 * room, right + 0.3 * room
         axes.axvline(own, color="#888888", linewidth=0.9, linestyle="--")
         for row, reach in enumerate(rows):
-            _reach_bar(axes, row, reach, left)
+            colour, end = COLOURS[0 if reach.stable else 1], reach.log10_distance
+            if reach.stable:
+                axes.plot([left, end], [row, row], color=colour, lw=3.0, solid_capstyle="butt")
+            axes.plot([end], [row], "o" if reach.stable else "X", color=colour, markersize=6.0)
+            axes.annotate(
+                _distance_text(end), (end, row), (6.0, 0.0), textcoords="offset points",
+                va="center", fontsize=8.5, bbox={"facecolor": "white", "lw": 0.0, "pad": 1.0},
+            )  # fmt: skip
         for row, (before, after) in enumerate(pairwise(rows)):
             gain = after.log10_distance - before.log10_distance
             if gain >= 0.05 and after.stable:
@@ -241,17 +246,8 @@ def plot_tightness(result: Tightness, title: str | None = None) -> Figure:
     return figure
 
 
-def _reach_bar(axes: Axes, row: int, reach: Reach, left: float) -> None:
-    colour = COLOURS[0] if reach.stable else COLOURS[1]
-    end = reach.log10_distance
-    if reach.stable:
-        axes.plot([left, end], [row, row], color=colour, linewidth=3.0, solid_capstyle="butt")
-    axes.plot([end], [row], "o" if reach.stable else "X", color=colour, markersize=6.0)
-    text = f"10^{end:.0f}"
-    if end > -300.0:
-        value = 10.0**end
-        text = f"{value:#.4g}".rstrip(".") if 1e-3 <= value < 1e5 else amount(value)
-    axes.annotate(
-        text, (end, row), (6.0, 0.0), textcoords="offset points", va="center", fontsize=8.5,
-        bbox={"facecolor": "white", "linewidth": 0.0, "pad": 1.0},
-    )  # fmt: skip
+def _distance_text(log10: float) -> str:
+    if log10 <= -300.0:
+        return f"10^{log10:.0f}"
+    value = 10.0**log10
+    return f"{value:#.4g}".rstrip(".") if 1e-3 <= value < 1e5 else amount(value)

@@ -109,14 +109,12 @@ def _imperfections(result: Comparison) -> list[str]:
     """Imperfections of the runs, which laws do not know of."""
     problem, parts = result.problem, []
     if problem.model is not None:
-        pairs = {
-            name: (getattr(problem.plant, name), getattr(problem.model, name)) for name in "AB"
-        }
-        differ = [name for name, pair in pairs.items() if not np.array_equal(*pair)]
+        plant, model = problem.plant, problem.model
+        differ = [X for X in "AB" if not np.array_equal(getattr(plant, X), getattr(model, X))]
         parts += [f"{' and '.join(differ)} of the plant differ from the laws' model"] * bool(differ)
-        if not np.array_equal(problem.plant.delays, problem.model.delays):
-            true, believed = problem.plant.delay_text, problem.model.delay_text
-            parts.append(f"the true delay is {true} s, the model's {believed} s")
+        if not np.array_equal(plant.delays, model.delays):
+            delays = plant.delay_text, model.delay_text
+            parts.append("the true delay is {} s, the model's {} s".format(*delays))
     parts += problem.imperfections_in_words
     return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
 

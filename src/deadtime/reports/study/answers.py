@@ -13,16 +13,7 @@ import numpy as np
 
 from deadtime.base.wording import amount
 from deadtime.problems.law_registry import LEVELS, the_law
-from deadtime.reports.study.findings import (
-    LOST,
-    against_best,
-    duel,
-    favourite,
-    steadier,
-    summary,
-    typical_regret,
-    unbeaten,
-)
+from deadtime.reports.study import findings
 from deadtime.reports.study.phrases import (
     Answer,
     AnswerTable,
@@ -80,7 +71,7 @@ MOST, FEW = 0.95, 0.05  # shares of the signals stabilised
 
 def averaged_or_mean(data: xr.Dataset) -> Answer:
     """When the averaged law is better than the mean law."""
-    fight = duel(data, AVERAGED, MEAN)
+    fight = findings.duel(data, AVERAGED, MEAN)
     first, second, neither, total = tally(fight.verdict)
     sentences = [
         f"The averaged law (2) is better in {of_cells(first, total)}, the mean law (80) in "
@@ -110,7 +101,7 @@ def _where_it_wins(
     if not cells.any():
         return []
     where, count = region(cells), int(cells.sum())
-    calm = summary(data).stabilised.sel(law=law).values[cells.values]
+    calm = findings.summary(data).stabilised.sel(law=law).values[cells.values]
     place = f"Where {the_law(law)} wins" + (f", at {where}," if where else "")
     return [
         f"{place} its ∫|x|² is {span(ratio.values[cells.values])}; there it stabilises more than "
@@ -136,9 +127,9 @@ def _trend_in_dwell_time(fight: xr.Dataset) -> str:
 
 
 def _trend_in_distance(data: xr.Dataset) -> str:
-    calm = summary(data).stabilised
+    calm = findings.summary(data).stabilised
     dims = [dim for dim in calm.dims if dim not in ("law", "distance")]
-    more, fewer, _, total = tally(steadier(data, MEAN, AVERAGED))
+    more, fewer, _, total = tally(findings.steadier(data, MEAN, AVERAGED))
     ends = []
     for alpha in (float(data.distance.min()), float(data.distance.max())):
         shares = calm.sel(distance=alpha).mean(dims)
@@ -159,7 +150,7 @@ def gain_from_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
     sentences, tables = [], []
     for law in plain:
         aware = law + AWARE
-        fight = duel(data, aware, law)
+        fight = findings.duel(data, aware, law)
         better, worse, _, total = tally(fight.verdict)
         sentences.append(
             f"With the dwell time known, {the_law(law)} does better in {of_cells(better, total)} "
@@ -174,7 +165,7 @@ def gain_from_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
 
 def gain_from_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
     """The gain of the expected law over the best law that knows the dwell time at most."""
-    fight, rival = against_best(data, EXPECTED, rivals), favourite(data, rivals)
+    fight, rival = findings.against_best(data, EXPECTED, rivals), findings.favourite(data, rivals)
     better, worse, _, total = tally(fight.verdict)
     sentences = [
         "Against the best of the laws that know the dwell time at most, chosen anew in every "
@@ -184,7 +175,7 @@ def gain_from_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
         *_cost(fight),
         *_stability(data, EXPECTED, rival),
     ]
-    regret = summary(data).regret.sel(law=EXPECTED).values
+    regret = findings.summary(data).regret.sel(law=EXPECTED).values
     sentences.append(
         "Beside the oracle, which has the same gains and knows the future as well: its ∫|x|² is "
         f"{times_the_oracle(regret)}."
@@ -250,10 +241,10 @@ def _cost(fight: xr.Dataset) -> list[str]:
 
 def _stability(data: xr.Dataset, law: str, other: str) -> list[str]:
     """Whether a law stabilises more signals than another, and where by most."""
-    more, fewer, _, total = tally(steadier(data, law, other))
+    more, fewer, _, total = tally(findings.steadier(data, law, other))
     if not (more or fewer):
         return []
-    calm = summary(data).stabilised
+    calm = findings.summary(data).stabilised
     rise = calm.sel(law=law) - calm.sel(law=other)
     place = place_of(rise, int(np.nanargmax(rise.values)))
     after, before = (percent(float(calm.sel(law=name, **place))) for name in (law, other))
@@ -303,7 +294,7 @@ def which_law(data: xr.Dataset) -> Answer:
     chosen: dict[str, str] = {}
     for level in LEVELS[:-1]:
         if any(knowledge_of(law) == level for law in laws):
-            chosen[level] = favourite(data, within(laws, level))
+            chosen[level] = findings.favourite(data, within(laws, level))
     sentences = [_advice(chosen)] if chosen else []
     sentences += [_record(data, level, law, within(laws, level)) for level, law in chosen.items()]
     return Answer("Which law to use?", (*sentences, *_where_any_will_do(data, laws)))
@@ -322,11 +313,14 @@ def _advice(chosen: dict[str, str]) -> str:
 
 def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
     """How a law fares, and how it fares among those that know as much."""
-    figures, cells = summary(data).sel(law=law), int(unbeaten(data, able).sel(law=law).sum())
+    figures, cells = (
+        findings.summary(data).sel(law=law),
+        int(findings.unbeaten(data, able).sel(law=law).sum()),
+    )
     regret, calm = figures.regret.values, figures.stabilised.values
-    typical, worst = float(typical_regret(data).sel(law=law)), float(np.nanmax(regret))
-    capped = int(np.sum(~(regret <= LOST)))
-    how = f", {of_cells(capped, regret.size)} counted as {LOST:g} times" if capped else ""
+    typical, worst = float(findings.typical_regret(data).sel(law=law)), float(np.nanmax(regret))
+    capped = int(np.sum(~(regret <= findings.LOST)))
+    how = f", {of_cells(capped, regret.size)} counted as {findings.LOST:g} times" if capped else ""
     return (
         f"Knowing {WORDS[level]}: {the_law(law)}. Its ∫|x|² is {amount(typical)} times the "
         f"oracle’s, the geometric mean over the grid{how}, and {amount(worst)} times in "
@@ -338,7 +332,7 @@ def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
 
 
 def _where_any_will_do(data: xr.Dataset, laws: list[str]) -> list[str]:
-    regret = summary(data).regret.sel(law=[law for law in laws if not law.endswith(CRUDE)])
+    regret = findings.summary(data).regret.sel(law=[law for law in laws if not law.endswith(CRUDE)])
     if regret.sizes["law"] < 2:
         return []
     alike = regret.max("law", skipna=False) < CLOSE * regret.min("law", skipna=False)

@@ -86,7 +86,6 @@ def plot_lines(data: xr.Dataset, laws: Sequence[str]) -> Figure:
     place = reference(data)
     figures, times = summary(data).sel(place).transpose(..., "law", "dwell_time"), data.dwell_time
     cells = [figures[name].sel(law=laws).values for name in ("regret_low", "regret", "regret_high")]
-    seen = (cells[1] <= LOST).any(axis=1)
     with rc_context(STYLE):
         figure = new_figure(WIDTH, 3.5)
         axes = figure.subplots()
@@ -98,7 +97,7 @@ def plot_lines(data: xr.Dataset, laws: Sequence[str]) -> Figure:
                 np.flatnonzero(shown) + 0.05 * (number - (len(laws) - 1) / 2.0),
                 middle[shown], gaps, fmt="s--" if law.endswith(AWARE) else "o-",
                 color=colour_of(law), markersize=3.5, capsize=2.0,
-                label=plain(law) + " (off the axis)" * (not seen[number]),
+                label=plain(law) + " (off the axis)" * (not np.any(middle <= LOST)),
             )  # fmt: skip
         near = np.array([1.0, *(value for value in np.ravel(cells) if value <= LOST)])
         set_scale(axes, np.stack([near] * 3, axis=-1), is_wide(near))

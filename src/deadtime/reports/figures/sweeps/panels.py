@@ -7,7 +7,7 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-Colour = tuple[float, float, float]
 HATCH = "#a0a0a0"
 NOT_BUILT, NOT_RUN = (0.93, 0.93, 0.93), (0.985, 0.985, 0.985)
 FIGURES = 24  # cells along a side of a panel up to which each has its figure
@@ -184,9 +183,7 @@ def draw_cells(
     """All cells of a panel; figures and borders only where they are few enough to be read."""
     if max(tied.shape) <= FIGURES:
         for at in itertools.product(*map(range, tied.shape)):
-            red, green, blue = map(float, shades[at])
-            row, column = at
-            draw_cell(panel, at, (red, green, blue), texts[row][column], bool(tied[at]))
+            _draw_cell(panel, at, shades[at], texts[at[0]][at[1]], bool(tied[at]))
         return
     pale = np.where(tied[..., None], 0.6 + 0.4 * shades, shades)
     ends = (-0.5, tied.shape[1] - 0.5, -0.5, tied.shape[0] - 0.5)
@@ -199,27 +196,20 @@ def draw_cells(
         )
 
 
-def draw_cell(panel: Axes, at: tuple[int, ...], colour: Colour, text: str, tied: bool) -> None:
+def _draw_cell(panel: Axes, at: tuple[int, ...], colour: np.ndarray, text: str, tied: bool) -> None:
     """One cell: its colour, paler and hatched where tied, and its figure in black or white."""
     row, column = at
-    corner = (column - 0.5, row - 0.5)
-    red, green, blue = (0.6 + 0.4 * part if tied else part for part in colour)
-    shade = (red, green, blue)
-    panel.add_patch(Rectangle(corner, 1, 1, facecolor=shade, edgecolor="white", linewidth=0.8))
+    corner, shade = (column - 0.5, row - 0.5), 0.6 + 0.4 * colour if tied else colour
+    look: dict[str, Any] = {"facecolor": shade.tolist()}
+    panel.add_patch(Rectangle(corner, 1, 1, **look, edgecolor="white", linewidth=0.8))
     if tied:
         panel.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=HATCH, hatch="////", lw=0.0))
     dark = float(np.dot(shade, (0.299, 0.587, 0.114))) < 0.5
-    box = {"boxstyle": "square,pad=0.1", "facecolor": shade, "linewidth": 0.0}
     panel.text(
-        column,
-        row,
-        text,
-        ha="center",
-        va="center",
-        fontsize=6.2,
+        column, row, text, ha="center", va="center", fontsize=6.2,
         color="white" if dark else "black",
-        bbox=box if tied else None,
-    )
+        bbox={"boxstyle": "square,pad=0.1", "linewidth": 0.0, **look} if tied else None,
+    )  # fmt: skip
 
 
 SYMBOLS = {

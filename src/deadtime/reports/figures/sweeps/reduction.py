@@ -72,18 +72,14 @@ def reduce(
     reduced = reduced.drop_vars("best").assign(
         winner=winner.fillna(-1.0).astype(int), ratio=ratio, verdict=verdict
     )
-    reduced[NOT_RUN] = _not_run(data, winner).transpose(*axes_of(data))
+    every = xr.ones_like(winner, dtype=bool)
+    done = (data["done"] == 1).compute() if "done" in data else every
+    reduced[NOT_RUN] = (~done).transpose(*axes_of(data))
     reduced.attrs = dict(data.attrs)
     reduced["quantile"].attrs = dict(data[metric].attrs)
     for name in axes_of(data):
         reduced[name].attrs = dict(data[name].attrs)
     return reduced
-
-
-def _not_run(data: xr.Dataset, like: xr.DataArray) -> xr.DataArray:
-    import xarray as xr
-
-    return ~(data["done"] == 1).compute() if "done" in data else xr.zeros_like(like, dtype=bool)
 
 
 def _of_cells(
