@@ -1,4 +1,4 @@
-"""Jobs of a page in other processes, and the bar that says how far one is."""
+"""Background jobs of a page in other processes, and their progress bar."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deadtime.app.workers import Job, Progress, Workers
 
 
 class BackgroundJobs:
-    """Jobs that are out, of one part of a page."""
+    """The running jobs of one part of a page."""
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
@@ -33,12 +33,12 @@ class BackgroundJobs:
     ) -> None:
         """Run a job in another process, then go on here with its result or its error.
 
-        Nothing comes of one that was stopped. `on_progress` is called with what the job reports.
+        A stopped job calls neither. `on_progress` is called with each report of the job.
         """
         browser, ticket = pn.state.curdoc, object()
 
         def here(act: Callable[[], None]) -> None:
-            """Do something in the page's turn, if the job is still wanted then."""
+            """Act in the page's event loop, unless the job is stopped by then."""
 
             def unless_stopped() -> None:
                 if ticket in self._running:
@@ -70,7 +70,7 @@ class BackgroundJobs:
         future.add_done_callback(on_finished)
 
     def stop(self) -> None:
-        """End all that is out."""
+        """Stop all running jobs."""
         running, self._running = self._running, {}
         for future in running.values():
             if future is not None:
@@ -81,7 +81,7 @@ _TICK = 1000  # milliseconds between looks at the clock
 
 
 class ProgressBar:
-    """A bar, and a line on what is being done; after `limit` seconds that is given up."""
+    """A bar, and a line with the stage, the seconds elapsed and the limit."""
 
     def __init__(self, limit: float) -> None:
         self._limit, self._stage, self._began = limit, "", 0.0
@@ -91,7 +91,7 @@ class ProgressBar:
         self.view = [self._bar, self.text]
 
     def show(self, stage: str) -> None:
-        """Say what is being done; the clock begins with the first."""
+        """Show a stage; the first starts the clock."""
         self._stage, begins = stage, not self.text.visible
         if begins:
             self._began = time.monotonic()
@@ -102,7 +102,7 @@ class ProgressBar:
         self._tick()
 
     def hide(self) -> None:
-        """There is nothing more to wait for."""
+        """Hide the bar and stop the clock."""
         self._bar.visible = self.text.visible = False
         if self._clock is not None:
             browser, tick = self._clock

@@ -1,4 +1,4 @@
-"""The widgets of a page: what can be moved, between which ends, and what they say as `Settings`."""
+"""The widgets of a page: the numbers that can be moved, their ranges, and their `Settings`."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _imperfection(draft: Mapping[str, Any], kind: str, key: str) -> float:
 
 
 def _imperfect(name: str, group: str, slider: Slider, value: float, size: float) -> Range:
-    """From none of an imperfection to twice the file's, or what is much for a state."""
+    """From 0 to twice the value of the file, or to a large value relative to the state."""
     most = _nice(max(slider.reach * size, 2.0 * value))
     return Range(name, slider.label, group, value, 0.0, most, most / slider.steps)
 
@@ -160,7 +160,7 @@ class Controls:
         self.original.on_click(lambda _: self.choose(None))
 
     def settings(self) -> Settings:
-        """All that was moved and chosen."""
+        """The values that were moved and the choices."""
         values: dict[str, Any] = {}
         for name, slider in self.sliders.items():
             one = self.ranges[name]
@@ -174,7 +174,7 @@ class Controls:
         return Settings(values, laws, self.signal)
 
     def value(self, name: str) -> float:
-        """Where a parameter stands."""
+        """The value of a parameter."""
         return float(self.sliders[name].value) * self.ranges[name].scale
 
     def choose(self, signal: DrawnSignal | GivenSignal | None) -> None:
@@ -205,7 +205,7 @@ class Controls:
 def download_button(
     label: str, filename: str, make: Callable[[], bytes], **look: Any
 ) -> pmui.FileDownload:
-    """A button that downloads what `make` gives when it is pressed."""
+    """A button that downloads the bytes from `make`."""
     button = pmui.FileDownload(
         label=label, filename=filename, callback=lambda: io.BytesIO(make()), margin=4, **look
     )

@@ -1,4 +1,4 @@
-"""The card of a log: a form for its columns, how far identification is, and what was found."""
+"""The card of a log: a form for its columns, the progress, and the identified plant."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class LogForm:
         )  # fmt: skip
 
     def fill(self, columns: Columns) -> None:
-        """Offer the columns of a log, and choose those that names tell."""
+        """Offer the columns of a log, with roles chosen by their names."""
         guess, self.roles = columns.guess, {}
         known = dict.fromkeys(guess.states, STATE) | dict.fromkeys(guess.inputs, INPUT)
         if isinstance(guess.modes, str):
@@ -78,12 +78,12 @@ class LogForm:
         return tuple(name for name, one in self.roles.items() if one.value == role)
 
     def request(self) -> LogRequest:
-        """The question that the form asks.
+        """The request that the form states.
 
         Raises
         ------
         ArgumentError
-            If something was not said, or cannot be.
+            If an entry is missing or impossible.
         """
         states, inputs, column = (self._of(role) for role in (STATE, INPUT, MODE))
         for role, chosen in ((STATE, states), (INPUT, inputs)):
@@ -109,7 +109,7 @@ class LogForm:
         return not self._of(MODE) and self.modes.value == HIDDEN
 
     def _on_modes(self, _: Any = None) -> None:
-        """Show what can be asked of modes, which depends on who knows of them."""
+        """Show the fields of modes, which depend on whether these were logged."""
         logged, hidden = bool(self._of(MODE)), self._hidden()
         self.modes.visible = not logged
         self.least.visible = self.most.visible = hidden
@@ -206,7 +206,7 @@ class LogCard:
         )  # fmt: skip
 
     def identify(self) -> None:
-        """Identify the plant, as the form asks."""
+        """Identify the plant, by the form."""
         try:
             self._request = self.form.request()
         except ArgumentError as error:
@@ -263,7 +263,7 @@ class LogCard:
             self._page.refuse(str(error))
 
     def _command(self) -> str:
-        """The command that asks this without a limit."""
+        """The command line for this request, which has no limit."""
         return "" if self._request is None else self._request.command(self._name)
 
     def _without_likelihood(self, why: str) -> None:
@@ -275,7 +275,7 @@ class LogCard:
     # -- its end ---------------------------------------------------------------------------
 
     def stop(self) -> None:
-        """Cancel what is being computed; what was found stays."""
+        """Cancel the computation; results so far stay."""
         self._jobs.stop()
         self._idle()
         if self._plant is not None:
@@ -284,14 +284,14 @@ class LogCard:
             self._page.say("Cancelled. Nothing was changed.")
 
     def close(self) -> None:
-        """Let go of the log, and show nothing of it."""
+        """Close the log and hide the card."""
         self.drop()
         self._idle()
         self._forget_plant()
         self.view.visible = False
 
     def drop(self) -> None:
-        """Let go of the log, touching no widget: their document may be gone."""
+        """Release the log, touching no widget: their document may be gone."""
         self._jobs.stop()
         self._name, self._content, self._report = "", b"", b""
         self._request = self._plant = None

@@ -1,4 +1,4 @@
-"""One session of the explorer: what a person sees, and what happens when something is moved."""
+"""One session of the explorer: the page, and its response when something is moved."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class Page:
         )
 
     def take(self, name: str, size: int, content: bytes | None) -> None:
-        """Open what was chosen or dropped; what is too large came without its content."""
+        """Open a chosen or dropped file; one that is too large comes without its content."""
         ending = name.lower().rpartition(".")[2]
         if ending not in ("csv", "toml"):
             self.refuse(
@@ -180,7 +180,7 @@ class Page:
         self._jobs.begin(limit, done, lambda error: failed(str(error)), job, *given)
 
     def close(self) -> None:
-        """The session is over: let go of what it holds, whoever still holds the page.
+        """The session is over: release its objects, also where the page itself lives on.
 
         Its document is gone, so no widget is touched.
         """
@@ -195,7 +195,7 @@ class Page:
     # -- showing ---------------------------------------------------------------------------
 
     def touch(self) -> None:
-        """Something was moved: run again soon, once for all that comes until then."""
+        """Schedule one run for all changes until it starts."""
         if self._scheduled:
             return
         self._scheduled = True
@@ -205,7 +205,7 @@ class Page:
             pn.state.curdoc.add_next_tick_callback(self.update)
 
     def update(self) -> None:
-        """Run what the controls say and show it; an error leaves what is shown."""
+        """Run the settings of the controls; after an error the page stays as it is."""
         self._scheduled = False
         if not self._closed:
             self.attempt(self._run)
@@ -217,13 +217,13 @@ class Page:
         self._move(outcome)
 
     def draft(self, without: Sequence[str] = ()) -> dict[str, Any]:
-        """The problem file of what is shown, or with some parameters left where they were."""
+        """The problem file of the settings, some parameters left as in the document."""
         settings = self.controls.settings()
         values = {name: one for name, one in settings.values.items() if name not in without}
         return draft_of(self.document, self.offer, replace(settings, values=values))
 
     def toml(self) -> str:
-        """The problem file of what is shown, without laws that were added and do not run."""
+        """The problem file shown, without added laws that do not run."""
         draft = dict(self._shown)
         own = self.document.draft.get("law", [])
         if "law" in draft:
@@ -232,7 +232,7 @@ class Page:
         return to_toml(self.document, draft)
 
     def attempt(self, act: Callable[[], None]) -> bool:
-        """Do something that may be refused, and say why; whether it was done."""
+        """Try an action and report a refusal; whether the action succeeded."""
         try:
             act()
         except (DeadtimeError, ValueError, OverflowError) as error:

@@ -1,7 +1,7 @@
 """Serve the explorer: on this machine alone, unless told otherwise; sessions begin and end here.
 
-A session costs memory for as long as it lives. One to which no browser came, as that of a plain
-GET, soon ends; there are never more than so many; and what ended leaves nothing behind.
+A session costs memory for as long as it lives. One without a browser, as that of a plain GET, soon
+ends; their number is limited; and an ended session releases its memory.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Sessions:
             IOLoop.current().call_later(_REST, self._sweep)
 
     def _sweep(self) -> None:
-        """Collect what all sessions left that ended a moment ago."""
+        """Release the memory of all sessions that ended a moment ago."""
         self._sweeps = False
         gc.collect()
         with suppress(OSError, AttributeError):  # glibc keeps free memory for itself
@@ -201,7 +201,7 @@ def serve(
 
 
 def _quieten() -> None:
-    """Only what is worth a line, in terms of this command."""
+    """Log only errors, in terms of this command."""
     browsers = logging.getLogger("bokeh.server.views.ws")
     browsers.setLevel(logging.ERROR)
     browsers.addFilter(_in_our_words)
@@ -218,7 +218,7 @@ def _in_our_words(record: logging.LogRecord) -> bool:
 
 
 def _unless_closed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Say nothing of browsers that leave while something is on its way to them."""
+    """Ignore browsers that leave while a message is on its way to them."""
     if type(context.get("exception")).__name__ not in ("WebSocketClosedError", "StreamClosedError"):
         loop.default_exception_handler(context)
 

@@ -63,7 +63,7 @@ class LogRequest(NamedTuple):
     per_mode: bool = False
 
     def command(self, name: str) -> str:
-        """The command that asks the same, and has no limit."""
+        """The command line for this request, which has no limit."""
         words = ["deadtime", "identify", f"{file_stem(name)}.csv"]
         words += [word for one in self.states for word in ("--states", one)]
         words += [word for one in self.inputs for word in ("--inputs", one)]
@@ -79,7 +79,7 @@ class LogRequest(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """The columns of a log at a look, and a guess of what is asked of it.
+    """The columns of a log, and a guess of the request.
 
     rows, step : how many, and the median of the time between two, seconds
     names : all columns but that of the time
@@ -99,7 +99,7 @@ class Columns(NamedTuple):
 
 
 class IdentifiedPlant(NamedTuple):
-    """A problem made of a log, and what was found.
+    """A problem made of a log, and the results of its identification.
 
     delays : name, estimate and the ends of the interval of each, seconds
     verdicts : delay errors that the laws tolerate, beside the uncertainty of the log
@@ -179,7 +179,7 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
 
 
 def _is_of_numbers(column: Any) -> bool:
-    """Whether most of what a column says are numbers; a slip among them is identify's to name."""
+    """Whether most values of a column are numbers; `identify` reports the others."""
     import pandas as pd
 
     present = np.asarray(column.notna())
@@ -199,7 +199,7 @@ def open_log(
     Raises
     ------
     ArgumentError
-        If it is malformed, or does not tell the plant; the line is named.
+        If it is malformed, with the line, or does not determine the plant.
     """
     source = _write_upload(name, content, folder)
     modes = request.modes
@@ -294,7 +294,7 @@ def _off(value: float, low: float, high: float) -> str:
 
 
 def details_html(plant: IdentifiedPlant) -> str:
-    """Predictions and modes; to be opened, what is left, and the table of all unknowns."""
+    """Predictions and modes; folded, the residuals and the table of all unknowns."""
     return render("found.html.j2", pictures=plant.pictures, headings=HEADINGS, rows=plant.rows)
 
 

@@ -1,7 +1,7 @@
 """Processes for jobs that take longer than a moment, each with a limit of time.
 
-A page stays as quick as it is while they work, and a problem that never ends hurts nobody: its
-process is ended, and another takes its place. Jobs go in and out as plain data.
+A page stays responsive while they work. The process of a job that takes too long is ended, and
+another takes its place. Jobs and results are plain data.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class TooLongError(ArgumentError):
 
 
 class StoppedError(ArgumentError):
-    """A job was stopped, since nobody waits for it any more."""
+    """A job was stopped, since its result is no longer needed."""
 
 
 class _Job(NamedTuple):
@@ -84,7 +84,7 @@ class Workers:
         return future
 
     def stop(self, future: Future[Any]) -> None:
-        """End a job that nobody waits for any more, begun or not: others are waiting."""
+        """End a job whose result is no longer needed, started or not."""
         with self._lock:
             self._waiting.pop(future, None)
             if future.cancel() or future.done():

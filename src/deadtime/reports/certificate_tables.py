@@ -163,7 +163,7 @@ def uncertain_plant(problem: Problem) -> PlantUncertainty:
 
 
 def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) -> list[str]:
-    """Which plants an answer is about, where the file leaves some open."""
+    """The plants that an answer covers, where the file leaves some open."""
     if problem.uncertain is None:
         return []
     if uncertain:
@@ -345,9 +345,9 @@ def _shorten(value: float, rounding: str) -> str:
 
 
 def delay_sentence(problem: Problem) -> list[str]:
-    """The delay margin of the problem's first law; nothing where that cannot be asked.
+    """The delay margin of the problem's first law, or that it was left out since it takes long.
 
-    Where it would take long, that it was left out.
+    Nothing where it does not exist.
     """
     from deadtime.margins.delay import constant_delay_margin
     from deadtime.spectrum.held_mode_checks import why_left_out

@@ -91,7 +91,7 @@ def plot_fit(
     Parameters
     ----------
     model : SemiMarkov
-        Fitted to these signals, or any other that is to be held against them.
+        Fitted to these signals, or any other to compare with them.
     signals : SwitchingSignal, or list of them
         The logs.
     modes : sequence of str, optional

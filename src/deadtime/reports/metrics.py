@@ -30,7 +30,7 @@ _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyS
 
 
 def measure_title(measure: str, weight: Weight | None) -> str:
-    """The heading of a table of what laws are ranked by, or of ∫|x|²."""
+    """The heading of a table of the measure that ranks the laws, or of ∫|x|²."""
     if measure == "iae":
         return f"{TRACKING_ERROR} over the whole run"
     return f"Cost, {text_of(weight)}" if measure == "cost" else "∫|x|²"

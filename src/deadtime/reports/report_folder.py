@@ -54,7 +54,7 @@ def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[s
 
 
 def inlined(figure: Figure) -> tuple[bytes, str]:
-    """A figure as PNG, and that as the address of an image in a page."""
+    """A figure as PNG, and the data address of that image."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     png = buffer.getvalue()

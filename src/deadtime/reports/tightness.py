@@ -60,7 +60,7 @@ class Tightness:
     margin : StabilityMargin or None
         The bracket that ends in the last two.
     message : str
-        What was gained, or why something is missing.
+        The gain of each certificate over the one before, or why something is missing.
     """
 
     reaches: tuple[Reach, ...]
@@ -200,7 +200,7 @@ def _improvements(reaches: list[Reach]) -> list[str]:
 def plot_tightness(result: Tightness, title: str | None = None) -> Figure:
     r"""How far each certificate reaches, on a logarithmic axis of the distance.
 
-    Between two steps stands how many times farther the second one reaches.
+    The number between two rows is the ratio of their distances.
     """
     rows, count = result.reaches, len(result.reaches)
     with rc_context(STYLE):

@@ -1,4 +1,4 @@
-"""The verdict: what a comparison measured, in plain sentences."""
+"""The verdict: the measurements of a comparison in plain sentences."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SAME = 1e-9  # costs that differ by less, relative, differ by round-off
 
 
 def verdict(result: Comparison) -> list[str]:
-    """Plain sentences, each made from measured figures; numbers that do not fit each other lead.
+    """Plain sentences, each made from measured figures; unit checks come first.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Answers in plain sentences, every one computed from a study's data.
 
 Which law to use; the two open questions of arXiv 2503.08446: law (2), averaged, or law (80), mean,
-and what knowing the dwell time brings; and what knowing the distribution of sojourns brings.
+and the gain from knowing the dwell time; and the gain from knowing the distribution of sojourns.
 """
 
 from __future__ import annotations

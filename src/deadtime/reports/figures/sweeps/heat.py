@@ -39,7 +39,7 @@ def plot_heat(
     """The median of a metric over the scenarios under one law, in every cell of a sweep.
 
     A run that diverged counts as ∞. Two axes span a panel, the others tell panels apart; axes
-    with one value stand in the title.
+    with one value are named in the title.
 
     Parameters
     ----------
