@@ -215,7 +215,7 @@ def test_a_log_that_takes_too_long_says_what_to_do_and_keeps_what_was_asked(
     assert "a narrower range of delays" in said
     assert page.log.view.visible
     assert not page.log.begin.disabled
-    assert page.log.form.asked().delay == (0.0, 0.1)
+    assert page.log.form.request().delay == (0.0, 0.1)
     command = re.search(r"without a limit: (deadtime .*) Nothing was changed", said)[1]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "motor.csv").write_bytes(MOTOR.read_bytes())
@@ -263,32 +263,32 @@ def test_the_form_asks_for_what_names_do_not_tell(tmp_path):
     }  # fmt: skip
     assert not form.modes.visible
     with pytest.raises(dt.ArgumentError, match="No column is said to be state"):
-        form.asked()
+        form.request()
     form.roles["speed"].value = form.roles["current"].value = STATE
     with pytest.raises(dt.ArgumentError, match="No column is said to be input"):
-        form.asked()
+        form.request()
     form.roles["voltage"].value = INPUT
-    assert form.asked() == LogRequest(("speed", "current"), ("voltage",), "arm", (0.0, 0.6))
+    assert form.request() == LogRequest(("speed", "current"), ("voltage",), "arm", (0.0, 0.6))
     form.samples.value = form.apart.value = True
-    assert form.asked()[-2:] == (True, True)
+    assert form.request()[-2:] == (True, True)
     form.high.value = 0.0
     with pytest.raises(dt.ArgumentError, match="Delay: give a range"):
-        form.asked()
+        form.request()
     form.high.value = 0.5
     form.roles["arm"].value = UNUSED
     assert form.modes.visible
     assert not form.least.visible
-    assert form.asked().modes is None
-    assert not form.asked().at_samples
+    assert form.request().modes is None
+    assert not form.request().at_samples
     form.modes.value = HIDDEN
     assert form.least.visible
-    assert form.asked().modes == (1, 3)
-    assert "--modes 1..3" in form.asked().command("motor.csv")
+    assert form.request().modes == (1, 3)
+    assert "--modes 1..3" in form.request().command("motor.csv")
     form.least.value = 4
     with pytest.raises(dt.ArgumentError, match="their least number"):
-        form.asked()
+        form.request()
     form.modes.value = ONE
-    assert "--one-mode --delay 0 0.5 --out motor.toml" in form.asked().command("motor.csv")
+    assert "--one-mode --delay 0 0.5 --out motor.toml" in form.request().command("motor.csv")
 
 
 @pytest.mark.parametrize(

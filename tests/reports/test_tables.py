@@ -98,7 +98,7 @@ def test_a_sweep_has_a_row_for_each_cell_and_law_with_both_intervals():
     found = sweep_table(sweep(values, lost))
     assert found.headings == [
         *("law", "delay", "median ∫|x|²", "95 % interval"),
-        *("/ oracle", "95 % interval", "diverged"),
+        *("/ oracle", "95 % interval", "diverged runs"),
     ]
     assert [row[:2] for row in found.rows] == [[law, d] for d in ("0.5", "1") for law in LAWS]
     assert [row[-1] for row in found.rows] == ["0", "0", "0", "3", "0", "0"]
@@ -120,7 +120,7 @@ def test_a_sweep_that_lacks_an_oracle_or_cells_or_laws_has_dashes_and_no_ratio()
     values[0, 0, 1] = np.nan
     done = np.array([[1.0], [0.0]])
     found = sweep_table(sweep(values, oracle="", done=done))
-    assert found.headings == ["law", "delay", "median ∫|x|²", "95 % interval", "diverged"]
+    assert found.headings == ["law", "delay", "median ∫|x|²", "95 % interval", "diverged runs"]
     assert found.rows[1] == ["averaged", "0.5", "–", "–", "–"]
     assert [row[2] for row in found.rows] == ["1.00", "–", "1.00", "–", "–", "–"]
 

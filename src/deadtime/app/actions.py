@@ -51,13 +51,9 @@ class ActionPage(Protocol):
     def draft(self, without: Sequence[str] = ()) -> dict[str, Any]: ...
     def draw_by_hand(self, at: float, mode: int) -> None: ...
     def elsewhere(
-        self,
-        limit: float,
-        done: Callable[[Any], None],
-        failed: Callable[[str], None],
-        job: Callable[..., Any],
-        *given: Any,
-    ) -> None: ...
+        self, limit: float, done: Callable[[Any], None], failed: Callable[[str], None],
+        job: Callable[..., Any], *given: Any,
+    ) -> None: ...  # fmt: skip
 
 
 class Actions:
@@ -69,14 +65,15 @@ class Actions:
         self.law = pmui.Select(label="Law in question", options=[""], **WIDE)
         self.worst = pmui.Button(label="Worst signal", **WIDE)
         self.fill = pmui.Button(label="Compute the chart", variant="outlined", **WIDE)
-        self.play = pmui.Button(label="Watch", variant="outlined", icon="play_arrow", **WIDE)
+        look: dict[str, Any] = {"margin": (14, 5)}
+        self.play = pmui.Button(label="Watch", variant="outlined", icon="play_arrow", **look)
         self.verdict = pn.pane.HTML("", sizing_mode="stretch_width", margin=(2, 10))
         self.state = pn.pane.HTML(
             "", css_classes=["search"], sizing_mode="stretch_width", margin=(2, 10)
         )
         self.at = pmui.FloatInput(label="at (s)", value=1.0, start=0.0, step=0.1, width=110)
         self.to = pmui.Select(label="switch to", options=["mode 0"], width=150)
-        self.switch = pmui.Button(label="Switch", margin=(14, 5))
+        self.switch = pmui.Button(label="Switch", **look)
         self.worst.on_click(self._find_worst)
         self.fill.on_click(self._fill_chart)
         self.switch.on_click(self._switch)
@@ -167,28 +164,28 @@ class Actions:
     def _judge(self, _: Any = None) -> None:
         """Say soon what the loop does with each mode held."""
         self._moves += 1
-        mine, document = self._moves, pn.state.curdoc
+        number, document = self._moves, pn.state.curdoc
 
         def rest() -> None:
-            if mine == self._moves:
-                self._grow(mine)
+            if number == self._moves:
+                self._grow(number)
 
         if document is None:
             rest()
         else:
             document.add_timeout_callback(rest, _REST)
 
-    def _grow(self, mine: int) -> None:
+    def _grow(self, number: int) -> None:
         """Find the growth in every mode, here where that takes a moment."""
         page, law = self.page, self.law.value
         problem = page.outcome.problem
 
         def on_grown(rates: list[float]) -> None:
-            if mine == self._moves:
+            if number == self._moves:
                 self.verdict.object = verdict(law, problem, rates)
 
         def unknown(_: str) -> None:
-            if mine == self._moves:
+            if number == self._moves:
                 self.verdict.object = ""
 
         if lifted_order(problem) <= _AT_ONCE:
@@ -227,7 +224,7 @@ class Actions:
         self._fill_column(self._round, law, times, [], given)
 
     def _fill_column(
-        self, mine: int, law: str, times: list[float], before: list[str], given: tuple
+        self, number: int, law: str, times: list[float], before: list[str], given: tuple
     ) -> None:
         """Compute a column of the chart, then the next, unless another was begun meanwhile.
 
@@ -236,13 +233,13 @@ class Actions:
         i = len(before)
 
         def on_found(margin: tuple[float, float, str]) -> None:
-            if mine != self._round:
+            if number != self._round:
                 return
             certified, refuted, reason = margin
             self.chart.add(times[i], certified, refuted)
             reasons = [*before, reason]
             if i + 1 < len(times):
-                self._fill_column(mine, law, times, reasons, given)
+                self._fill_column(number, law, times, reasons, given)
                 return
             pairs = zip(times, reasons, strict=True)
             missing = [f" No answer at τ_d = {time:.3g} s: {why}" for time, why in pairs if why]
@@ -282,8 +279,8 @@ def verdict(law: str, problem: Problem, rates: Sequence[float]) -> str:
     judged, _ = held_in_words(problem, rates)
     judged = judged if judged == "stable" else f"<b>{judged}</b>"
     pairs = zip(problem.modes, map(as_rate, rates), strict=True)
-    said = html.escape(", ".join(f"{name} {rate} /s" for name, rate in pairs))
+    growth = html.escape(", ".join(f"{name} {rate} /s" for name, rate in pairs))
     return (
         f"<div class='verdict'>If switching stops, {html.escape(law)} is {judged}. "
-        f"Growth: {said}.</div>"
+        f"Growth: {growth}.</div>"
     )

@@ -1,4 +1,4 @@
-"""Jobs of a page in other processes, and the bar that says how far one is."""
+"""Background jobs of a page in other processes, and their progress bar."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from deadtime.app.workers import Job, Progress, Workers
 
 
 class BackgroundJobs:
-    """Jobs that are out, of one part of a page."""
+    """The running jobs of one part of a page."""
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
-        self._out: dict[object, Future[Any] | None] = {}
+        self._running: dict[object, Future[Any] | None] = {}
 
     def begin(
         self,
@@ -28,29 +28,29 @@ class BackgroundJobs:
         done: Callable[[Any], None],
         failed: Callable[[BaseException], None],
         job: Job,
-        *given: Any,
+        *arguments: Any,
         on_progress: Progress | None = None,
     ) -> None:
         """Run a job in another process, then go on here with its result or its error.
 
-        Nothing comes of one that was stopped. `on_progress` is called with what the job reports.
+        A stopped job calls neither. `on_progress` is called with each report of the job.
         """
         browser, ticket = pn.state.curdoc, object()
 
         def here(act: Callable[[], None]) -> None:
-            """Do something in the page's turn, if the job is still wanted then."""
+            """Act in the page's event loop, unless the job is stopped by then."""
 
             def unless_stopped() -> None:
-                if ticket in self._out:
+                if ticket in self._running:
                     act()
 
             if browser is None:
                 unless_stopped()
-            elif ticket in self._out and browser.session_context is not None:
+            elif ticket in self._running and browser.session_context is not None:
                 browser.add_next_tick_callback(unless_stopped)  # the session is not over
 
         def finish(future: Future[Any]) -> None:
-            del self._out[ticket]
+            del self._running[ticket]
             error = future.exception()
             failed(error) if error is not None else done(future.result())
 
@@ -58,21 +58,21 @@ class BackgroundJobs:
             if not future.cancelled():
                 here(partial(finish, future))
 
-        def pass_on(said: Any) -> None:
+        def pass_on(message: Any) -> None:
             if on_progress is not None:
-                here(partial(on_progress, said))
+                here(partial(on_progress, message))
 
-        self._out[ticket] = None  # progress may arrive before `submit` returns the future
+        self._running[ticket] = None  # progress may arrive before `submit` returns the future
         more = {"on_progress": pass_on} if on_progress else {}
-        future = self._workers.submit(limit, job, *given, **more)
-        if ticket in self._out:
-            self._out[ticket] = future
+        future = self._workers.submit(limit, job, *arguments, **more)
+        if ticket in self._running:
+            self._running[ticket] = future
         future.add_done_callback(on_finished)
 
     def stop(self) -> None:
-        """End all that is out."""
-        out, self._out = self._out, {}
-        for future in out.values():
+        """Stop all running jobs."""
+        running, self._running = self._running, {}
+        for future in running.values():
             if future is not None:
                 self._workers.stop(future)
 
@@ -81,7 +81,7 @@ _TICK = 1000  # milliseconds between looks at the clock
 
 
 class ProgressBar:
-    """A bar, and a line on what is being done; after `limit` seconds that is given up."""
+    """A bar, and a line with the stage, the seconds elapsed and the limit."""
 
     def __init__(self, limit: float) -> None:
         self._limit, self._stage, self._began = limit, "", 0.0
@@ -91,7 +91,7 @@ class ProgressBar:
         self.view = [self._bar, self.text]
 
     def show(self, stage: str) -> None:
-        """Say what is being done; the clock begins with the first."""
+        """Show a stage; the first starts the clock."""
         self._stage, begins = stage, not self.text.visible
         if begins:
             self._began = time.monotonic()
@@ -102,7 +102,7 @@ class ProgressBar:
         self._tick()
 
     def hide(self) -> None:
-        """There is nothing more to wait for."""
+        """Hide the bar and stop the clock."""
         self._bar.visible = self.text.visible = False
         if self._clock is not None:
             browser, tick = self._clock
@@ -111,5 +111,5 @@ class ProgressBar:
 
     def _tick(self) -> None:
         seconds = time.monotonic() - self._began
-        said = f"{escape(self._stage)} … {seconds:.0f} s of at most {self._limit:.0f} s"
-        self.text.object = f"<div class='progress'>{said}</div>"
+        message = f"{escape(self._stage)} … {seconds:.0f} s of at most {self._limit:.0f} s"
+        self.text.object = f"<div class='progress'>{message}</div>"

@@ -1,4 +1,4 @@
-"""The widgets of a page: what can be moved, between which ends, and what they say as `Settings`."""
+"""The widgets of a page: the numbers that can be moved, their ranges, and their `Settings`."""
 
 from __future__ import annotations
 
@@ -26,54 +26,38 @@ _STEPS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
 @dataclass(frozen=True)
 class Range:
-    """A number that can be moved (immutable).
+    """A number that can be moved (immutable): its start value, its ends and its step."""
 
-    Attributes
-    ----------
-    name : str
-        In `Settings.values`.
-    label : str
-        With its unit.
-    group : str
-        The heading that it stands under.
-    value, low, high, step : float
-        Where it starts, and between what it moves.
-    scale : float
-        What a number on the page is multiplied with to be a value: 0.01 for per cent.
-    """
-
-    name: str
-    label: str
-    group: str
+    name: str  # in `Settings.values`
+    label: str  # with its unit
+    group: str  # the heading above it
     value: float
     low: float
     high: float
     step: float
-    scale: float = 1.0
+    scale: float = 1.0  # value per number on the page: 0.01 for per cent
 
 
 def ranges_of(document: Document) -> list[Range]:
     """The numbers of a problem that can be moved, in the order of the page."""
     draft = document.draft
     run = draft["run"]
-    many = len(draft["plant"]["A"]) > 1
-    dwell_time = dwell_time_of(draft)
-    horizon = float(run["horizon"])
     ranges = [_wide(name, label, "Plant", value) for name, label, value in moved_delays(draft)]
-    if many:
+    if len(draft["plant"]["A"]) > 1:
         ranges.append(Range("distance", "Mode distance α", "Plant", 1.0, 0.0, 2.0, 0.01))
-        ranges.append(_wide("dwell_time", "Dwell time τ_d (s)", "Switching", dwell_time, 5.0))
-    names = draft["plant"].get("states") or []
-    for i, x in enumerate(run["x0"]):
-        most = _nice(5.0 * max(abs(float(v)) for v in run["x0"]) or 5.0)
-        name = names[i] if names else f"x{subscript(i + 1)}"
-        label = f"{name} at t = 0"
-        ranges.append(Range(f"run.x0.{i}", label, "Run", float(x), -most, most, most / 100.0))
+        ranges.append(
+            _wide("dwell_time", "Dwell time τ_d (s)", "Switching", dwell_time_of(draft), 5.0)
+        )
+    names = draft["plant"].get("states") or [f"x{subscript(i + 1)}" for i in range(len(run["x0"]))]
     size = max(abs(float(x)) for x in run["x0"]) or 1.0
+    most = _nice(5.0 * size)
+    for i, x in enumerate(run["x0"]):
+        label = f"{names[i]} at t = 0"
+        ranges.append(Range(f"run.x0.{i}", label, "Run", float(x), -most, most, most / 100.0))
     group, off = "Imperfections", 100.0 * delay_error(draft)
     return [
         *ranges,
-        _wide("horizon", "Horizon T (s)", "Run", horizon),
+        _wide("horizon", "Horizon T (s)", "Run", float(run["horizon"])),
         Range("delay_error", "True delay off by (%)", group, off, -20.0, 20.0, 0.1, 0.01),
         *(
             _imperfect(name, group, slider, _imperfection(draft, kind, slider.key), size)
@@ -106,7 +90,7 @@ def _imperfection(draft: Mapping[str, Any], kind: str, key: str) -> float:
 
 
 def _imperfect(name: str, group: str, slider: Slider, value: float, size: float) -> Range:
-    """From none of an imperfection to twice the file's, or what is much for a state."""
+    """From 0 to twice the value of the file, or to a large value relative to the state."""
     most = _nice(max(slider.reach * size, 2.0 * value))
     return Range(name, slider.label, group, value, 0.0, most, most / slider.steps)
 
@@ -176,7 +160,7 @@ class Controls:
         self.original.on_click(lambda _: self.choose(None))
 
     def settings(self) -> Settings:
-        """All that was moved and chosen."""
+        """The values that were moved and the choices."""
         values: dict[str, Any] = {}
         for name, slider in self.sliders.items():
             one = self.ranges[name]
@@ -190,7 +174,7 @@ class Controls:
         return Settings(values, laws, self.signal)
 
     def value(self, name: str) -> float:
-        """Where a parameter stands."""
+        """The value of a parameter."""
         return float(self.sliders[name].value) * self.ranges[name].scale
 
     def choose(self, signal: DrawnSignal | GivenSignal | None) -> None:
@@ -202,11 +186,11 @@ class Controls:
         """The widgets under a heading."""
         if group == "Switching" and self._ruled:
             return [pmui.Typography("The state decides the mode, by the rule of the file.")]
-        found = [self.sliders[name] for name, one in self.ranges.items() if one.group == group]
+        sliders = [self.sliders[name] for name, one in self.ranges.items() if one.group == group]
         if group == "Switching":
             row = pmui.Row(self.redraw, self.original, sizing_mode="stretch_width", margin=0)
-            return [*found, self.sojourn, self.seed, row]
-        return [*found, self.step] if group == "Run" else found
+            return [*sliders, self.sojourn, self.seed, row]
+        return [*sliders, self.step] if group == "Run" else sliders
 
     def _draw(self) -> None:
         self.choose(DrawnSignal(int(self.seed.value or 0)))
@@ -221,7 +205,7 @@ class Controls:
 def download_button(
     label: str, filename: str, make: Callable[[], bytes], **look: Any
 ) -> pmui.FileDownload:
-    """A button that downloads what `make` gives when it is pressed."""
+    """A button that downloads the bytes from `make`."""
     button = pmui.FileDownload(
         label=label, filename=filename, callback=lambda: io.BytesIO(make()), margin=4, **look
     )

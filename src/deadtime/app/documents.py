@@ -89,7 +89,7 @@ def too_large(name: str, size: int) -> ProblemFileError:
 
 
 def file_stem(name: str) -> str:
-    """A file's name without its ending and whatever could be more than a name."""
+    """A file's name without its ending and without characters of a path."""
     return "".join(c for c in Path(name).stem if c.isalnum() or c in " -_")[:60] or "problem"
 
 
@@ -99,7 +99,7 @@ def complaint(document: Document, error: SectionError) -> ArgumentError:
 
 
 def to_toml(document: Document, draft: Mapping[str, Any]) -> str:
-    """The document saying what the draft says; comments and order stay, and whatever is equal.
+    """The document with the values of the draft; comments, order and equal values stay.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def _merge(tree: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
 
 
 def _item(value: Any) -> Any:
-    """A value as it is best read: tables and lists of tables in sections of their own."""
+    """A TOML item of a value: tables and lists of tables in sections of their own."""
     import tomlkit
 
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Where files come in: a button, and the whole page, onto which they may be dropped."""
+"""Upload of files: by a button, or dropped anywhere on the page."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def look_at_log(name: str, content: bytes) -> Columns:
 
 
 def try_log(
-    name: str, content: bytes, asked: LogRequest, tell: Tell = lambda _: None
+    name: str, content: bytes, request: LogRequest, tell: Tell = lambda _: None
 ) -> tuple[Picture, bytes]:
     """The plant of a log that came through a browser.
 
@@ -70,11 +70,11 @@ def try_log(
     part: the likelihood over the delays, which is returned with the report.
     """
     with tempfile.TemporaryDirectory() as folder:
-        found, fit = open_log(name, content, Path(folder), asked, tell)
+        plant, fit = open_log(name, content, Path(folder), request, tell)
     tell("running the laws")
-    tell((found, _seconds(found.document)))
+    tell((plant, _seconds(plant.document)))
     tell("drawing how likely every delay is")
-    return report_of(fit, found, asked.command(name))
+    return report_of(fit, plant, request.command(name))
 
 
 def worst_signal(
@@ -82,8 +82,8 @@ def worst_signal(
 ) -> dict[str, Any]:
     """The worst admissible signal of a law: its switches up to the horizon, its growth, 1/s."""
     problem, chosen = _problem(draft, source, law)
-    asked = SignalClass(dwell_time, at=problem.signals.at)
-    worst = falsify(problem.plant, chosen, asked, step=_step(problem), budget=_BUDGET)
+    signals = SignalClass(dwell_time, at=problem.signals.at)
+    worst = falsify(problem.plant, chosen, signals, step=_step(problem), budget=_BUDGET)
     cycles = int(np.ceil(problem.horizon / worst.length)) + 1
     signal = worst.simulate(cycles).signal
     inside = signal.times < problem.horizon
@@ -136,13 +136,13 @@ def margin(
         return problem.plant, chosen
 
     problem, _ = _problem(draft, source, law)
-    step, asked = _step(problem), SignalClass(dwell_time, at=problem.signals.at)
+    step, signals = _step(problem), SignalClass(dwell_time, at=problem.signals.at)
     try:
-        found = stability_margin(problem_at, bounds, asked, step=step, ratio=RATIO)
+        bracket = stability_margin(problem_at, bounds, signals, step=step, ratio=RATIO)
     except ArgumentError as error:
         return math.nan, math.nan, str(error)
-    refuted = math.nan if found.refuted is None else float(found.refuted)
-    return float(found.certified), refuted, ""
+    refuted = math.nan if bracket.refuted is None else float(bracket.refuted)
+    return float(bracket.certified), refuted, ""
 
 
 def _problem(draft: Mapping[str, Any], source: Path, law: str) -> tuple[Problem, Law]:

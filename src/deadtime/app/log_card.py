@@ -1,4 +1,4 @@
-"""The card of a log: a form for its columns, how far identification is, and what was found."""
+"""The card of a log: a form for its columns, the progress, and the identified plant."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class LogForm:
         )  # fmt: skip
 
     def fill(self, columns: Columns) -> None:
-        """Offer the columns of a log, and choose those that names tell."""
+        """Offer the columns of a log, with roles chosen by their names."""
         guess, self.roles = columns.guess, {}
         known = dict.fromkeys(guess.states, STATE) | dict.fromkeys(guess.inputs, INPUT)
         if isinstance(guess.modes, str):
@@ -77,13 +77,13 @@ class LogForm:
     def _of(self, role: str) -> tuple[str, ...]:
         return tuple(name for name, one in self.roles.items() if one.value == role)
 
-    def asked(self) -> LogRequest:
-        """The question that the form asks.
+    def request(self) -> LogRequest:
+        """The request that the form states.
 
         Raises
         ------
         ArgumentError
-            If something was not said, or cannot be.
+            If an entry is missing or impossible.
         """
         states, inputs, column = (self._of(role) for role in (STATE, INPUT, MODE))
         for role, chosen in ((STATE, states), (INPUT, inputs)):
@@ -109,7 +109,7 @@ class LogForm:
         return not self._of(MODE) and self.modes.value == HIDDEN
 
     def _on_modes(self, _: Any = None) -> None:
-        """Show what can be asked of modes, which depends on who knows of them."""
+        """Show the fields of modes, which depend on whether these were logged."""
         logged, hidden = bool(self._of(MODE)), self._hidden()
         self.modes.visible = not logged
         self.least.visible = self.most.visible = hidden
@@ -134,8 +134,8 @@ class LogCard:
     def __init__(self, page: CardPage, workers: Workers) -> None:
         self._page, self._jobs = page, BackgroundJobs(workers)
         self._name, self._content = "", b""
-        self._asked: LogRequest | None = None
-        self._found: IdentifiedPlant | None = None
+        self._request: LogRequest | None = None
+        self._plant: IdentifiedPlant | None = None
         self._report = b""
         self.form = LogForm()
         html: dict[str, Any] = {
@@ -174,7 +174,7 @@ class LogCard:
         )  # fmt: skip
 
     def _problem(self) -> bytes:
-        return b"" if self._found is None else self._found.document.text.encode()
+        return b"" if self._plant is None else self._plant.document.text.encode()
 
     # -- a log comes -----------------------------------------------------------------------
 
@@ -206,35 +206,35 @@ class LogCard:
         )  # fmt: skip
 
     def identify(self) -> None:
-        """Identify the plant, as the form asks."""
+        """Identify the plant, by the form."""
         try:
-            self._asked = self.form.asked()
+            self._request = self.form.request()
         except ArgumentError as error:
             self._page.refuse(str(error))
             return
-        self._forget_found()
+        self._forget_plant()
         self._busy("waiting for a process")
         self._page.say(f"Identifying the plant of {file_stem(self._name)}.csv …")
         self._jobs.begin(
             LIMIT, self._on_done, self._on_failed,
-            try_log, self._name, self._content, self._asked, on_progress=self._on_progress,
+            try_log, self._name, self._content, self._request, on_progress=self._on_progress,
         )  # fmt: skip
 
-    def _on_progress(self, said: str | tuple[IdentifiedPlant, float]) -> None:
-        if isinstance(said, str):
-            self._busy(said)
+    def _on_progress(self, message: str | tuple[IdentifiedPlant, float]) -> None:
+        if isinstance(message, str):
+            self._busy(message)
             return
-        found, seconds = said
-        called = f"The plant of {found.document.name}.csv"
-        if not self._page.open_found(found.document, seconds, called):
+        plant, seconds = message
+        called = f"The plant of {plant.document.name}.csv"
+        if not self._page.open_found(plant.document, seconds, called):
             self._jobs.stop()
             self._idle()
             return
-        self._found = found
-        self.shown.object, self.details.object = identified_html(found), details_html(found)
+        self._plant = plant
+        self.shown.object, self.details.object = identified_html(plant), details_html(plant)
         self.likelihood.object = likelihood_html("The likelihood over the delay follows.")
         self.settings.active = []
-        self._downloads[0].param.update(visible=True, filename=f"{found.document.name}.toml")
+        self._downloads[0].param.update(visible=True, filename=f"{plant.document.name}.toml")
         self._page.say(f"{called}, as a problem: its laws run below.")
 
     def _on_done(self, rest: tuple[Picture, bytes]) -> None:
@@ -248,7 +248,7 @@ class LogCard:
     def _on_failed(self, error: BaseException) -> None:
         self._idle()
         slow = isinstance(error, TooLongError)
-        if self._found is not None:
+        if self._plant is not None:
             why = f"it takes longer than {LIMIT:g} s" if slow else str(error).rstrip(".")
             self._without_likelihood(why)
             return
@@ -263,8 +263,8 @@ class LogCard:
             self._page.refuse(str(error))
 
     def _command(self) -> str:
-        """The command that asks this without a limit."""
-        return "" if self._asked is None else self._asked.command(self._name)
+        """The command line for this request, which has no limit."""
+        return "" if self._request is None else self._request.command(self._name)
 
     def _without_likelihood(self, why: str) -> None:
         self.likelihood.object = likelihood_html(
@@ -275,29 +275,29 @@ class LogCard:
     # -- its end ---------------------------------------------------------------------------
 
     def stop(self) -> None:
-        """Cancel what is being computed; what was found stays."""
+        """Cancel the computation; results so far stay."""
         self._jobs.stop()
         self._idle()
-        if self._found is not None:
+        if self._plant is not None:
             self._without_likelihood("it was cancelled")
         elif self._content:
             self._page.say("Cancelled. Nothing was changed.")
 
     def close(self) -> None:
-        """Let go of the log, and show nothing of it."""
+        """Close the log and hide the card."""
         self.drop()
         self._idle()
-        self._forget_found()
+        self._forget_plant()
         self.view.visible = False
 
     def drop(self) -> None:
-        """Let go of the log, touching no widget: their document may be gone."""
+        """Release the log, touching no widget: their document may be gone."""
         self._jobs.stop()
         self._name, self._content, self._report = "", b"", b""
-        self._asked = self._found = None
+        self._request = self._plant = None
 
-    def _forget_found(self) -> None:
-        self._found, self._report = None, b""
+    def _forget_plant(self) -> None:
+        self._plant, self._report = None, b""
         for pane in (self.shown, self.likelihood, self.details):
             pane.object = ""
         for button in self._downloads:

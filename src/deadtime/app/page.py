@@ -1,4 +1,4 @@
-"""One session of the explorer: what a person sees, and what happens when something is moved."""
+"""One session of the explorer: the page, and its response when something is moved."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class Page:
         )
 
     def take(self, name: str, size: int, content: bytes | None) -> None:
-        """Open what was chosen or dropped; what is too large came without its content."""
+        """Open a chosen or dropped file; one that is too large comes without its content."""
         ending = name.lower().rpartition(".")[2]
         if ending not in ("csv", "toml"):
             self.refuse(
@@ -180,14 +180,14 @@ class Page:
         self._jobs.begin(limit, done, lambda error: failed(str(error)), job, *given)
 
     def close(self) -> None:
-        """The session is over: let go of what it holds, whoever still holds the page.
+        """The session is over: release its objects, also where the page itself lives on.
 
         Its document is gone, so no widget is touched.
         """
         self._closed = True
-        held = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "log")
+        names = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "log")
         with ExitStack() as steps:
-            for name in held:
+            for name in names:
                 steps.callback(vars(self).pop, name, None)
             steps.callback(self.log.drop)
             steps.callback(self._jobs.stop)
@@ -195,7 +195,7 @@ class Page:
     # -- showing ---------------------------------------------------------------------------
 
     def touch(self) -> None:
-        """Something was moved: run again soon, once for all that comes until then."""
+        """Schedule one run for all changes until it starts."""
         if self._scheduled:
             return
         self._scheduled = True
@@ -205,7 +205,7 @@ class Page:
             pn.state.curdoc.add_next_tick_callback(self.update)
 
     def update(self) -> None:
-        """Run what the controls say and show it; an error leaves what is shown."""
+        """Run the settings of the controls; after an error the page stays as it is."""
         self._scheduled = False
         if not self._closed:
             self.attempt(self._run)
@@ -217,13 +217,13 @@ class Page:
         self._move(outcome)
 
     def draft(self, without: Sequence[str] = ()) -> dict[str, Any]:
-        """The problem file of what is shown, or with some parameters left where they were."""
+        """The problem file of the settings, some parameters left as in the document."""
         settings = self.controls.settings()
         values = {name: one for name, one in settings.values.items() if name not in without}
         return draft_of(self.document, self.offer, replace(settings, values=values))
 
     def toml(self) -> str:
-        """The problem file of what is shown, without laws that were added and do not run."""
+        """The problem file shown, without added laws that do not run."""
         draft = dict(self._shown)
         own = self.document.draft.get("law", [])
         if "law" in draft:
@@ -232,7 +232,7 @@ class Page:
         return to_toml(self.document, draft)
 
     def attempt(self, act: Callable[[], None]) -> bool:
-        """Do something that may be refused, and say why; whether it was done."""
+        """Try an action and report a refusal; whether the action succeeded."""
         try:
             act()
         except (DeadtimeError, ValueError, OverflowError) as error:
@@ -267,12 +267,13 @@ class Page:
 
     def _about(self, outcome: ProblemOutcome) -> str:
         problem, signal = outcome.problem, outcome.signal
-        given = self.controls.signal
-        kind = "the file's" if given is None else "drawn"
-        if isinstance(given, DrawnSignal):
-            kind = f"drawn with seed {given.seed}"
-        elif isinstance(given, GivenSignal):
-            kind = given.about
+        match self.controls.signal:
+            case DrawnSignal(seed):
+                kind = f"drawn with seed {seed}"
+            case GivenSignal(about=about):
+                kind = about
+            case None:
+                kind = "the file's"
         switches = int(((signal.times > 0) & (signal.times < problem.horizon)).sum())
         diverged = [name for name, run in outcome.runs.items() if run.diverged]
         more = f" Diverged: {html.escape(', '.join(diverged))}." if diverged else ""
@@ -309,7 +310,8 @@ class Page:
             label="Problem", options=["", *NAMED], value="", helper_text="or a file:", **WIDE
         )
         choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
-        phone = _on_a_phone()
+        # By the name that the browser gives itself: there the controls would cover the curves.
+        phone = "Mobi" in pn.state.headers.get("User-Agent", "")
 
         def take(name: str, size: int, content: bytes | None) -> None:
             page.sidebar_open = page.sidebar_open and not phone
@@ -322,8 +324,7 @@ class Page:
             active=[0, 1, 2], title_variant="subtitle1", disable_gutters=True,
             sizing_mode="stretch_width", margin=(5, 5),
         )  # fmt: skip
-        curves = self.about, self.panels, *self.actions.drawing()
-        left = pmui.Column(*curves)
+        left = pmui.Column(self.about, self.panels, *self.actions.drawing())
         right = pmui.Column(self.costs, *self.actions.judging(), sizing_mode="stretch_width")
         body = pmui.Grid(
             pmui.Grid(left, size={"xs": 12, "lg": 7}),
@@ -341,13 +342,5 @@ class Page:
             theme_toggle=True,
         )  # fmt: skip
 
-        def close(_: Any) -> None:
-            page.sidebar_open = False
-
-        closing.on_click(close)
+        closing.on_click(lambda _: setattr(page, "sidebar_open", False))
         return page
-
-
-def _on_a_phone() -> bool:
-    """Whether the controls would cover the curves at first, by what the browser calls itself."""
-    return "Mobi" in pn.state.headers.get("User-Agent", "")

@@ -49,13 +49,9 @@ _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 @dataclass(frozen=True, eq=False)
 class ProblemOutcome(ProblemRuns):
-    """The runs of a problem's laws, and the oracle's measure (immutable).
+    """The runs of a problem's laws, and the measure of the oracle (immutable).
 
-    Attributes
-    ----------
-    oracle : float or None
-        The measure of the law that knows the signal in advance, and measures what the
-        others measure; None where no signal is known in advance.
+    The oracle knows the signal in advance; None where no signal is known in advance.
     """
 
     oracle: float | None
@@ -68,8 +64,8 @@ class ProblemOutcome(ProblemRuns):
     @cached_property
     def notes(self) -> list[str]:
         """Sentences on a signal that tests nothing, and on numbers that do not fit each other."""
-        said = why_untested(self.runs[self.lead], self.outcomes[self.lead])
-        return [*([said] if said else []), *unit_checks_of(self.problem)]
+        untested = why_untested(self.runs[self.lead], self.outcomes[self.lead])
+        return [*([untested] if untested else []), *unit_checks_of(self.problem)]
 
     def ratio(self, law: str) -> float | None:
         """A law's measure over the oracle's; infinite for a run that grew without end."""
@@ -143,8 +139,8 @@ def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, 
             "`deadtime simulate`."
         )
     why = f"takes long where the delay is above {min(QUICK.values())} periods: lengthen h"
-    kept = [law for law in draft["law"] if law not in dear]
-    return {**draft, "law": kept}, {law.get("name") or law["kind"]: why for law in dear}
+    laws = [law for law in draft["law"] if law not in dear]
+    return {**draft, "law": laws}, {law.get("name") or law["kind"]: why for law in dear}
 
 
 def _oracle_measure(problem: Problem, runs: Mapping[str, Trajectory]) -> float | None:
@@ -173,8 +169,8 @@ def _oracle(problem: Problem) -> Law:
     law = ExactPredictor(plant, gains, allow_unstable=True)
     if first is None:
         return law
-    begun = {"estimate": first.estimate, "covariance": first.covariance}
-    return OutputFeedback(law, first.observer, **begun, **followed)
+    initial = {"estimate": first.estimate, "covariance": first.covariance}
+    return OutputFeedback(law, first.observer, **initial, **followed)
 
 
 _BORDERS = {"solid": "solid", "dashed": "dashed", "dashdot": "dashed", "dotted": "dotted"}
@@ -192,7 +188,7 @@ def table_of(outcome: ProblemOutcome, laws: Sequence[str]) -> str:
     return render(
         "costs.html.j2",
         caption=f"{title}, and against the oracle{more}",
-        headings=("law", word, "× oracle", SETTLES, "max |x|"),
+        headings=("law", word, "/ oracle", SETTLES, "max |x|"),
         rows=[_row(outcome, law, looks[law]) for law in outcome.runs],
         reasons=outcome.reasons,
     )

@@ -57,7 +57,7 @@ class ProblemPanels:
         return [*others, self.strip, last] if "w" in self.panels else [*others, last, self.strip]
 
     def fits(self, outcome: ProblemOutcome) -> bool:
-        """Whether it has the panels for what is to be shown."""
+        """Whether the outcome fits the panels."""
         return ("w" in self.panels) == _has_mismatch(outcome)
 
     def _panel(self, row: str, label: str) -> Any:
@@ -103,7 +103,7 @@ class ProblemPanels:
         self.strip.on_event(Tap, on_tap)
 
     def show(self, outcome: ProblemOutcome) -> None:
-        """Draw what the laws did."""
+        """Draw the runs of an outcome."""
         self.x_range.end = outcome.problem.horizon
         runs = outcome.runs
         for law, run in runs.items():
@@ -114,9 +114,9 @@ class ProblemPanels:
         longest = max(runs.values(), key=lambda run: run.time[-1])
         along = longest.reference
         references = {} if along is None else {r: along[i] for r, i in self._references.items()}
-        kept = _samples_to_draw(longest.time.size, list(references.values()))
+        samples = _samples_to_draw(longest.time.size, list(references.values()))
         columns = {"t": longest.time, **references}
-        self._followed.data = {name: values[kept] for name, values in columns.items()}
+        self._followed.data = {name: values[samples] for name, values in columns.items()}
         for row, panel in self.panels.items():
             values = [one for run in runs.values() if (one := _values(run, row)) is not None]
             if values:
@@ -131,13 +131,13 @@ class ProblemPanels:
         }
 
     def _columns(self, run: Trajectory) -> dict[str, np.ndarray]:
-        """The columns that the panels read, of at most so many samples as can be told apart."""
+        """The columns of the panels, of at most as many samples as the eye can separate."""
         rows = {row: _values(run, row) for row in self._rows}
-        kept = _samples_to_draw(run.time.size, [row for row in rows.values() if row is not None])
-        columns = {"t": run.time[kept]}
+        samples = _samples_to_draw(run.time.size, [row for row in rows.values() if row is not None])
+        columns = {"t": run.time[samples]}
         for name, values in rows.items():
             whole = np.full(run.time.size, np.nan) if values is None else values
-            columns[name] = np.clip(whole[kept], -1e30, 1e30).astype(np.float32)
+            columns[name] = np.clip(whole[samples], -1e30, 1e30).astype(np.float32)
         return columns
 
     def _source(self, law: str, run: Trajectory) -> Any:
@@ -281,7 +281,7 @@ class Chart:
         )  # fmt: skip
 
     def place(self, dwell_time: float, distance: float) -> None:
-        """Where the problem stands."""
+        """Move the point of this problem."""
         self._point.data = {"x": [dwell_time], "y": [distance]}
         ends = self.panel.x_range
         if not self._good.data["left"] and not self._bad.data["left"]:
@@ -294,7 +294,7 @@ class Chart:
         self.panel.y_range.end = max(BOUNDS[1], 1.1 * distance)
 
     def clear(self, dwell_time: float) -> list[float]:
-        """Take all columns away; the dwell times of new ones."""
+        """Remove all columns; the dwell times of new ones."""
         for source in (self._good, self._bad):
             source.data = {name: [] for name in source.data}
         ends, side = self.panel.x_range, math.sqrt(FACTORS[1] / FACTORS[0])

@@ -1,7 +1,7 @@
 """Serve the explorer: on this machine alone, unless told otherwise; sessions begin and end here.
 
-A session costs memory for as long as it lives. One to which no browser came, as that of a plain
-GET, soon ends; there are never more than so many; and what ended leaves nothing behind.
+A session costs memory for as long as it lives. One without a browser, as that of a plain GET, soon
+ends; their number is limited; and an ended session releases its memory.
 """
 
 from __future__ import annotations
@@ -44,22 +44,17 @@ class Sessions:
         """The page for the visitor whose session begins now."""
         context = pn.state.curdoc.session_context if pn.state.curdoc else None
         if context is not None and len(context.server_context.sessions) >= self._most:
-            view, close = self._refusal(), lambda: None
+            text = (
+                f"Too many pages are open: this explorer serves {self._most} at once. Close one of "
+                "yours, or load this page again in a minute."
+            )
+            alert = pmui.Alert(object=text, severity="warning")
+            view, close = pmui.Page(title="deadtime explorer", main=[alert]), lambda: None
         else:
             page = self._make()
             view, close = page.view(), page.close
         self._when_over(view, close)
         return view
-
-    def _refusal(self) -> pmui.Page:
-        """For a visitor for whom there is no room."""
-        text = (
-            f"Too many pages are open: this explorer serves {self._most} at once. Close one of "
-            "yours, or load this page again in a minute."
-        )
-        return pmui.Page(
-            title="deadtime explorer", main=[pmui.Alert(object=text, severity="warning")]
-        )
 
     def _when_over(self, view: pmui.Page, close: Callable[[], None]) -> None:
         """Call `close` when the session that begins now is over, then drop what shows its view."""
@@ -78,10 +73,11 @@ class Sessions:
             IOLoop.current().call_later(_REST, self._sweep)
 
     def _sweep(self) -> None:
-        """Collect what all sessions left that ended a moment ago."""
+        """Release the memory of all sessions that ended a moment ago."""
         self._sweeps = False
         gc.collect()
-        _return_memory()
+        with suppress(OSError, AttributeError):  # glibc keeps free memory for itself
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _unwatch(view: pmui.Page) -> None:
@@ -95,12 +91,6 @@ def _unwatch(view: pmui.Page) -> None:
     for watcher in watchers:
         if getattr(getattr(watcher.fn, "__self__", None), "self", None) is view:
             pn.state.param.unwatch(watcher)
-
-
-def _return_memory() -> None:
-    """Give free memory back to the system, where glibc would keep it for later."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 PORT = 5006
@@ -169,24 +159,10 @@ def serve(
 ) -> None:
     """Serve pages until interrupted; every session has its own.
 
-    Parameters
-    ----------
-    problem : str
-        What sessions begin with: paper, three-mode, follower or a problem file.
-    address, port : str, int
-        Where; 127.0.0.1 is this machine alone.
-    show : bool
-        Open a browser.
-    origins : tuple of str
-        Names, host:port, by which browsers reach it, where that is not the address.
-    workers : int
-        Processes for what takes longer than a moment.
-    sessions : int
-        Pages that may be open at once; who comes then is asked to come later.
-    started : callable
-        Called with the page's URL once it is there.
-    progress : callable
-        Called before that with what is being done.
+    Sessions begin with `problem`, a named one or a file; at most `sessions` are open at once.
+    `show` opens a browser. `origins` are the names, host:port, by which browsers reach the server
+    where these differ from the address. `workers` is the number of processes for long jobs.
+    `progress` is called with each stage, `started` with the URL.
 
     Raises
     ------
@@ -225,7 +201,7 @@ def serve(
 
 
 def _quieten() -> None:
-    """Only what is worth a line, in terms of this command."""
+    """Log only errors, in terms of this command."""
     browsers = logging.getLogger("bokeh.server.views.ws")
     browsers.setLevel(logging.ERROR)
     browsers.addFilter(_in_our_words)
@@ -234,15 +210,15 @@ def _quieten() -> None:
 
 def _in_our_words(record: logging.LogRecord) -> bool:
     """Name our option where Bokeh names its own."""
-    found = re.search(r"connection from Origin '(?:https?://)?([^']*)'", record.getMessage())
-    if found:
-        record.msg = f"refused a page of {found[1]}: if it is yours, add --origin {found[1]}"
+    match = re.search(r"connection from Origin '(?:https?://)?([^']*)'", record.getMessage())
+    if match:
+        record.msg = f"refused a page of {match[1]}: if it is yours, add --origin {match[1]}"
         record.args = ()
     return True
 
 
 def _unless_closed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Say nothing of browsers that leave while something is on its way to them."""
+    """Ignore browsers that leave while a message is on its way to them."""
     if type(context.get("exception")).__name__ not in ("WebSocketClosedError", "StreamClosedError"):
         loop.default_exception_handler(context)
 

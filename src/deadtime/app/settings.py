@@ -37,17 +37,10 @@ class GivenSignal:
 
 @dataclass(frozen=True)
 class Settings:
-    """All that differs from the file (immutable); untouched, the problem is the file's.
+    """All that differs from the file (immutable); None stands for what the file has.
 
-    Attributes
-    ----------
-    values : mapping
-        Parameters that were moved, by the names of `scenarios.sweeps.axes.AXES`, or by their
-        paths in the file, such as ``run.x0.0``.
-    laws : tuple of str, or None
-        Names of the laws that run; None: the file's.
-    signal : DrawnSignal, GivenSignal or None
-        What takes the place of the file's signal.
+    `values` are parameters by the names of `scenarios.sweeps.axes.AXES`, or by their paths in the
+    file, such as ``run.x0.0``; `laws` the names of the laws that run.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -102,19 +95,10 @@ MOST = 500  # switches
 def switch_at(
     times: Sequence[float], modes: Sequence[int], at: float, mode: int, count: int
 ) -> GivenSignal:
-    """The signal that is in a mode from an instant on, up to its next switch.
+    """The signal that is in a mode, of `count`, from an instant on up to its next switch.
 
-    Where it is in that mode already, the switch that began it is taken away instead: the mode
-    before goes on.
-
-    Parameters
-    ----------
-    times, modes : sequences
-        Starts of the sojourns, the first 0, in seconds, and their modes.
-    at : float
-        When, in seconds.
-    mode, count : int
-        Which mode from there on, of how many.
+    Where it is in that mode already, the switch that began it is removed instead: the mode before
+    goes on. `times` are the starts of the sojourns, the first 0, in seconds.
 
     Raises
     ------

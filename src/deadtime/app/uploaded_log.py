@@ -63,7 +63,7 @@ class LogRequest(NamedTuple):
     per_mode: bool = False
 
     def command(self, name: str) -> str:
-        """The command that asks the same, and has no limit."""
+        """The command line for this request, which has no limit."""
         words = ["deadtime", "identify", f"{file_stem(name)}.csv"]
         words += [word for one in self.states for word in ("--states", one)]
         words += [word for one in self.inputs for word in ("--inputs", one)]
@@ -79,7 +79,7 @@ class LogRequest(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """The columns of a log at a look, and a guess of what is asked of it.
+    """The columns of a log, and a guess of the request.
 
     rows, step : how many, and the median of the time between two, seconds
     names : all columns but that of the time
@@ -99,7 +99,7 @@ class Columns(NamedTuple):
 
 
 class IdentifiedPlant(NamedTuple):
-    """A problem made of a log, and what was found.
+    """A problem made of a log, and the results of its identification.
 
     delays : name, estimate and the ends of the interval of each, seconds
     verdicts : delay errors that the laws tolerate, beside the uncertainty of the log
@@ -179,17 +179,17 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
 
 
 def _is_of_numbers(column: Any) -> bool:
-    """Whether most of what a column says are numbers; a slip among them is identify's to name."""
+    """Whether most values of a column are numbers; `identify` reports the others."""
     import pandas as pd
 
-    said = np.asarray(column.notna())
+    present = np.asarray(column.notna())
     return 2 * np.isfinite(np.asarray(pd.to_numeric(column, errors="coerce"), float)).sum() > (
-        said.sum()
+        present.sum()
     )
 
 
 def open_log(
-    name: str, content: bytes, folder: Path, asked: LogRequest, tell: Tell = lambda _: None
+    name: str, content: bytes, folder: Path, request: LogRequest, tell: Tell = lambda _: None
 ) -> tuple[IdentifiedPlant, Identification]:
     """Identify the plant of a log, CSV with a column t: nothing that it says is trusted.
 
@@ -199,19 +199,19 @@ def open_log(
     Raises
     ------
     ArgumentError
-        If it is malformed, or does not tell the plant; the line is named.
+        If it is malformed, with the line, or does not determine the plant.
     """
     source = _write_upload(name, content, folder)
-    modes = asked.modes
+    modes = request.modes
     try:
         fit = identify(
             source,
             range(modes[0], modes[1] + 1) if isinstance(modes, tuple) else modes,
-            asked.delay,
-            per_mode=asked.per_mode,
-            switches="samples" if asked.at_samples else "anywhere",
-            states=asked.states,
-            inputs=asked.inputs,
+            request.delay,
+            per_mode=request.per_mode,
+            switches="samples" if request.at_samples else "anywhere",
+            states=request.states,
+            inputs=request.inputs,
             progress=tell,
         )
     except DeadtimeError as error:
@@ -226,11 +226,11 @@ def open_log(
     saved.unlink()
     document = open_upload(saved.stem, text, folder)
     delays = tuple((called, fit.estimate(one), *fit.interval(one)) for one, called in _delays(fit))
-    low, high = asked.delay
-    said = (*fit.sentences, f"Delays were looked for between {low:g} and {high:g} s.")
+    low, high = request.delay
+    sentences = (*fit.sentences, f"Delays were looked for between {low:g} and {high:g} s.")
     rows = tuple(map(tuple, interval_rows(fit)))
     pictures = pictures_of(quick_figures(fit))
-    return IdentifiedPlant(document, delays, said, verdicts, rows, pictures), fit
+    return IdentifiedPlant(document, delays, sentences, verdicts, rows, pictures), fit
 
 
 def _delays(fit: Identification) -> list[tuple[str, str]]:
@@ -238,18 +238,18 @@ def _delays(fit: Identification) -> list[tuple[str, str]]:
     names = [one for one in fit.names if one.startswith("delay")]
     if len(names) == 1:
         return [(names[0], "delay")]
-    said = [f"delay of {one}" for one in fit.inputs]
-    if len(names) > len(said):
-        said = [f"{one} in mode {mode}" for mode in fit.modes for one in said]
-    return list(zip(names, said, strict=True))
+    labels = [f"delay of {one}" for one in fit.inputs]
+    if len(names) > len(labels):
+        labels = [f"{one} in mode {mode}" for mode in fit.modes for one in labels]
+    return list(zip(names, labels, strict=True))
 
 
-def report_of(fit: Identification, found: IdentifiedPlant, command: str) -> tuple[Picture, bytes]:
+def report_of(fit: Identification, plant: IdentifiedPlant, command: str) -> tuple[Picture, bytes]:
     """The likelihood over the delays, and the report on all, HTML; `command` makes it again."""
     (likelihood,) = pictures_of([likelihood_figure(fit)])
-    said = (*found.sentences, *found.verdicts)
-    title = f"A plant from {found.document.name}.csv"
-    page = identification_page(fit, (likelihood, *found.pictures), said, title, command)
+    sentences = (*plant.sentences, *plant.verdicts)
+    title = f"A plant from {plant.document.name}.csv"
+    page = identification_page(fit, (likelihood, *plant.pictures), sentences, title, command)
     return likelihood, page.encode()
 
 
@@ -267,25 +267,25 @@ def _without_folder(error: DeadtimeError, source: Path) -> ArgumentError:
 
 def _verdicts(fit: Identification, saved: Path) -> tuple[str, ...]:
     """Delays that each law of the problem tolerates, beside those that the log leaves open."""
-    said, refused = [], ""
+    sentences, refused = [], ""
     for name, law in load_problem(saved).laws.items():
         if law.needs_preview:  # to compare with: no plant offers what it knows
             continue
         try:
-            said.append(law_beside(fit, name, law))
+            sentences.append(law_beside(fit, name, law))
         except DeadtimeError as error:
             refused = f"No margin of law “{name}”: {error}"
-    return tuple(said) or (refused,)
+    return tuple(sentences) or (refused,)
 
 
 _OF_DELAY = re.compile(r" is \S+ s, at 95 % within ")  # the headings say so
 
 
-def identified_html(found: IdentifiedPlant) -> str:
+def identified_html(plant: IdentifiedPlant) -> str:
     """The delays, the sentences, and the delay errors that the laws tolerate."""
-    said = [one for one in found.sentences if not _OF_DELAY.search(one)]
-    delays = [(*one, _off(*one[1:])) for one in found.delays]
-    return render("found.html.j2", delays=delays, lists=[said, found.verdicts])
+    sentences = [one for one in plant.sentences if not _OF_DELAY.search(one)]
+    delays = [(*one, _off(*one[1:])) for one in plant.delays]
+    return render("found.html.j2", delays=delays, lists=[sentences, plant.verdicts])
 
 
 def _off(value: float, low: float, high: float) -> str:
@@ -293,9 +293,9 @@ def _off(value: float, low: float, high: float) -> str:
     return f"± {up} ms" if up == down else f"+ {up} / − {down} ms"
 
 
-def details_html(found: IdentifiedPlant) -> str:
-    """Predictions and modes; to be opened, what is left, and the table of all unknowns."""
-    return render("found.html.j2", pictures=found.pictures, headings=HEADINGS, rows=found.rows)
+def details_html(plant: IdentifiedPlant) -> str:
+    """Predictions and modes; folded, the residuals and the table of all unknowns."""
+    return render("found.html.j2", pictures=plant.pictures, headings=HEADINGS, rows=plant.rows)
 
 
 def likelihood_html(picture: Picture | str) -> str:

@@ -1,7 +1,7 @@
 """Processes for jobs that take longer than a moment, each with a limit of time.
 
-A page stays as quick as it is while they work, and a problem that never ends hurts nobody: its
-process is ended, and another takes its place. Jobs go in and out as plain data.
+A page stays responsive while they work. The process of a job that takes too long is ended, and
+another takes its place. Jobs and results are plain data.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class TooLongError(ArgumentError):
 
 
 class StoppedError(ArgumentError):
-    """A job was stopped, since nobody waits for it any more."""
+    """A job was stopped, since its result is no longer needed."""
 
 
 class _Job(NamedTuple):
@@ -70,23 +70,12 @@ class Workers:
     def submit(
         self, limit: float, job: Job, *given: Any, on_progress: Progress | None = None
     ) -> Future[Any]:
-        """Run a job when there is a process for it.
+        """Run a job, for `limit` seconds at most, when there is a process for it.
 
-        Parameters
-        ----------
-        limit : float
-            Seconds that the job may take once it has begun.
-        job : callable
-            A function of a module, its arguments and its result plain data.
-        on_progress : callable, optional
-            Called, in a thread, with what the job reports before its end: the job then gets a
-            keyword ``tell=``, to be called with plain data.
-
-        Returns
-        -------
-        Future
-            Of its result; of an `ArgumentError` if it takes longer, its process dies, or it
-            raises an error.
+        The job is a function of a module, its arguments and its result plain data. With
+        `on_progress` it gets a keyword ``tell=``; plain data that it calls that with arrive at
+        `on_progress`, in a thread. The future fails with an `ArgumentError` if the job takes
+        longer, its process dies, or it raises an error.
         """
         future: Future[Any] = Future()
         with self._lock:
@@ -95,7 +84,7 @@ class Workers:
         return future
 
     def stop(self, future: Future[Any]) -> None:
-        """End a job that nobody waits for any more, begun or not: others are waiting."""
+        """End a job whose result is no longer needed, started or not."""
         with self._lock:
             self._waiting.pop(future, None)
             if future.cancel() or future.done():
@@ -110,12 +99,12 @@ class Workers:
             if not self._waiting:
                 return
             future = next(iter(self._waiting))
-            asked = self._waiting.pop(future)
+            request = self._waiting.pop(future)
             if not future.set_running_or_notify_cancel():
                 return
         result, error = None, None
         try:
-            result = self._done_somewhere(future, asked)
+            result = self._done_somewhere(future, request)
         except Exception as raised:
             error = raised
         with self._lock:  # from here on it is too late to stop it
@@ -128,7 +117,7 @@ class Workers:
         else:
             future.set_result(result)
 
-    def _done_somewhere(self, future: Future[Any], asked: _Job) -> Any:
+    def _done_somewhere(self, future: Future[Any], request: _Job) -> Any:
         """The result of a job; an idle process may have died, and is no reason to fail."""
         for _ in range(_TRIES):
             if self._closed.is_set():  # nobody puts back an idle process any more
@@ -139,7 +128,7 @@ class Workers:
                     if future in self._stopped:
                         raise StoppedError("that was stopped.")
                     self._doing[future] = worker
-                return worker.do(asked)
+                return worker.do(request)
             except _NotBegunError:
                 continue
             finally:
@@ -184,7 +173,7 @@ class _Worker:
     def alive(self) -> bool:
         return self._process.is_alive()
 
-    def do(self, asked: _Job) -> Any:
+    def do(self, request: _Job) -> Any:
         """Run a job here; the process does not outlive one that takes too long.
 
         Raises
@@ -193,25 +182,25 @@ class _Worker:
             If the process ends, or has ended, before it begins the job.
         """
         try:
-            self._pipe.send((asked.job, asked.given, asked.on_progress is not None))
+            self._pipe.send((request.job, request.given, request.on_progress is not None))
             self._pipe.recv()  # begun: what it imports before that is not the job's fault
         except (EOFError, OSError):
             self.end()
             raise _NotBegunError from None
-        end = time.monotonic() + asked.limit
+        end = time.monotonic() + request.limit
         try:
             while True:
                 if not self._pipe.poll(max(end - time.monotonic(), 0.0)):
                     self.end()
                     raise TooLongError(
-                        f"that takes longer than {asked.limit:g} s, and was stopped: make the "
+                        f"that takes longer than {request.limit:g} s, and was stopped: make the "
                         "problem smaller, or use the command line, which has no limit."
                     )
                 kind, answer = self._pipe.recv()
                 if kind != "progress":
                     break
-                if asked.on_progress is not None:
-                    asked.on_progress(answer)
+                if request.on_progress is not None:
+                    request.on_progress(answer)
         except (EOFError, OSError):
             self.end()
             raise ArgumentError(
@@ -241,7 +230,7 @@ def _serve(pipe: Connection) -> None:
         while True:
             job, given, tells = pipe.recv()
             pipe.send(("begun", None))
-            more = {"tell": lambda said: pipe.send(("progress", said))} if tells else {}
+            more = {"tell": lambda message: pipe.send(("progress", message))} if tells else {}
             try:
                 answer = ("done", job(*given, **more))
             except DeadtimeError as error:

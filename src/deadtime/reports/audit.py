@@ -1,4 +1,4 @@
-"""The audit: every claim of the paper about its example, held against many random signals."""
+"""The audit: every claim of the paper about its example, tested on many random signals."""
 
 from __future__ import annotations
 
@@ -407,10 +407,7 @@ def audit(
     progress: Progress | None = None,
     dwell_time: float = 0.2,
 ) -> list[Claim]:
-    r"""Hold what the paper says of its example's runs against many random signals.
-
-    Its figure for :math:`\varepsilon^*` is held against `theorem_bound` elsewhere: see
-    `constants_table`.
+    r"""Test every claim of the paper about its example's runs on many random signals.
 
     Random signals have sojourns of the dwell time :math:`\tau_d` plus an exponential time of that
     mean. Claims about a trend are measured at four points each, on 0.4 times as many signals, the

@@ -20,25 +20,13 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Shares measured along a parameter, for a figure.
+    """Shares measured along a parameter, for a figure."""
 
-    Attributes
-    ----------
-    parameter : str
-        Name of the parameter, with its unit.
-    values, ticks
-        Its values, and how to write them on an axis.
-    shares : mapping
-        From what is counted to one `Proportion` per value.
-    ratio : tuple of float
-        Median ∫|x|² under law (2) over that under law (80), per value.
-    """
-
-    parameter: str
+    parameter: str  # with its unit
     values: tuple[float, ...]
     ticks: tuple[str, ...]
-    shares: Mapping[str, tuple[Proportion, ...]]
-    ratio: tuple[float, ...]
+    shares: Mapping[str, tuple[Proportion, ...]]  # label → a share per value
+    ratio: tuple[float, ...]  # median ∫|x|² under law (2) over that under law (80), per value
 
 
 @dataclass(frozen=True, eq=False)

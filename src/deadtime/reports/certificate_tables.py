@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from deadtime.plant.plant_set import PlantUncertainty
 
 
-HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
+HEADINGS = ("law", "stability", "decay, 1/s", "proof", "growth, 1/s", "delay margin, s")
 LEGEND = (
-    "Stable: yes, for every such signal; no, |x| grows along one of them; no answer, neither was "
-    "found. Decay: every run falls at least this fast. Proved: verified in ball arithmetic, also "
-    "where a signal refutes. Growth: along the worst signal found. Delay margin: the true delays "
-    "for which the law keeps every constant mode stable; of several delays, their common change."
+    "Stability: yes, for every such signal; no, |x| grows along one; no answer, neither was found. "
+    "Decay: every run falls at least this fast. Proof: in ball arithmetic (yes), in floating point "
+    "(numerical), by a signal that grows (witness). Growth: along the worst signal found. Delay "
+    "margin: the true delays that keep every constant mode stable; of several, their common change."
 )
 
 
@@ -126,7 +126,7 @@ def judge(
     def prove(name: str) -> None:
         law = problem.laws[name]
         try:
-            found = certify(
+            certificate = certify(
                 plant,
                 law,
                 signals,
@@ -135,7 +135,7 @@ def judge(
                 delays=delays,
                 progress=lambda what: trying(f"{name}: {what}"),
             )
-            certified[name].set_result(found)
+            certified[name].set_result(certificate)
         except BaseException as error:
             certified[name].set_exception(error)
 
@@ -163,7 +163,7 @@ def uncertain_plant(problem: Problem) -> PlantUncertainty:
 
 
 def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) -> list[str]:
-    """Which plants an answer is about, where the file leaves some open."""
+    """The plants that an answer covers, where the file leaves some open."""
     if problem.uncertain is None:
         return []
     if uncertain:
@@ -203,17 +203,21 @@ def _judge(
 
 def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     """Rows of the table of certificates, columns as in `HEADINGS`."""
-    return [
-        (
+    rows = []
+    for one in judged:
+        rate = one.certificate and one.certificate.decay_rate
+        decay = "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
+        proven = "yes" if one.certificate and one.certificate.proven else "numerical"
+        growth = math.inf if one.worst is None else one.worst.growth_rate
+        rows.append((
             one.law,
             {True: "yes", False: "no", None: "no answer"}[one.stable],
-            _decay(one.certificate),
-            _proof_in_words(one.certificate),
-            _growth(one.worst),
+            decay,
+            {True: proven, False: "witness", None: "–"}[one.stable],
+            as_rate(growth) if math.isfinite(growth) else "–",
             margin_text(one.margin),
-        )
-        for one in judged
-    ]
+        ))  # fmt: skip
+    return rows
 
 
 def without_imperfections(problem: Problem, signals: SignalClass | None = None) -> list[str]:
@@ -240,11 +244,11 @@ def left_out(problem: Problem, signals: SignalClass | None = None) -> list[str]:
     >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
     ['Not covered: dropout (probability 0.1). Certificates are about the loop without it.']
     """
-    said, missing = [], without_imperfections(problem, signals)
+    sentences, missing = [], without_imperfections(problem, signals)
     if missing:
         them = "it" if len(missing) == 1 else "them"
         named = ", ".join(missing)
-        said.append(f"Not covered: {named}. Certificates are about the loop without {them}.")
+        sentences.append(f"Not covered: {named}. Certificates are about the loop without {them}.")
     # A drawn loss may be longer than any number of samples, so it is covered under this condition.
     drawn = [
         words
@@ -254,8 +258,8 @@ def left_out(problem: Problem, signals: SignalClass | None = None) -> list[str]:
     if drawn and signals is not None and signals.lost_samples:
         row = number_of(signals.lost_samples, "sample")
         are = "is" if signals.lost_samples == 1 else "are"
-        said.append(f"Covered while at most {row} in a row {are} lost: {', '.join(drawn)}.")
-    return said
+        sentences.append(f"Covered while at most {row} in a row {are} lost: {', '.join(drawn)}.")
+    return sentences
 
 
 def certificate_sentences(judged: Sequence[Judged], problem: Problem) -> list[str]:
@@ -281,10 +285,10 @@ def summary_of(judged: Sequence[Judged]) -> str:
     'Stable for every such signal: mean.'
     """
     kinds = {True: "Stable for every such signal", False: "Not stable", None: "No answer"}
-    found = (
+    groups = (
         (text, [one.law for one in judged if one.stable is kind]) for kind, text in kinds.items()
     )
-    return " ".join(f"{text}: {', '.join(laws)}." for text, laws in found if laws)
+    return " ".join(f"{text}: {', '.join(laws)}." for text, laws in groups if laws)
 
 
 def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
@@ -341,9 +345,9 @@ def _shorten(value: float, rounding: str) -> str:
 
 
 def delay_sentence(problem: Problem) -> list[str]:
-    """The delay margin of the problem's first law; nothing where that cannot be asked.
+    """The delay margin of the problem's first law, or that it was left out since it takes long.
 
-    Where it would take long, that it was left out.
+    Nothing where it does not exist.
     """
     from deadtime.margins.delay import constant_delay_margin
     from deadtime.spectrum.held_mode_checks import why_left_out
@@ -358,24 +362,6 @@ def delay_sentence(problem: Problem) -> list[str]:
         return []
     but = ", ignoring the imperfections," if problem.imperfections else ""
     return [f"Under the law “{name}”{but} {with_names(margin.message, problem.modes)}."]
-
-
-def _decay(certificate: Certificate | None) -> str:
-    rate = None if certificate is None else certificate.decay_rate
-    return "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
-
-
-def _proof_in_words(certificate: Certificate | None) -> str:
-    if certificate is None or certificate.stable is None:
-        return "–"
-    if certificate.stable:
-        return "yes" if certificate.proven else "numerical"
-    return "witness"
-
-
-def _growth(worst: WorstCase | None) -> str:
-    rate = None if worst is None else worst.growth_rate
-    return "–" if rate is None or not math.isfinite(rate) else as_rate(rate)
 
 
 def bound_headings(
@@ -434,12 +420,12 @@ def bound_rows(
         "ν₁": large("nu1", "log10_nu1"),
         "ν₂": large("nu2", "log10_nu2"),
         "κ": large("kappa", "log10_kappa"),
-        "b": lambda bound: _optional(bound.b),
+        "b": lambda bound: "–" if bound.b is None else compact(bound.b),
         "δ₁(ε)": lambda bound: compact(bound.delta1(bound.epsilon)),
         "δ₂(ε)": lambda bound: compact(bound.delta2(bound.epsilon)),
-        "μ, 1/s": lambda bound: _optional(bound.mu),
+        "μ, 1/s": lambda bound: "–" if bound.mu is None else compact(bound.mu),
         "ρ": large("rho", "log10_rho"),
-        "ξ, 1/s": lambda bound: _optional(bound.xi),
+        "ξ, 1/s": lambda bound: "–" if bound.xi is None else compact(bound.xi),
         "ε < ε*": lambda bound: "yes" if bound.holds else "no",
     }
     rows = []
@@ -477,7 +463,3 @@ def bounds_record(bounds: Mapping[str, TheoremBound]) -> dict[str, dict[str, Any
     logs = [f"log10_{name}" for name in ("epsilon_star", "nu1", "nu2", "kappa", "rho")]
     fields = (*names, *logs, "holds", "message")
     return {form: record(bound, *fields) for form, bound in bounds.items()}
-
-
-def _optional(value: float | None) -> str:
-    return "–" if value is None else compact(value)

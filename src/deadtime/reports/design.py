@@ -19,6 +19,7 @@ from deadtime.base.json_records import plain as json_values, record
 from deadtime.base.wording import as_rate, compact
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import PLAIN, record_of, text_of
+from deadtime.reports.figures.sweeps.maps import log_ticks
 from deadtime.synthesis import Design, TradeOff
 from deadtime.synthesis.design_result import DECAY, LIMIT, percent
 
@@ -82,19 +83,15 @@ def problem_sections(
     lines.append("# Put these in place of [gains] and of the [[law]] sections of the problem file.")
     K = np.array(gains)
     K[slice(None) if mode is None else [mode]] = design.gains
-    lines += ["", "[gains]", f"K = {_nested_lists(K)}"]
+    lines += ["", "[gains]", f"K = {K.tolist()}"]
     if np.linalg.eigvals(plant.A + plant.B @ K).real.max() >= 0.0:
         lines.append("allow_unstable = true    # the filter is part of what stabilises")
     lines += ["", "[[law]]", f'kind = "{kind}"' if mode is None else 'kind = "single"']
     lines += [] if mode is None else [f"mode = {mode}"]
     T = design.time_constant
     if T is not None:
-        lines.append(f"low_pass = {repr(float(T[0, 0])) if T.shape[0] == 1 else _nested_lists(T)}")
+        lines.append(f"low_pass = {T.item() if T.size == 1 else T.tolist()}")
     return "\n".join([*lines, "", f"# In [run]: step = {design.step!r}", ""])
-
-
-def _nested_lists(array: np.ndarray) -> str:
-    return str(array.tolist())
 
 
 def design_record(design: Design) -> dict[str, Any]:
@@ -121,13 +118,8 @@ def design_record(design: Design) -> dict[str, Any]:
 
 REACHED, BEYOND = "#e4f2e4", "#f3c3a3"
 _RING: dict[str, Any] = {
-    "ls": "",
-    "marker": "o",
-    "mfc": "none",
-    "mec": COLOURS[3],
-    "mew": 1.4,
-    "markersize": 10.0,
-}
+    "ls": "", "marker": "o", "mfc": "none", "mec": COLOURS[3], "mew": 1.4, "markersize": 10.0
+}  # fmt: skip
 
 
 def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
@@ -149,6 +141,7 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
     """
     columns = min(columns, len(designs))
     rows = -(-len(designs) // columns)
+    weights = dict.fromkeys(text_of(one.weight) for one in designs.values())
     with rc_context(STYLE):
         figure = new_figure(1.5 * WIDTH if columns > 1 else WIDTH, 0.8 + 3.4 * rows)
         heights = [2.1, 1.0] * rows
@@ -169,14 +162,9 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
             loc="outside lower center",
             ncols=3 if columns > 1 else 2,
             handlelength=1.6,
-            title=_costs(designs),
+            title=None if [*weights] == [PLAIN] else plain(f"cost: {'; '.join(weights)}"),
         )
     return figure
-
-
-def _costs(designs: Mapping[str, Design]) -> str | None:
-    texts = dict.fromkeys(text_of(one.weight) for one in designs.values())
-    return None if set(texts) == {PLAIN} else plain(f"cost: {'; '.join(texts)}")
 
 
 def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
@@ -194,17 +182,21 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
     usual = any(math.isfinite(one.plain.cost) for one in ones)
     short = any(_falls_short(one, point) for one, point in drawn)
     endless = any(math.isinf(point.margin) for _, point in drawn)
-    asked = any(one.asked or one.input_limit is not None for one in ones)
+    limited, slow = any(one.input_limit is not None for one in ones), "slower than asked"
+    if limited:
+        slow = "slow, or |u| too large" if any(one.decay_asked for one in ones) else "|u| too large"
+    hollow = f"hollow: {slow}"
+    wishes = ["margin"] * any(one.asked for one in ones) + ["limit"] * limited
     beyond = any(100.0 * min(each.most for each in one.limits) < _right(one) for one in ones)
     return [
         *key(any(len(_front(one)) > 1 for one in ones), "least cost for a margin", lw=1.0, **blue),
         *key(alone, "gains alone", marker="o", **blue, **dot),
         *key(filtered, "gains and a filter", marker="s", **green, **dot),
         *key(usual, "plain design", color=COLOURS[6], marker="X", **dot),
-        *key(any(_is_chosen(one) for one in ones), "chosen", **_RING),
-        *key(short, _hollow(designs), color="grey", mfc="none", marker="o", **dot),
+        *key(any(point.law is one.law for one, point in drawn), "chosen", **_RING),
+        *key(short, hollow, color="grey", mfc="none", marker="o", **dot),
         *key(endless, "stable whatever the delay", color="grey", marker=">", **dot),
-        *key(asked, _dashed(designs), color=COLOURS[1], ls="--", lw=1.0),
+        *key(bool(wishes), f"{' and '.join(wishes)} asked for", color=COLOURS[1], ls="--", lw=1.0),
         Patch(facecolor=REACHED, label="within reach, by mode"),
         *[Patch(facecolor=BEYOND, label="beyond reach in some mode")] * beyond,
     ]
@@ -252,8 +244,12 @@ def _inputs_panel(panel: Axes, design: Design) -> None:
         panel.axhline(levels[-1], color=COLOURS[1], linestyle="--", linewidth=1.0)
     if levels:
         panel.set_yscale("log")
-        panel.set_ylim(min(levels) / 1.25, 1.25 * max(levels))
-        _plain_ticks(panel, min(levels) / 1.25, 1.25 * max(levels))
+        low, high = min(levels) / 1.25, 1.25 * max(levels)
+        ticks = log_ticks(low, high, 4, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
+        ticks = ticks or {math.sqrt(low * high): f"{math.sqrt(low * high):.3g}"}
+        panel.set_ylim(low, high)
+        panel.set_yticks(list(ticks), list(ticks.values()))
+        panel.minorticks_off()
     panel.set_xlim(0.0, right)
     shortest = "D" if design.law.plant.has_one_delay else "the shortest delay"
     panel.set_xlabel(f"delay margin (% of {shortest})")
@@ -264,19 +260,6 @@ def _largest(point: TradeOff, limit: np.ndarray | None) -> float:
     if point.input_peak is None:
         return math.inf
     return float((point.input_peak / (1.0 if limit is None else limit)).max())
-
-
-def _plain_ticks(panel: Axes, low: float, high: float) -> None:
-    """At most four round numbers between the ends of a logarithmic axis."""
-    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for steps in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3), (1,)):
-        ticks = [step * 10.0**power for power in powers for step in steps]
-        ticks = [tick for tick in ticks if low <= tick <= high]
-        if len(ticks) <= 4:
-            break
-    ticks = ticks[:: -(-len(ticks) // 4)] if ticks else [math.sqrt(low * high)]
-    panel.set_yticks(ticks, [f"{tick:.3g}" for tick in ticks])
-    panel.minorticks_off()
 
 
 def _mark(panel: Axes, design: Design, point: TradeOff, x: np.ndarray, y: np.ndarray) -> None:
@@ -301,30 +284,10 @@ def _falls_short(design: Design, point: TradeOff) -> bool:
     return bool({DECAY, LIMIT} & set(design.missed(point)))
 
 
-def _dashed(designs: Mapping[str, Design]) -> str:
-    words = {
-        "margin": any(one.asked for one in designs.values()),
-        "limit": any(one.input_limit is not None for one in designs.values()),
-    }
-    return f"{' and '.join(word for word, there in words.items() if there)} asked for"
-
-
-def _hollow(designs: Mapping[str, Design]) -> str:
-    limited = any(one.input_limit is not None for one in designs.values())
-    if not limited:
-        return "hollow: slower than asked"
-    slow = any(one.decay_asked for one in designs.values())
-    return "hollow: slow, or |u| too large" if slow else "hollow: |u| too large"
-
-
 def _points_to_draw(design: Design) -> list[TradeOff]:
     """The plain design, where it is stable, and the others; the plain one once."""
     plain = [design.plain] if math.isfinite(design.plain.cost) else []
     return [*plain, *(point for point in design.points if point.law is not design.plain.law)]
-
-
-def _is_chosen(design: Design) -> bool:
-    return any(point.law is design.law for point in _points_to_draw(design))
 
 
 def _front(design: Design) -> list[TradeOff]:

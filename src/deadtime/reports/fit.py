@@ -91,7 +91,7 @@ def plot_fit(
     Parameters
     ----------
     model : SemiMarkov
-        Fitted to these signals, or any other that is to be held against them.
+        Fitted to these signals, or any other to compare with them.
     signals : SwitchingSignal, or list of them
         The logs.
     modes : sequence of str, optional
@@ -143,14 +143,8 @@ def _survival(axes: Axes, dist: Distribution, observed: Observed) -> None:
     axes.step(corners, levels, where="post", color=COLOURS[0], label="logs (Kaplan–Meier)")
     if observed.censored.size:
         level = levels[np.searchsorted(corners, observed.censored, side="right") - 1]
-        axes.plot(
-            observed.censored,
-            level,
-            "|",
-            color=COLOURS[0],
-            markersize=5.0,
-            label="cut off by the log's end",
-        )
+        look: dict[str, Any] = {"color": COLOURS[0], "markersize": 5.0}
+        axes.plot(observed.censored, level, "|", label="cut off by the log's end", **look)
     axes.plot(grid, model, "--", color=COLOURS[1], label="model")
     axes.set_xlim(0.0, end)
     axes.set_ylim(-3.0, 103.0)

@@ -23,7 +23,7 @@ _NOTHING = 1e-3  # an estimate of noise below this share of its upper bound is u
 
 
 class Picture(NamedTuple):
-    """A figure as a page holds it; image : its PNG as a data address."""
+    """A figure of a page; image : its PNG as a data address."""
 
     name: str
     caption: str
@@ -31,7 +31,7 @@ class Picture(NamedTuple):
 
 
 def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ...]:
-    """Figures as a page holds them, of (name, caption, figure)."""
+    """The pictures of figures given as (name, caption, figure)."""
     return tuple(Picture(name, caption, inlined(figure)[1]) for name, caption, figure in figures)
 
 
@@ -72,7 +72,7 @@ def sampling_of(fit: Identification) -> str:
 
 
 def law_beside(fit: Identification, name: str, law: Law, step: float | None = None) -> str:
-    """How much delay a law tolerates beside what the log leaves open; at the log's period if none.
+    """The delay error that a law tolerates, and that of the log; at the log's period by default.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def write_identification(
     path : path
         The file, HTML; nothing else is written.
     sentences : sequence of str
-        What it opens with; those of the identification by default.
+        The first sentences; those of the identification by default.
     title : str
         Its heading.
     command : str

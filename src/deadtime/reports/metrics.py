@@ -30,7 +30,7 @@ _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyS
 
 
 def measure_title(measure: str, weight: Weight | None) -> str:
-    """The heading of a table of what laws are ranked by, or of ∫|x|²."""
+    """The heading of a table of the measure that ranks the laws, or of ∫|x|²."""
     if measure == "iae":
         return f"{TRACKING_ERROR} over the whole run"
     return f"Cost, {text_of(weight)}" if measure == "cost" else "∫|x|²"
@@ -148,8 +148,8 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
         # A run settles where it comes to rest, which need not be 0.
         ends = {"outcome": ending.kind, "settling_time": ending.settling, "rest": ending.rest}
         run = result.runs[name]
-        told = record(run, "diverged", "message")
-        laws[name] = {**row, **ends, **told, **record_of_run(result.problem, run)}
+        end = record(run, "diverged", "message")
+        laws[name] = {**row, **ends, **end, **record_of_run(result.problem, run)}
     return plain({
         "problem": result.problem.name,
         "version": __version__,

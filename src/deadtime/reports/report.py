@@ -17,23 +17,8 @@ from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison, Progress, compare
 from deadtime.problems.switching_assumptions import dwell_time_of, signals_of, step_of
-from deadtime.reports import metrics
+from deadtime.reports import certificate_tables as tables, metrics
 from deadtime.reports.audit import STEPS, audit
-from deadtime.reports.certificate_tables import (
-    HEADINGS,
-    LEGEND,
-    Judged,
-    bound_headings,
-    bound_rows,
-    bound_sentence,
-    bounds_of,
-    certificate_rows,
-    certificate_sentences,
-    delay_sentence,
-    judge,
-    left_out,
-    theorem_refusal,
-)
 from deadtime.reports.figures.runs import all_laws, plot_signal, plot_verdict, plot_window
 from deadtime.reports.metrics import metrics_of
 from deadtime.reports.report_folder import PAGE, save_figure, write_metrics, write_page, writing
@@ -55,16 +40,16 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     Figure); `statement` says what is proved, of the first certificate that is a proof.
     """
     progress, problem = reporter("progress", progress), result.problem
-    asked, step = signals_of(problem, result.signal), step_of(problem)
-    judged = judge(problem, asked.signals, step, progress=progress)
-    sentences = [*left_out(problem, asked.signals), *certificate_sentences(judged, problem)]
-    figures = []
-    reach = _tightness_figure(problem, asked.dwell.value, step, progress)
+    assumptions, step = signals_of(problem, result.signal), step_of(problem)
+    judged = tables.judge(problem, assumptions.signals, step, progress=progress)
+    sentences = tables.left_out(problem, assumptions.signals)
+    sentences += tables.certificate_sentences(judged, problem)
+    progress("drawing: worst signals")
+    figures = _witness_figures(problem, judged)
+    reach = _tightness_figure(problem, assumptions.dwell.value, step, progress)
     if reach is not None:
         sentences.append(reach[0])
         figures.append(reach[1])
-    progress("drawing: worst signals")
-    figures = [*_witness_figures(problem, judged), *figures]
     proofs = [
         (one.certificate.statement, one.law)
         for one in judged
@@ -72,10 +57,10 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     ]
     statement, law = proofs[0] if proofs else ((), "")
     return {
-        "about": asked.in_words(problem.modes, step),
-        "headings": HEADINGS,
-        "rows": certificate_rows(judged),
-        "legend": LEGEND,
+        "about": assumptions.in_words(problem.modes, step),
+        "headings": tables.HEADINGS,
+        "rows": tables.certificate_rows(judged),
+        "legend": tables.LEGEND,
         "sentences": sentences,
         "statement": statement,
         "statement_of": law,
@@ -83,7 +68,9 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     }
 
 
-def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:
+def _witness_figures(
+    problem: Problem, judged: list[tables.Judged]
+) -> list[tuple[str, str, Figure]]:
     # Not of a baseline, which nobody expects to be stable.
     from deadtime.reports.figures.certificates import plot_witness
 
@@ -106,7 +93,7 @@ def _tightness_figure(
     from deadtime.reports.tightness import plot_tightness, tightness
 
     try:
-        found = tightness(
+        reach = tightness(
             problem, dwell, step, progress=lambda what: progress(f"certificates: {what}")
         )
     except ArgumentError:  # modes that do not differ
@@ -118,8 +105,8 @@ def _tightness_figure(
         "for the averaged law: what each certificate allows, and where a signal grows, if one was "
         "found. The theorem's ε* depends on the plant; it is that of modes as close as it allows."
     )
-    figure = ("certificates-reach", caption, plot_tightness(found))
-    return (found.message, figure) if len(found.reaches) > 1 else None
+    figure = ("certificates-reach", caption, plot_tightness(reach))
+    return (reach.message, figure) if len(reach.reaches) > 1 else None
 
 
 SCENARIOS = 1000
@@ -217,7 +204,7 @@ def _write(
     problem: Problem, folder: Path, progress: Progress, command: str, certificates: bool
 ) -> tuple[list[str], Comparison]:
     result = compare(problem, progress)
-    sentences = [*verdict(result), *delay_sentence(problem)]
+    sentences = [*verdict(result), *tables.delay_sentence(problem)]
     progress("drawing: verdict")
     caption = "The same law with and without switching."
     picture = save_figure(plot_verdict(result), folder, "verdict", caption)
@@ -265,22 +252,17 @@ def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any]
     """Claims and figures of the audit, for the problem that a paper makes claims about."""
     if not problem.constants:
         return None
-    from deadtime.reports.figures import audit as audit_plots
+    from deadtime.reports.figures import audit as plots
 
     claims = audit(problem, SCENARIOS, progress=progress)
-    figures = {
-        "audit-claims": (audit_plots.plot_claims, "On how many random signals each claim holds."),
-        "audit-dwell-times": (
-            audit_plots.plot_dwell_times,
-            "Law (2) against law (80) as the dwell time changes.",
-        ),
-        "audit-distances": (
-            audit_plots.plot_distances,
-            "Signals stabilised by laws (2) and (80) as the modes move apart.",
-        ),
+    captions = {
+        plots.plot_claims: "On how many random signals each claim holds.",
+        plots.plot_dwell_times: "Law (2) against law (80) as the dwell time changes.",
+        plots.plot_distances: "Signals stabilised by laws (2) and (80) as the modes move apart.",
     }
     images = []
-    for name, (draw, caption) in figures.items():
+    for draw, caption in captions.items():
+        name = draw.__name__.replace("plot_", "audit-").replace("_", "-")
         progress(f"drawing: {name}")
         images.append(save_figure(draw(claims), folder, name, caption))
     return {"claims": claims, "figures": images, "scenarios": SCENARIOS}
@@ -291,13 +273,13 @@ def _constants(result: Comparison) -> dict[str, Any]:
     problem = result.problem
     dwell_time, source = dwell_time_of(problem, result.signal)
     try:
-        bounds = bounds_of(problem, dwell_time)
+        bounds = tables.bounds_of(problem, dwell_time)
     except (ArgumentError, InfeasibleError, SolverError) as error:
-        return {"rows": [], "sentence": theorem_refusal(error), "published": False}
+        return {"rows": [], "sentence": tables.theorem_refusal(error), "published": False}
     return {
-        "headings": bound_headings(bounds, problem.constants),
-        "rows": bound_rows(bounds, problem.constants),
-        "sentence": bound_sentence(bounds),
+        "headings": tables.bound_headings(bounds, problem.constants),
+        "rows": tables.bound_rows(bounds, problem.constants),
+        "sentence": tables.bound_sentence(bounds),
         "published": bool(problem.constants),
         "dwell_time": dwell_time,
         "source": source,

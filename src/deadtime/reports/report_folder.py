@@ -49,11 +49,12 @@ def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[s
     figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
     png, image = inlined(figure)
     (folder / "figures" / f"{name}.png").write_bytes(png)
-    return {"name": name, "caption": caption, "image": image}
+    inches = f"{figure.get_figwidth():.2f}"
+    return {"name": name, "caption": caption, "image": image, "inches": inches}
 
 
 def inlined(figure: Figure) -> tuple[bytes, str]:
-    """A figure as PNG, and that as the address of an image in a page."""
+    """A figure as PNG, and the data address of that image."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     png = buffer.getvalue()

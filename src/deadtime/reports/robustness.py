@@ -29,15 +29,15 @@ DRAWN_HEADINGS = ("law, each mode held", "stable plants", "largest growth, 1/s")
 
 def drawn_of(problem: Problem, step: float, seed: int = 0) -> dict[str, DrawnStability]:
     """Of every law that has growth rates; nothing where the file has no [uncertainty]."""
-    found: dict[str, DrawnStability] = {}
+    counts: dict[str, DrawnStability] = {}
     for name, law in problem.laws.items():
         if problem.uncertain is None or not law.is_linear:
             continue
         try:
-            found[name] = drawn_stability(problem.uncertain, law, step, seed=seed)
+            counts[name] = drawn_stability(problem.uncertain, law, step, seed=seed)
         except DeadtimeError:  # a law that has no rates at this period
             continue
-    return found
+    return counts
 
 
 def drawn_rows(drawn: dict[str, DrawnStability]) -> list[tuple[str, ...]]:
@@ -83,7 +83,7 @@ def plot_robustness(
         _noise_panel(panels[0, 2], result)
         _cost_panel(panels[1, 0], result.drops, "samples lost (%)", 100.0)
         _cost_panel(panels[1, 1], result.late, "samples late (periods)", 1.0)
-        _cost_panel(panels[1, 2], result.lag, "mode detection delay (periods)", 1.0)
+        _cost_panel(panels[1, 2], result.lag, "delay (periods)", 1.0)
         for panel, heading in zip(panels.flat, HEADINGS, strict=True):
             panel.set_title(heading)
         keys = [Line2D([], [], color=COLOURS[i % 6], linestyle=LINES[i % len(LINES)],
@@ -173,22 +173,26 @@ def _cost_panel(panel: Axes, tolerance: Tolerance | None, label: str, unit: floa
         return
     base = float(np.median(tolerance.cost[0]))
     values, cost = unit * tolerance.values, np.minimum(tolerance.cost / base, _LARGEST)
-    kept = ~tolerance.lost.any(axis=1)
+    complete = ~tolerance.lost.any(axis=1)
     panel.fill_between(
-        values[kept], cost[kept].min(axis=1), cost[kept].max(axis=1), color=COLOURS[0], alpha=0.25
+        values[complete],
+        cost[complete].min(axis=1),
+        cost[complete].max(axis=1),
+        color=COLOURS[0],
+        alpha=0.25,
     )
-    panel.plot(values[kept], np.median(cost[kept], axis=1), ".-", color=COLOURS[0])
+    panel.plot(values[complete], np.median(cost[complete], axis=1), ".-", color=COLOURS[0])
     panel.set_yscale("log")
     panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     panel.yaxis.set_major_formatter("{x:g}")
     panel.yaxis.set_minor_locator(NullLocator())
     panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    for value in values[~kept]:
+    for value in values[~complete]:
         panel.plot([value], [0.97], "x", color=BAD, transform=panel.get_xaxis_transform())
     if tolerance.tolerated is not None:
         _shade(panel, 0.0, unit * tolerance.tolerated)
-    highest = float(cost[kept].max()) if kept.any() else 1.0
-    panel.set_ylim(0.85 * float(min(1.0, cost[kept].min(initial=1.0))), 1.3 * max(1.6, highest))
+    highest = float(cost[complete].max()) if complete.any() else 1.0
+    panel.set_ylim(0.85 * float(min(1.0, cost[complete].min(initial=1.0))), 1.3 * max(1.6, highest))
 
 
 def _noise_panel(panel: Axes, result: Robustness) -> None:
@@ -198,10 +202,11 @@ def _noise_panel(panel: Axes, result: Robustness) -> None:
     if not math.isfinite(noise.doubling):
         _nothing(panel, "could not be\ncomputed")
         return
-    kept = np.isfinite(noise.cost).all(axis=1)  # runs may diverge at twice the noise
-    std, cost = noise.std[kept], noise.cost[kept] / noise.base
-    panel.fill_between(std, cost.min(axis=1), cost.max(axis=1), color=COLOURS[0], alpha=0.25)
-    panel.plot(std, cost.mean(axis=1), ".-", color=COLOURS[0], linewidth=1.0)
+    complete = np.isfinite(noise.cost).all(axis=1)  # runs may diverge at twice the noise
+    std, cost = noise.std[complete], noise.cost[complete] / noise.base
+    panel.vlines(std, cost.min(axis=1), cost.max(axis=1), color=COLOURS[0], alpha=0.5, linewidth=3)
+    panel.plot(std, cost.mean(axis=1), ".", color=COLOURS[0])
+    panel.xaxis.set_major_locator(MaxNLocator(3))
     panel.axvline(noise.doubling, color=COLOURS[6], linewidth=0.8, linestyle=":")
     panel.text(noise.doubling, 0.97, " doubled", transform=panel.get_xaxis_transform(), va="top",
                ha="right", rotation=90, fontsize=7.5)  # fmt: skip

@@ -18,19 +18,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.json_records import plain
 from deadtime.base.latex import booktabs
 from deadtime.base.wording import compact
+from deadtime.reports.figures.sweeps import selection
 from deadtime.reports.figures.sweeps.panels import symbol_of
 from deadtime.reports.figures.sweeps.reduction import quantiles, score_of
-from deadtime.reports.figures.sweeps.selection import (
-    RATES,
-    RUNS,
-    laws_of,
-    long_axes,
-    metrics_of,
-    one_of,
-    oracle_of,
-    select,
-    text_of,
-)
 from deadtime.scenarios.dataset import Comparison, formula_of
 from deadtime.scenarios.paired_statistics import (
     Proportion,
@@ -199,12 +189,12 @@ class Summary:
             rows.append([law, low, *median, high, wins, shares, *ratio, f"{one.grew:,}"])
         headings = ["law", "5 %", "median", _INTERVAL, "95 %", "wins", _INTERVAL]
         measure = "∫|r - y|" if self.measure == "iae" else "the cost"
-        said = [
+        remarks = [
             f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
             *self.notes,
             "Those of shares are Wilson's.",
         ]
-        return booktabs([*headings, f"/ {self.reference}", _INTERVAL, "growing runs"], rows, said)
+        return booktabs([*headings, f"/ {self.reference}", _INTERVAL, "growing runs"], rows, remarks)
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
@@ -213,14 +203,9 @@ class Summary:
 
 
 class LawRuns:
-    """The runs of laws over the same scenarios, read from a dataset or from the engine's arrays.
+    """The runs of laws over the same scenarios, from a dataset or the engine's arrays.
 
-    Attributes
-    ----------
-    names : list of str
-        Of the laws.
-    lost : (law, scenario) of bool
-        Where a law diverged.
+    `names` are those of the laws; `lost` tells where a law diverged.
     """
 
     _keep: Callable[[Any], np.ndarray]
@@ -373,17 +358,17 @@ class SweepTable:
         interval, the geometric mean of its ratio to the oracle's on the same signal with its 95 %
         interval (where the sweep has an oracle, and ratios say something), and on how many signals
         the law diverged.
-    said : list of str
+    notes : list of str
         What the numbers are.
     """
 
     headings: list[str]
     rows: list[list[str]]
-    said: list[str]
+    notes: list[str]
 
     def to_latex(self) -> str:
         """The table for LaTeX, of the package booktabs."""
-        return booktabs(self.headings, self.rows, self.said)
+        return booktabs(self.headings, self.rows, self.notes)
 
 
 def sweep_table(data: xr.Dataset, metric: str | None = None) -> SweepTable:
@@ -417,37 +402,38 @@ def sweep_table(data: xr.Dataset, metric: str | None = None) -> SweepTable:
     """
     import xarray as xr
 
-    known = metrics_of(data)
+    known = selection.metrics_of(data)
     default = "ise" if "ise" in known else known[0]
-    metric = default if metric is None else one_of("metric", metric, known)
-    kept = select(data, metric)
-    laws, oracle = laws_of(kept), oracle_of(kept) if metric not in RATES else ""
+    metric = default if metric is None else selection.one_of("metric", metric, known)
+    cells = selection.select(data, metric)
+    laws = selection.laws_of(cells)
+    oracle = "" if metric in selection.RATES else selection.oracle_of(cells)
     found = xr.apply_ufunc(
         _figures,
-        score_of(kept, metric),
+        score_of(cells, metric),
         kwargs={"oracle": laws.index(oracle) if oracle else -1},
-        input_core_dims=[RUNS],
+        input_core_dims=[selection.RUNS],
         output_core_dims=[("law", "part")],
         dask="parallelized",
         output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {"part": _PARTS}},
     ).compute()
-    axes = long_axes(kept)
+    axes = selection.long_axes(cells)
     rows = []
     for place in np.ndindex(found.shape[:-1]):
         at = dict(zip(found.dims, place, strict=False))
-        cell = [text_of(kept[name].values[at[name]]) for name in axes]
+        cell = [selection.text_of(cells[name].values[at[name]]) for name in axes]
         rows.append([laws[at["law"]], *cell, *_row(found.values[place], metric, bool(oracle))])
     ratio = [f"/ {oracle}", "95 % interval"] if oracle else []
-    symbol = formula_of(kept[metric]) if metric == "cost" else symbol_of(metric)
-    headings = ["law", *axes, f"median {symbol}", "95 % interval", *ratio, "diverged"]
-    said = [
-        f"deadtime: medians of {symbol} over {kept.sizes['scenario']:,} signals a cell, and their",
+    symbol = formula_of(cells[metric]) if metric == "cost" else symbol_of(metric)
+    headings = ["law", *axes, f"median {symbol}", "95 % interval", *ratio, "diverged runs"]
+    notes = [
+        f"deadtime: medians of {symbol} over {cells.sizes['scenario']:,} signals a cell, and their",
         "distribution-free intervals (order statistics)"
         + (f"; / {oracle}: the geometric mean of the ratio" if oracle else ""),
         *(["on the same signal, and Student's interval of the logarithms' mean"] if oracle else []),
     ]
-    return SweepTable(headings, rows, said)
+    return SweepTable(headings, rows, notes)
 
 
 def _figures(runs: Runs, oracle: int) -> np.ndarray:
@@ -465,7 +451,7 @@ def _figures(runs: Runs, oracle: int) -> np.ndarray:
 def _row(parts: np.ndarray, metric: str, ratio: bool) -> list[str]:
     if math.isnan(parts[0]):
         return ["–"] * (5 if ratio else 3)
-    if metric in RATES:  # of either sign; −∞ where runs diverged
+    if metric in selection.RATES:  # of either sign; −∞ where runs diverged
         low, high = (f"{end:+.3g}" for end in parts[1:3])
         middle = [f"{parts[0]:+.3g}", f"{low} to {high}"]
     else:

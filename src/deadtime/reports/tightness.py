@@ -14,7 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deadtime.base.checks import reporter
@@ -40,23 +39,12 @@ ROUNDS = 6  # of the fixed point for ε(α) = ε*(α); it converges in two or th
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """How far one certificate reaches.
-
-    Attributes
-    ----------
-    name : str
-    log10_distance : float
-        log₁₀ of ε there.
-    alpha : float
-        α there, 0.0 if it underflows.
-    stable : bool
-        False for the witness: at this distance the loop is not stable.
-    """
+    """The largest distance that one certificate allows, or that of the witness."""
 
     name: str
-    log10_distance: float
-    alpha: float
-    stable: bool = True
+    log10_distance: float  # log₁₀ of ε
+    alpha: float  # 0.0 if it underflows
+    stable: bool = True  # False for the witness
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +60,7 @@ class Tightness:
     margin : StabilityMargin or None
         The bracket that ends in the last two.
     message : str
-        What was gained, or why something is missing.
+        The gain of each certificate over the one before, or why something is missing.
     """
 
     reaches: tuple[Reach, ...]
@@ -147,8 +135,13 @@ def tightness(
             missing = [theorem_refusal(error)]
     progress("between proof and witness")
     margin = None
+
+    def loop(alpha: float) -> tuple[SwitchedSystem, AveragedPredictor]:
+        plant, gains = move_modes(problem, alpha)
+        return plant, AveragedPredictor(plant, gains, allow_unstable=True)
+
     try:
-        margin = _margin(problem, dwell_time, step, ratio)
+        margin = stability_margin(loop, (LOW, MOST), dwell_time, step, ratio)
     except ArgumentError as error:
         missing.append(f"There is no bracket between proof and witness: {error}")
     if margin is not None:
@@ -180,14 +173,6 @@ def reach_of(problem: Problem, dwell_time: float, form: str) -> Reach:
     return Reach(words[form], log_star, 10.0**log_alpha)
 
 
-def _margin(problem: Problem, dwell_time: float, step: float, ratio: float) -> StabilityMargin:
-    def loop(alpha: float) -> tuple[SwitchedSystem, AveragedPredictor]:
-        plant, gains = move_modes(problem, alpha)
-        return plant, AveragedPredictor(plant, gains, allow_unstable=True)
-
-    return stability_margin(loop, (LOW, MOST), dwell_time, step, ratio)
-
-
 def _at(problem: Problem, name: str, alpha: float, stable: bool = True) -> Reach:
     return Reach(name, math.log10(distance(*move_modes(problem, alpha))), alpha, stable)
 
@@ -212,24 +197,30 @@ def _improvements(reaches: list[Reach]) -> list[str]:
     return [f"{text} From the last proof to a signal that grows it is {100.0 * left:.2g} %."]
 
 
-def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
+def plot_tightness(result: Tightness, title: str | None = None) -> Figure:
     r"""How far each certificate reaches, on a logarithmic axis of the distance.
 
-    Between two steps stands how many times farther the second one reaches.
+    The number between two rows is the ratio of their distances.
     """
-    rows = [*found.reaches]
-    count = len(rows)
+    rows, count = result.reaches, len(result.reaches)
     with rc_context(STYLE):
         figure = new_figure(WIDTH, 1.15 + 0.38 * count)
         axes = figure.subplots()
-        own = np.log10(found.own)
+        own = np.log10(result.own)
         logs = [own, *(reach.log10_distance for reach in rows)]
         left, right = min(logs), max(logs)
         room = max(right - left, 0.5)
         left, right = left - 0.06 * room, right + 0.3 * room
         axes.axvline(own, color="#888888", linewidth=0.9, linestyle="--")
         for row, reach in enumerate(rows):
-            _reach_bar(axes, row, reach, left)
+            colour, end = COLOURS[0 if reach.stable else 1], reach.log10_distance
+            if reach.stable:
+                axes.plot([left, end], [row, row], color=colour, lw=3.0, solid_capstyle="butt")
+            axes.plot([end], [row], "o" if reach.stable else "X", color=colour, markersize=6.0)
+            axes.annotate(
+                _distance_text(end), (end, row), (6.0, 0.0), textcoords="offset points",
+                va="center", fontsize=8.5, bbox={"facecolor": "white", "lw": 0.0, "pad": 1.0},
+            )  # fmt: skip
         for row, (before, after) in enumerate(pairwise(rows)):
             gain = after.log10_distance - before.log10_distance
             if gain >= 0.05 and after.stable:
@@ -255,17 +246,8 @@ def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
     return figure
 
 
-def _reach_bar(axes: Axes, row: int, reach: Reach, left: float) -> None:
-    colour = COLOURS[0] if reach.stable else COLOURS[1]
-    end = reach.log10_distance
-    if reach.stable:
-        axes.plot([left, end], [row, row], color=colour, linewidth=3.0, solid_capstyle="butt")
-    axes.plot([end], [row], "o" if reach.stable else "X", color=colour, markersize=6.0)
-    text = f"10^{end:.0f}"
-    if end > -300.0:
-        value = 10.0**end
-        text = f"{value:#.4g}".rstrip(".") if 1e-3 <= value < 1e5 else amount(value)
-    axes.annotate(
-        text, (end, row), (6.0, 0.0), textcoords="offset points", va="center", fontsize=8.5,
-        bbox={"facecolor": "white", "linewidth": 0.0, "pad": 1.0},
-    )  # fmt: skip
+def _distance_text(log10: float) -> str:
+    if log10 <= -300.0:
+        return f"10^{log10:.0f}"
+    value = 10.0**log10
+    return f"{value:#.4g}".rstrip(".") if 1e-3 <= value < 1e5 else amount(value)

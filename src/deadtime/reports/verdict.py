@@ -1,4 +1,4 @@
-"""The verdict: what a comparison measured, in plain sentences."""
+"""The verdict: the measurements of a comparison in plain sentences."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SAME = 1e-9  # costs that differ by less, relative, differ by round-off
 
 
 def verdict(result: Comparison) -> list[str]:
-    """Plain sentences, each made from measured figures; numbers that do not fit each other lead.
+    """Plain sentences, each made from measured figures; unit checks come first.
 
     Examples
     --------
@@ -109,14 +109,12 @@ def _imperfections(result: Comparison) -> list[str]:
     """Imperfections of the runs, which laws do not know of."""
     problem, parts = result.problem, []
     if problem.model is not None:
-        pairs = {
-            name: (getattr(problem.plant, name), getattr(problem.model, name)) for name in "AB"
-        }
-        differ = [name for name, pair in pairs.items() if not np.array_equal(*pair)]
+        plant, model = problem.plant, problem.model
+        differ = [X for X in "AB" if not np.array_equal(getattr(plant, X), getattr(model, X))]
         parts += [f"{' and '.join(differ)} of the plant differ from the laws' model"] * bool(differ)
-        if not np.array_equal(problem.plant.delays, problem.model.delays):
-            true, believed = problem.plant.delay_text, problem.model.delay_text
-            parts.append(f"the true delay is {true} s, the model's {believed} s")
+        if not np.array_equal(plant.delays, model.delays):
+            delays = plant.delay_text, model.delay_text
+            parts.append("the true delay is {} s, the model's {} s".format(*delays))
     parts += problem.imperfections_in_words
     return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
 

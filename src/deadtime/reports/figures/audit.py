@@ -118,5 +118,5 @@ def _sweep(claims: Sequence[Claim], key: str) -> Sweep:
         if claim.key == key and claim.sweep is not None:
             return claim.sweep
     raise ArgumentError(
-        f"claims must contain the claim {key!r}, as what deadtime.reports.audit returns does."
+        f"claims must contain the claim {key!r}, as the list from deadtime.reports.audit does."
     )

@@ -151,10 +151,10 @@ def _draw_signal(axes: Axes, run: Trajectory, worst: WorstCase) -> None:
     """The mode over the first cycles; all of it where it is constant."""
     constant, end = len(worst.modes) == 1, float(run.time[-1])
     end = end if constant else min(SHOWN * worst.length, end)
-    inside = run.signal.times < end
-    visited = run.signal.modes[inside]
+    early = run.signal.times < end
+    visited = run.signal.modes[early]
     axes.step(
-        np.append(run.signal.times[inside], end), np.append(visited, visited[-1]),
+        np.append(run.signal.times[early], end), np.append(visited, visited[-1]),
         where="post", color=COLOURS[6], linewidth=1.2,
     )  # fmt: skip
     axes.set_xlim(0.0, end)

@@ -10,23 +10,15 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from deadtime.base.figure_style import (
-    BLUE,
-    BROWN,
-    GREEN,
-    GREY,
-    OLIVE,
-    ORANGE,
-    PINK,
-    PURPLE,
-    SKY,
-    SLATE,
-    VERMILION,
-)
+from deadtime.base import figure_style as style
+from deadtime.base.figure_style import GREY
 from deadtime.problems.law_registry import LAWS
 
 HUES = {name: known.named.colour for name, known in LAWS.items() if known.named.colour}
-_SPARE = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, PURPLE, BROWN, OLIVE, SLATE)
+_SPARE = (
+    style.BLUE, style.VERMILION, style.GREEN, style.PINK, style.ORANGE, style.SKY, style.PURPLE,
+    style.BROWN, style.OLIVE, style.SLATE,
+)  # fmt: skip
 
 
 class Look(NamedTuple):
@@ -49,11 +41,11 @@ def colours_of(laws: Sequence[str], oracle: str = "") -> dict[str, str]:
     >>> colours_of(["mean", "fast", "truth"], oracle="truth")
     {'mean': '#D55E00', 'fast': '#0072B2', 'truth': '#8a8a8a'}
     """
-    found = {law: HUES[law] for law in laws if law in HUES} | {oracle: GREY}
-    spare = [colour for colour in _SPARE if colour not in found.values()]
-    others = [law for law in laws if law not in found]
-    found |= {law: spare[i] if i < len(spare) else GREY for i, law in enumerate(others)}
-    return {law: found[law] for law in laws}
+    colours = {law: HUES[law] for law in laws if law in HUES} | {oracle: GREY}
+    spare = [colour for colour in _SPARE if colour not in colours.values()]
+    others = [law for law in laws if law not in colours]
+    colours |= {law: spare[i] if i < len(spare) else GREY for i, law in enumerate(others)}
+    return {law: colours[law] for law in laws}
 
 
 def looks_of(laws: Sequence[str]) -> dict[str, Look]:

@@ -47,13 +47,13 @@ def plot_loop(
 
     Of several channels the lines are the eigenvalues of L, which margins are about that all
     channels share, but for those that are 0 (of two inputs and one output L has one);
-    sensitivities are largest singular values. Circles mark gain margins, squares
-    the phase margin, dotted lines where a delay longer or shorter by so much loses the loop. The
-    grey disk is what the disk margin keeps clear. All are of the mode that is lost first, and
+    sensitivities are largest singular values. Circles mark gain margins, squares the phase
+    margin, dotted lines the change of the delay that makes the loop unstable. The grey disk is
+    the region that the disk margin keeps free. All are of the mode that is lost first, and
     black or grey, which no mode is.
 
-    With `steps`, one a mode, there is a panel of what does not grow of them; `answer` says of what,
-    and `pushed` what is pushed where nothing is tracked.
+    With `steps`, one per mode, there is a panel of those that do not grow; `answer` names their
+    output, and `pushed` the input of the step where nothing is tracked.
     """
     names = modes or [f"mode {each.mode}" for each in view.modes]
     with rc_context(STYLE):
@@ -96,7 +96,7 @@ def _add_mode(
 
 
 def _add_steps(panel: Axes, steps: Sequence[StepResponse], answer: str | None, pushed: str) -> None:
-    """Those that settle; a line at what is to be reached: 1 of a reference, 0 of a push."""
+    """The responses that settle, and their final value: 1 of a reference, 0 of a push."""
     for each in steps:
         if each.growth < 0.0:
             look: Any = {"color": COLOURS[each.mode], "linestyle": LINES[each.mode % len(LINES)]}
@@ -115,7 +115,7 @@ def _add_steps(panel: Axes, steps: Sequence[StepResponse], answer: str | None, p
 
 
 def _mark_margins(view: LoopView, gain: Axes, phase: Axes, nyquist: Axes) -> list[Artist]:
-    """All margins, in black and grey, which no mode has; and what the legend says of them."""
+    """All margins, in black and grey, which no mode has; the handles of their legend."""
     keys: list[Artist] = []
     if _mark_gain(view, gain, nyquist):
         keys.append(Line2D([], [], marker="o", label="gain margin", **_MARK))
@@ -163,7 +163,7 @@ def _mark_phase(view: LoopView, gain: Axes, nyquist: Axes) -> bool:
 
 
 def _mark_delay(view: LoopView, phase: Axes) -> bool:
-    """A line at the frequency of either end; its seconds stand towards the middle of the panel."""
+    """A line at the frequency of either end; its label, seconds, is towards the middle."""
     delay = view.delay
     ends = (delay.longer, delay.upper_frequency, "+"), (delay.shorter, delay.lower_frequency, "−")
     low, high = np.log(phase.get_xlim())

@@ -1,7 +1,4 @@
-"""Several laws in one figure: their curves, norms and outputs over time, and the switching signal.
-
-Drawn with matplotlib and returned as `Figure` objects: save or show them yourself.
-"""
+"""Several laws in one figure: curves, norms and outputs over time, and the switching signal."""
 
 from __future__ import annotations
 
@@ -252,43 +249,44 @@ def plot_norms(
     tops = sorted(float(norm.max()) for norm in norms.values())
     bottom = min(float(norm[norm > 0.0].min(initial=1.0)) for norm in norms.values())
     top = tops[-1] if len(tops) < 2 or tops[-1] < 1e3 * tops[-2] else 30.0 * tops[-2]
+    ends = max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom)
+    rows = {name: visible(norm) for name, norm in norms.items()}
     with rc_context(style_of(width)):
-        groups = _shared_out(list(runs))
-        height = 0.9 + (2.4 if len(groups) == 1 else 1.8) * len(groups)
-        figure = new_figure(WIDTH, height, width)
-        columns = legend_columns(figure, runs, 3, beside=0.65)
-        panels = figure.subplots(len(groups), sharex=True, sharey=True, squeeze=False)[:, 0]
-        for panel, group in zip(panels, groups, strict=True):
-            panel.set_yscale("log")
-            _add_laws(panel, group, runs, {name: visible(norms[name]) for name in group}, columns)
-            panel.set_ylabel("|x|")
-        panels[0].set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
-        _finish(figure, panels, runs, title)
-    return figure
+        return _draw_groups(runs, [_Curves("|x|", rows)], [ends], "log", title, width)
 
 
-def _add_laws(
-    panel: Axes,
-    group: Sequence[str],
+def _draw_groups(
     runs: Mapping[str, Trajectory],
-    rows: Mapping[str, np.ndarray],
-    columns: int,
-) -> None:
-    """Curves of at most five laws, and a legend above them."""
-    looks = looks_of(list(runs))
-    for line, name in zip(LINES, group, strict=False):
-        look: Any = {"linestyle": line, "color": looks[name].colour, "label": plain(name)}
-        panel.plot(runs[name].time, rows[name], **look)
-    panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6)
-
-
-def _finish(
-    figure: Figure, panels: np.ndarray, runs: Mapping[str, Trajectory], title: str | None
-) -> None:
-    panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+    curves: Sequence[_Curves],
+    ends: Sequence[tuple[float, float]],
+    scale: str,
+    title: str | None,
+    width: Width | None,
+) -> Figure:
+    """Curves of all laws, at most five to a panel with a legend above it."""
+    longest = max(runs.values(), key=lambda run: run.time[-1])
+    looks, groups = looks_of(list(runs)), _shared_out(list(runs))
+    rows = [(*one, group) for one in zip(curves, ends, strict=True) for group in groups]
+    height = 0.9 + (2.4 if len(rows) == 1 else 1.8) * len(rows)
+    figure = new_figure(WIDTH, height, width)
+    columns = legend_columns(figure, runs, 3, beside=0.65)
+    panels = figure.subplots(len(rows), sharex=True, squeeze=False)[:, 0]
+    for panel, (one, limits, group) in zip(panels, rows, strict=True):
+        panel.set_yscale(scale)
+        if one.reference is not None:
+            look: Any = {"color": COLOURS[6], "drawstyle": "steps-post", "linewidth": 1.0}
+            panel.plot(longest.time, one.reference, linestyle=":", label="reference", **look)
+        for line, name in zip(LINES, group, strict=False):
+            look = {"linestyle": line, "color": looks[name].colour, "label": plain(name)}
+            panel.plot(runs[name].time, one.rows[name], **look)
+        panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=2.6)
+        panel.set_ylim(*limits)
+        panel.set_ylabel(plain(one.label))
+    panels[0].set_xlim(0.0, longest.time[-1])
     panels[-1].set_xlabel("time (s)")
     if title:
         figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
+    return figure
 
 
 def plot_tracking(
@@ -312,24 +310,15 @@ def plot_tracking(
     count = min(map(len, tracked.values())) if len(tracked) == len(runs) else 0
     if count == 0:
         raise ArgumentError("runs must all follow a reference: draw others by their norms.")
-    named = list(map(plain, outputs or numbered("y", count)))
-    groups = _shared_out(list(runs))
-    rows = [(i, group) for i in range(count) for group in groups]
+    longest = max(runs.values(), key=lambda run: run.time[-1])
+    assert longest.reference is not None
+    curves = [
+        _Curves(name, {law: y[i] for law, y in tracked.items()}, longest.reference[i])
+        for i, name in enumerate((outputs or numbered("y", count))[:count])
+    ]
+    ends = [_tracking_frame(runs, i) for i in range(count)]
     with rc_context(style_of(width)):
-        height = 0.9 + (2.4 if len(rows) == 1 else 1.8) * len(rows)
-        figure = new_figure(WIDTH, height, width)
-        columns = legend_columns(figure, runs, 3, beside=0.65)
-        panels = figure.subplots(len(rows), sharex=True, squeeze=False)[:, 0]
-        for panel, (i, group) in zip(panels, rows, strict=True):
-            first = runs[group[0]]
-            assert first.reference is not None
-            look: Any = {"color": COLOURS[6], "drawstyle": "steps-post", "linewidth": 1.0}
-            panel.plot(first.time, first.reference[i], linestyle=":", label="reference", **look)
-            _add_laws(panel, group, runs, {name: tracked[name][i] for name in group}, columns)
-            panel.set_ylim(*_tracking_frame(runs, i))
-            panel.set_ylabel(named[i])
-        _finish(figure, panels, runs, title)
-    return figure
+        return _draw_groups(runs, curves, ends, "linear", title, width)
 
 
 def _tracking_frame(runs: Mapping[str, Trajectory], output: int) -> tuple[float, float]:

@@ -1,7 +1,6 @@
 """Studies: which law, when? A sweep over plants and switching, with maps and answers in sentences.
 
-The sweep is `scenarios.sweeps`; here is what reads its dataset. What draws and writes is in
-`deadtime.reports.study.report`.
+`scenarios.sweeps` runs the sweep; `deadtime.reports.study.report` draws and writes the report.
 """
 
 from deadtime.reports.study.study_data import run_study

@@ -1,7 +1,7 @@
 """Answers in plain sentences, every one computed from a study's data.
 
 Which law to use; the two open questions of arXiv 2503.08446: law (2), averaged, or law (80), mean,
-and what knowing the dwell time brings; and what knowing the distribution of sojourns brings.
+and the gain from knowing the dwell time; and the gain from knowing the distribution of sojourns.
 """
 
 from __future__ import annotations
@@ -13,16 +13,7 @@ import numpy as np
 
 from deadtime.base.wording import amount
 from deadtime.problems.law_registry import LEVELS, the_law
-from deadtime.reports.study.findings import (
-    LOST,
-    against_best,
-    duel,
-    favourite,
-    steadier,
-    summary,
-    typical_regret,
-    unbeaten,
-)
+from deadtime.reports.study import findings
 from deadtime.reports.study.phrases import (
     Answer,
     AnswerTable,
@@ -69,7 +60,8 @@ def table(caption: str, fight: xr.Dataset, outcomes: tuple[str, str]) -> AnswerT
                 str(neither),
             )
         )
-    headings = ("D, s", "τ_d, s", "τ_d/D", "median", "least", "largest", *outcomes, "neither")
+    counts = (f"cells {outcome}" for outcome in (*outcomes, "undecided"))
+    headings = ("D, s", "τ_d, s", "τ_d/D", "median", "least", "largest", *counts)
     return AnswerTable(caption, headings, tuple(rows))
 
 
@@ -79,7 +71,7 @@ MOST, FEW = 0.95, 0.05  # shares of the signals stabilised
 
 def averaged_or_mean(data: xr.Dataset) -> Answer:
     """When the averaged law is better than the mean law."""
-    fight = duel(data, AVERAGED, MEAN)
+    fight = findings.duel(data, AVERAGED, MEAN)
     first, second, neither, total = tally(fight.verdict)
     sentences = [
         f"The averaged law (2) is better in {of_cells(first, total)}, the mean law (80) in "
@@ -97,7 +89,7 @@ def averaged_or_mean(data: xr.Dataset) -> Answer:
     return Answer(
         "When is the averaged law better than the mean law?",
         tuple(sentences),
-        (table(caption, fight, ("averaged better", "mean better")),),
+        (table(caption, fight, ("won by averaged", "won by mean")),),
         ((AVERAGED, MEAN),),
     )
 
@@ -109,7 +101,7 @@ def _where_it_wins(
     if not cells.any():
         return []
     where, count = region(cells), int(cells.sum())
-    calm = summary(data).stabilised.sel(law=law).values[cells.values]
+    calm = findings.summary(data).stabilised.sel(law=law).values[cells.values]
     place = f"Where {the_law(law)} wins" + (f", at {where}," if where else "")
     return [
         f"{place} its ∫|x|² is {span(ratio.values[cells.values])}; there it stabilises more than "
@@ -135,9 +127,9 @@ def _trend_in_dwell_time(fight: xr.Dataset) -> str:
 
 
 def _trend_in_distance(data: xr.Dataset) -> str:
-    calm = summary(data).stabilised
+    calm = findings.summary(data).stabilised
     dims = [dim for dim in calm.dims if dim not in ("law", "distance")]
-    more, fewer, _, total = tally(steadier(data, MEAN, AVERAGED))
+    more, fewer, _, total = tally(findings.steadier(data, MEAN, AVERAGED))
     ends = []
     for alpha in (float(data.distance.min()), float(data.distance.max())):
         shares = calm.sel(distance=alpha).mean(dims)
@@ -150,15 +142,15 @@ def _trend_in_distance(data: xr.Dataset) -> str:
 
 
 EXPECTED = "expected"
-WORTH = 0.99  # a quotient below which a law brings something, beside being better
+GAIN = 0.99  # a quotient below which a law gains something, beside being better
 
 
-def worth_of_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
+def gain_from_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
     """The gain of the dwell-aware laws over the same laws without the dwell time."""
     sentences, tables = [], []
     for law in plain:
         aware = law + AWARE
-        fight = duel(data, aware, law)
+        fight = findings.duel(data, aware, law)
         better, worse, _, total = tally(fight.verdict)
         sentences.append(
             f"With the dwell time known, {the_law(law)} does better in {of_cells(better, total)} "
@@ -171,9 +163,9 @@ def worth_of_dwell_time(data: xr.Dataset, plain: Sequence[str]) -> Answer:
     return Answer(question, tuple(sentences), tuple(tables), duels)
 
 
-def worth_of_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
+def gain_from_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
     """The gain of the expected law over the best law that knows the dwell time at most."""
-    fight, rival = against_best(data, EXPECTED, rivals), favourite(data, rivals)
+    fight, rival = findings.against_best(data, EXPECTED, rivals), findings.favourite(data, rivals)
     better, worse, _, total = tally(fight.verdict)
     sentences = [
         "Against the best of the laws that know the dwell time at most, chosen anew in every "
@@ -183,7 +175,7 @@ def worth_of_distribution(data: xr.Dataset, rivals: Sequence[str]) -> Answer:
         *_cost(fight),
         *_stability(data, EXPECTED, rival),
     ]
-    regret = summary(data).regret.sel(law=EXPECTED).values
+    regret = findings.summary(data).regret.sel(law=EXPECTED).values
     sentences.append(
         "Beside the oracle, which has the same gains and knows the future as well: its ∫|x|² is "
         f"{times_the_oracle(regret)}."
@@ -220,13 +212,13 @@ def _middle(values: np.ndarray) -> float:
 
 
 def _gain(fight: xr.Dataset) -> str:
-    total, cells = int(fight.ratio.notnull().sum()), (fight.verdict == 1.0) & (fight.ratio < WORTH)
-    text = f"It brings at least {percent(1.0 - WORTH)} in {of_cells(int(cells.sum()), total)}"
+    total, cells = int(fight.ratio.notnull().sum()), (fight.verdict == 1.0) & (fight.ratio < GAIN)
+    text = f"It brings at least {percent(1.0 - GAIN)} in {of_cells(int(cells.sum()), total)}"
     if cells.any():
         text += f", most at {_extreme(fight.ratio.where(cells), np.nanargmin)}"
     useless: dict[float, list[str]] = {}
     for delay, time, here in by_dwell_time(fight):
-        if _middle(here.ratio.values) >= WORTH:
+        if _middle(here.ratio.values) >= GAIN:
             useless.setdefault(delay, []).append(f"{time:g}")
     if useless:
         places = " and ".join(
@@ -237,22 +229,22 @@ def _gain(fight: xr.Dataset) -> str:
 
 
 def _cost(fight: xr.Dataset) -> list[str]:
-    cells = (fight.verdict == -1.0) & (fight.ratio > 1.0 / WORTH)
+    cells = (fight.verdict == -1.0) & (fight.ratio > 1.0 / GAIN)
     if not cells.any():
         return []
     total = int(fight.ratio.notnull().sum())
     return [
-        f"It costs at least {percent(1.0 - WORTH)} in {of_cells(int(cells.sum()), total)}, most at "
+        f"It costs at least {percent(1.0 - GAIN)} in {of_cells(int(cells.sum()), total)}, most at "
         f"{_extreme(fight.ratio.where(cells), np.nanargmax)}."
     ]
 
 
 def _stability(data: xr.Dataset, law: str, other: str) -> list[str]:
     """Whether a law stabilises more signals than another, and where by most."""
-    more, fewer, _, total = tally(steadier(data, law, other))
+    more, fewer, _, total = tally(findings.steadier(data, law, other))
     if not (more or fewer):
         return []
-    calm = summary(data).stabilised
+    calm = findings.summary(data).stabilised
     rise = calm.sel(law=law) - calm.sel(law=other)
     place = place_of(rise, int(np.nanargmax(rise.values)))
     after, before = (percent(float(calm.sel(law=name, **place))) for name in (law, other))
@@ -284,16 +276,16 @@ def answers(data: xr.Dataset) -> list[Answer]:
     A question is left out if the study does not run the laws that it is about.
     """
     laws = [str(law) for law in data.law.values]
-    found = [which_law(data)]
+    sections = [which_law(data)]
     if AVERAGED in laws and MEAN in laws:
-        found.append(averaged_or_mean(data))
+        sections.append(averaged_or_mean(data))
     plain = [law for law in laws if law + AWARE in laws]
     if plain:
-        found.append(worth_of_dwell_time(data, plain))
+        sections.append(gain_from_dwell_time(data, plain))
     rivals = within(laws, "the dwell time")
     if EXPECTED in laws and rivals:
-        found.append(worth_of_distribution(data, rivals))
-    return found
+        sections.append(gain_from_distribution(data, rivals))
+    return sections
 
 
 def which_law(data: xr.Dataset) -> Answer:
@@ -302,7 +294,7 @@ def which_law(data: xr.Dataset) -> Answer:
     chosen: dict[str, str] = {}
     for level in LEVELS[:-1]:
         if any(knowledge_of(law) == level for law in laws):
-            chosen[level] = favourite(data, within(laws, level))
+            chosen[level] = findings.favourite(data, within(laws, level))
     sentences = [_advice(chosen)] if chosen else []
     sentences += [_record(data, level, law, within(laws, level)) for level, law in chosen.items()]
     return Answer("Which law to use?", (*sentences, *_where_any_will_do(data, laws)))
@@ -321,11 +313,14 @@ def _advice(chosen: dict[str, str]) -> str:
 
 def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
     """How a law fares, and how it fares among those that know as much."""
-    figures, cells = summary(data).sel(law=law), int(unbeaten(data, able).sel(law=law).sum())
+    figures, cells = (
+        findings.summary(data).sel(law=law),
+        int(findings.unbeaten(data, able).sel(law=law).sum()),
+    )
     regret, calm = figures.regret.values, figures.stabilised.values
-    typical, worst = float(typical_regret(data).sel(law=law)), float(np.nanmax(regret))
-    capped = int(np.sum(~(regret <= LOST)))
-    how = f", {of_cells(capped, regret.size)} counted as {LOST:g} times" if capped else ""
+    typical, worst = float(findings.typical_regret(data).sel(law=law)), float(np.nanmax(regret))
+    capped = int(np.sum(~(regret <= findings.LOST)))
+    how = f", {of_cells(capped, regret.size)} counted as {findings.LOST:g} times" if capped else ""
     return (
         f"Knowing {WORDS[level]}: {the_law(law)}. Its ∫|x|² is {amount(typical)} times the "
         f"oracle’s, the geometric mean over the grid{how}, and {amount(worst)} times in "
@@ -337,7 +332,7 @@ def _record(data: xr.Dataset, level: str, law: str, able: list[str]) -> str:
 
 
 def _where_any_will_do(data: xr.Dataset, laws: list[str]) -> list[str]:
-    regret = summary(data).regret.sel(law=[law for law in laws if not law.endswith(CRUDE)])
+    regret = findings.summary(data).regret.sel(law=[law for law in laws if not law.endswith(CRUDE)])
     if regret.sizes["law"] < 2:
         return []
     alike = regret.max("law", skipna=False) < CLOSE * regret.min("law", skipna=False)

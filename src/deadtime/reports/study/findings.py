@@ -67,28 +67,21 @@ def _with_interval(name: str, dims: Sequence[Hashable], parts: Iterable[np.ndarr
 def duel(data: xr.Dataset, first: str, second: str) -> xr.Dataset:
     """One law against another, in every cell.
 
-    Returns
-    -------
-    xarray.Dataset
-        ratio, the geometric mean over signals of ∫|x|² under the first over that under the
-        second, and median_ratio, their median; share, the part of the signals on which the first is
-        better, those aside on which both are the same; all with intervals _low and _high; and
-        verdict: 1 where the first is better (the whole interval of ratio below 1), −1 where the
-        second is, 0 where the signals do not decide, NaN where one could not be built.
+    ratio, the geometric mean over signals of ∫|x|² under the first over that under the second, and
+    median_ratio, their median; share, the part of the signals on which the first is better, those
+    aside on which both are the same; all with intervals _low and _high; and verdict: 1 where the
+    first is better (the whole interval of ratio below 1), −1 where the second is, 0 where the
+    signals do not decide, NaN where one could not be built.
     """
     ise = score(data)
-    a, b = (ise.sel(law=law, drop=True) for law in (first, second))
-    return _duel(a, b)
+    return _duel(*(ise.sel(law=law, drop=True) for law in (first, second)))
 
 
 def best(data: xr.Dataset, laws: Sequence[str]) -> xr.Dataset:
     """The law of least regret in every cell, against the second best.
 
-    Returns
-    -------
-    xarray.Dataset
-        winner and runner_up, names of laws, empty where fewer than one or two could be built;
-        and `duel` of these two: where its verdict is not 1 they are tied.
+    winner and runner_up, names of laws, empty where fewer than one or two could be built; and
+    `duel` of these two: where its verdict is not 1 they are tied.
     """
     ranking = _ranking(data, laws)
     ise = score(data).sel(law=list(laws))
@@ -149,12 +142,12 @@ def steadier(data: xr.Dataset, first: str, second: str) -> xr.DataArray:
     """
     calm = is_stabilised(data)
     a, b = (calm.sel(law=law, drop=True) for law in (first, second))
-    found = []
+    verdicts = []
     for one, other in zip(_cells(a.values), _cells(b.values), strict=True):
         low, high = Proportion.of(one[one != other]).interval
-        found.append((low > 0.5) * 1.0 - (high < 0.5) * 1.0)
+        verdicts.append((low > 0.5) * 1.0 - (high < 0.5) * 1.0)
     missing = data.ise.sel(law=[first, second]).isnull().any(["law", "scenario"])
-    verdict = np.reshape(found, a.shape[:-1])
+    verdict = np.reshape(verdicts, a.shape[:-1])
     return missing.copy(data=np.where(missing.values, np.nan, verdict))
 
 

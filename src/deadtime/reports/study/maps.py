@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import STYLE, WIDTH, plain
 from deadtime.reports.figures.colours import colour_of
+from deadtime.reports.figures.sweeps.bands import is_wide, set_scale
 from deadtime.reports.figures.sweeps.maps import Scale, colour_map, winners
 from deadtime.reports.figures.sweeps.panels import PanelGrid
 from deadtime.reports.study.findings import LOST, best, duel, summary
@@ -37,20 +38,20 @@ def _grid(data: xr.Dataset) -> PanelGrid:
 
 def plot_winners(data: xr.Dataset, laws: Sequence[str]) -> Figure:
     """Which of some laws is best in every cell, and the runner-up's ∫|x|² over the winner's."""
-    found = best(data, laws)
+    comparison = best(data, laws)
     number = {"": -1} | {law: i for i, law in enumerate(laws)}
-    places = np.vectorize(number.__getitem__, otypes=[int])(found.winner.values)
-    found = found.assign(winner=found.winner.copy(data=places))
-    return winners(data, _grid(data), found, {law: colour_of(law) for law in laws})
+    places = np.vectorize(number.__getitem__, otypes=[int])(comparison.winner.values)
+    comparison = comparison.assign(winner=comparison.winner.copy(data=places))
+    return winners(data, _grid(data), comparison, {law: colour_of(law) for law in laws})
 
 
 def plot_duel(data: xr.Dataset, first: str, second: str) -> Figure:
     """The mean quotient of two laws' ∫|x|²: blue where the first is better, red the second."""
-    found = duel(data, first, second)
+    comparison = duel(data, first, second)
     ticks = {1.0 / MOST_RATIO: "1/3", 0.5: "1/2", 1.0: "1", 2.0: "2", MOST_RATIO: "3"}
     norm, label = LogNorm(1.0 / MOST_RATIO, MOST_RATIO), f"∫|x|², {first} over {second}"
     scale = Scale(norm, "RdBu_r", "both", label, ticks)
-    return colour_map(data, _grid(data), found.ratio, scale, tied=found.verdict == 0.0)
+    return colour_map(data, _grid(data), comparison.ratio, scale, tied=comparison.verdict == 0.0)
 
 
 def plot_regret(data: xr.Dataset, law: str) -> Figure:
@@ -83,31 +84,24 @@ def plot_lines(data: xr.Dataset, laws: Sequence[str]) -> Figure:
     The line has the longest delay, α nearest to 1 and the first kind of sojourns.
     """
     place = reference(data)
-    figures, times = summary(data).sel(place), data.dwell_time.values
+    figures, times = summary(data).sel(place).transpose(..., "law", "dwell_time"), data.dwell_time
+    cells = [figures[name].sel(law=laws).values for name in ("regret_low", "regret", "regret_high")]
     with rc_context(STYLE):
         figure = new_figure(WIDTH, 3.5)
         axes = figure.subplots()
         axes.axhline(1.0, color="#888888", linewidth=0.8)
-        for number, law in enumerate(laws):
-            middle, low, high = (
-                figures[name].sel(law=law).values
-                for name in ("regret", "regret_low", "regret_high")
-            )
+        for number, (law, low, middle, high) in enumerate(zip(laws, *cells, strict=True)):
             shown = np.isfinite(middle)
             gaps = np.nan_to_num([middle - low, high - middle], posinf=0.0)[:, shown]
             axes.errorbar(
                 np.flatnonzero(shown) + 0.05 * (number - (len(laws) - 1) / 2.0),
-                middle[shown],
-                gaps,
-                fmt="s--" if law.endswith(AWARE) else "o-",
-                color=colour_of(law),
-                markersize=3.5,
-                capsize=2.0,
-                label=plain(law),
-            )
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.set_xticks(range(times.size), [f"{time:g}" for time in times])
+                middle[shown], gaps, fmt="s--" if law.endswith(AWARE) else "o-",
+                color=colour_of(law), markersize=3.5, capsize=2.0,
+                label=plain(law) + " (off the axis)" * (not np.any(middle <= LOST)),
+            )  # fmt: skip
+        near = np.array([1.0, *(value for value in np.ravel(cells) if value <= LOST)])
+        set_scale(axes, np.stack([near] * 3, axis=-1), is_wide(near))
+        axes.set_xticks(range(times.size), [f"{time:g}" for time in times.values])
         axes.set_xlabel("dwell time (s)")
         axes.set_ylabel("∫|x|² over the oracle's")
         axes.set_title(words_of(place))

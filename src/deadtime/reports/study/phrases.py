@@ -1,4 +1,4 @@
-"""Words for what a study found: laws, quotients, counts of cells, regions of the grid."""
+"""Words for the findings of a study: quotients, counts of cells, regions of the grid."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class AnswerTable:
 
 @dataclass(frozen=True)
 class Answer:
-    """A question, what the data say to it, and what to show beside it.
+    """A question, its answer from the data, and the tables beside it.
 
     `duels` are pairs of laws whose comparison a map should show.
     """

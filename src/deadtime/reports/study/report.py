@@ -54,7 +54,7 @@ def write_study(
 
     Parameters
     ----------
-    study : Study
+    study : FileStudy
         From `load_study`.
     folder : path
         Made if it does not exist, before anything is run.
@@ -75,34 +75,25 @@ def write_study(
     with writing(folder):  # before an hour of runs
         pass
     data = run_study(study, folder / "data" / "study.zarr", workers, progress, scheduler)
-    with writing(folder) as place:
-        found, record = write_findings(study, data, place, command)
-    return StudyReport(folder / PAGE, found, data, record)
-
-
-def write_findings(
-    study: FileStudy, data: xr.Dataset, folder: Path, command: str = ""
-) -> tuple[list[Answer], dict[str, Any]]:
-    """Everything but the runs themselves, from the dataset of `run_study`."""
-    found = answers(data)
-    write_cells(data, folder / "data" / "cells.csv")
-    record = record_of(data, found)
-    write_metrics(record, folder, indent=1)
     causal = [law for law in study.laws if law != ORACLE]
     caption = "∫|x|² over the oracle’s, geometric mean and 95 % interval, on one line of the grid."
-    picture = save_figure(maps.plot_lines(data, causal), folder, "lines", caption)
-    write_page(
-        folder,
-        "study.html.j2",
-        **_setting(study),
-        command=command,
-        answers=[(answer, list(_duels(data, answer, folder))) for answer in found],
-        picture=picture,
-        winners=list(_winners(data, causal, folder)),
-        laws=[(law, the_law(law), list(_alone(data, law, folder))) for law in study.laws],
-        failures=failures(data),
-    )
-    return found, record
+    with writing(folder) as place:
+        sections = answers(data)
+        write_cells(data, place / "data" / "cells.csv")
+        record = record_of(data, sections)
+        write_metrics(record, place, indent=1)
+        write_page(
+            place,
+            "study.html.j2",
+            **_setting(study),
+            command=command,
+            answers=[(answer, list(_duels(data, answer, place))) for answer in sections],
+            picture=save_figure(maps.plot_lines(data, causal), place, "lines", caption),
+            winners=list(_winners(data, causal, place)),
+            laws=[(law, the_law(law), list(_alone(data, law, place))) for law in study.laws],
+            failures=failures(data),
+        )
+    return StudyReport(folder / PAGE, sections, data, record)
 
 
 def _duels(data: xr.Dataset, answer: Answer, folder: Path) -> Iterator[dict[str, str]]:

@@ -70,12 +70,8 @@ def run_study(
     if not set(READ) <= set(study.metrics):
         raise ArgumentError(f"metrics must hold {' and '.join(READ)} for a report.")
     data = sweep(study, store, scheduler, workers=workers, progress=progress)
-    return _complete(data[[*READ, "diverged", "reason"]].load(), study)
-
-
-def _complete(data: xr.Dataset, study: FileStudy) -> xr.Dataset:
-    """All axes of the maps, those that the grid leaves out with one value."""
-    given = {
+    data = data[[*READ, "diverged", "reason"]].load()
+    given = {  # an axis that the grid leaves out has one value
         "sojourn": "exponential",
         "delay": float(np.max(study.problem["plant"]["delay"])),  # as the axis has it
         "distance": 1.0,
@@ -89,13 +85,13 @@ def failures(data: xr.Dataset) -> list[dict[str, str]]:
     """The laws that could not be built somewhere: cell, law and why."""
     dims = data.reason.dims
     unbuilt = (data.reason != "").values & data.ise.isnull().all("scenario").values
-    found = []
+    entries = []
     for index in np.argwhere(unbuilt):
         *where, law = (data[name].values[i] for name, i in zip(dims, index, strict=True))
         cell = Cell(tuple(index[:-1].tolist()), dict(zip(map(str, dims), where, strict=False)))
         reason = str(data.reason.values[tuple(index)])
-        found.append({"cell": str(cell), "law": str(law), "reason": reason})
-    return found
+        entries.append({"cell": str(cell), "law": str(law), "reason": reason})
+    return entries
 
 
 ENDS = ("", "_low", "_high")
@@ -108,14 +104,14 @@ DUEL = tuple(name + end for name in ("ratio", "median_ratio", "share") for end i
 
 def write_cells(data: xr.Dataset, path: Path) -> None:
     """One row per cell and law: median ∫|x|², regret, signals stabilised, with intervals."""
-    found = summary(data)
-    axes = [str(name) for name in found.ise.dims]
+    figures = summary(data)
+    axes = [str(name) for name in figures.ise.dims]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*axes, *FIGURES])
-        for index in np.ndindex(found.ise.shape):
-            place = [found[name].values[i] for name, i in zip(axes, index, strict=True)]
-            writer.writerow([*place, *(f"{found[name].values[index]:.6g}" for name in FIGURES)])
+        for index in np.ndindex(figures.ise.shape):
+            place = [figures[name].values[i] for name, i in zip(axes, index, strict=True)]
+            writer.writerow([*place, *(f"{figures[name].values[index]:.6g}" for name in FIGURES)])
 
 
 def record_of(data: xr.Dataset, answers: Sequence[Answer]) -> dict[str, Any]:
@@ -133,7 +129,7 @@ def record_of(data: xr.Dataset, answers: Sequence[Answer]) -> dict[str, Any]:
 
 def _cells(data: xr.Dataset) -> Iterator[dict[str, Any]]:
     """Every cell: where it is, what each law did there, and which was best for what is known."""
-    found = summary(data)
+    figures = summary(data)
     laws = [str(law) for law in data.law.values]
     causal = [law for law in laws if law != ORACLE]
     ranked = {
@@ -141,12 +137,12 @@ def _cells(data: xr.Dataset) -> Iterator[dict[str, Any]]:
         for level in LEVELS[:-1]
         if any(knowledge_of(law) == level for law in causal)
     }
-    axes = [str(name) for name in found.ise.dims[:-1]]
-    for index in np.ndindex(found.ise.shape[:-1]):
+    axes = [str(name) for name in figures.ise.dims[:-1]]
+    for index in np.ndindex(figures.ise.shape[:-1]):
         places = zip(axes, index, strict=True)
-        cell: dict[str, Any] = {name: found[name].values[i] for name, i in places}
+        cell: dict[str, Any] = {name: figures[name].values[i] for name, i in places}
         cell["laws"] = {
-            law: {name: found[name].values[(*index, row)] for name in FIGURES}
+            law: {name: figures[name].values[(*index, row)] for name in FIGURES}
             for row, law in enumerate(laws)
         }
         cell["best"] = {

@@ -19,6 +19,7 @@ from matplotlib.ticker import NullLocator
 from deadtime.base.figure_files import Width, inches, legend_columns, new_figure, style_of
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.reports.figures.colours import colours_of
+from deadtime.reports.figures.sweeps import selection
 from deadtime.reports.figures.sweeps.maps import linear_ticks, log_ticks
 from deadtime.reports.figures.sweeps.panels import (
     add_title,
@@ -28,18 +29,6 @@ from deadtime.reports.figures.sweeps.panels import (
     words_of,
 )
 from deadtime.reports.figures.sweeps.reduction import reduce
-from deadtime.reports.figures.sweeps.selection import (
-    Where,
-    label_of,
-    laws_of,
-    long_axes,
-    named_laws,
-    oracle_of,
-    select,
-    sides,
-    text_of,
-    unbroken,
-)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -72,11 +61,6 @@ def figure_of_panels(count: int, width: Width | None = None) -> tuple[Figure, li
     return figure, panels, columns
 
 
-def title_of(words: Sequence[str], columns: int) -> str:
-    """A panel's place, on several lines where panels are narrow."""
-    return textwrap.fill(", ".join(map(unbroken, words)), {1: 70, 2: 50, 3: 34}[columns])
-
-
 def is_ordered(data: xr.Dataset, across: str | None) -> bool:
     """Whether the axis across is of numbers that a line can join."""
     return across is not None and data.sizes[across] > 1 and data[across].dtype.kind in "iuf"
@@ -89,7 +73,7 @@ def draw(
     cells: Float[np.ndarray, "law x level"],
     marks: Sequence[Mark],
 ) -> None:
-    """Bands along numbers, bars for text and single values."""
+    """Bands along numbers; for text and single values bars, 5 to 95 and 25 to 75 %."""
     values = np.zeros(1) if across is None else data[across].values
     if is_ordered(data, across):
         order = np.argsort(values)
@@ -100,8 +84,12 @@ def draw(
         return
     for number, (law, (colour, _)) in enumerate(zip(cells, marks, strict=True)):
         offset = (number - (len(marks) - 1) / 2.0) * min(0.12, 0.8 / len(marks))
-        _bars(panel, np.arange(values.size) + offset, law, colour)
-    texts = [] if across is None else [plain(text_of(value)) for value in values.tolist()]
+        x = np.arange(values.size) + offset
+        low, lower, middle, upper, high = _clip(law).T
+        panel.vlines(x, low, high, color=colour, linewidth=1.0)
+        panel.vlines(x, lower, upper, color=colour, linewidth=4.0, alpha=0.5)
+        panel.plot(x, middle, "o", color=colour, markersize=3.5)
+    texts = [] if across is None else [plain(selection.text_of(value)) for value in values.tolist()]
     panel.set_xticks(range(len(texts)), texts)
     if sum(map(len, texts)) > 24:
         panel.tick_params("x", rotation=30)
@@ -122,14 +110,6 @@ def _band(panel: Axes, x: np.ndarray, cells: Quantiles, mark: Mark, share: float
     panel.plot(x, middle, linestyle=line, color=colour, marker=marker, markersize=2.8)
 
 
-def _bars(panel: Axes, x: np.ndarray, cells: Quantiles, colour: str) -> None:
-    """A law at values that have no order: bars from 5 to 95 and from 25 to 75 %."""
-    low, lower, middle, upper, high = _clip(cells).T
-    panel.vlines(x, low, high, color=colour, linewidth=1.0)
-    panel.vlines(x, lower, upper, color=colour, linewidth=4.0, alpha=0.5)
-    panel.plot(x, middle, "o", color=colour, markersize=3.5)
-
-
 def _clip(cells: Quantiles) -> Quantiles:
     """Infinite figures as ones far beyond every axis, which lines can lead to."""
     return np.clip(cells, -1e250, 1e250)
@@ -144,13 +124,13 @@ def _ticks(panel: Axes, values: np.ndarray) -> None:
     ends = places[0] - air, places[-1] + air
     panel.set_xlim(*(np.exp(ends) if logarithmic else ends))
     places = (places - places[0]) / (places[-1] - places[0])
-    gap = max(0.1, _LETTER * max(len(text_of(value)) for value in values))
+    gap = max(0.1, _LETTER * max(len(selection.text_of(value)) for value in values))
     shown, last = [], -1.0
     for value, place in zip(values, places, strict=True):
         if place - last >= gap:
             shown.append(value)
             last = place
-    panel.set_xticks(shown, [text_of(value) for value in shown])
+    panel.set_xticks(shown, [selection.text_of(value) for value in shown])
     panel.xaxis.set_minor_locator(NullLocator())
 
 
@@ -215,7 +195,7 @@ def plot_bands(
     data: xr.Dataset,
     metric: str = "ise",
     x: str | None = None,
-    where: Where | None = None,
+    where: selection.Where | None = None,
     laws: Sequence[str] | None = None,
     width: Width | None = None,
 ) -> Figure:
@@ -250,26 +230,26 @@ def plot_bands(
     >>> plot_bands(data).axes[0].lines[-1].get_ydata()
     array([2., 4.])
     """
-    kept = select(data, metric, where)
-    named_laws(kept, laws, ())
+    kept = selection.select(data, metric, where)
+    selection.named_laws(kept, laws, ())
     panes(kept, x)  # names and sizes are checked before the store is read
     return bands(reduce(kept, metric), metric, x, laws, width)
 
 
 def bands(
-    found: xr.Dataset,
+    reduced: xr.Dataset,
     metric: str,
     x: str | None,
     laws: Sequence[str] | None = None,
     width: Width | None = None,
 ) -> Figure:
     """`plot_bands` of what `reduce` gives."""
-    across, rest = panes(found, x)
-    shown = named_laws(found, laws, laws_of(found))
-    colours = colours_of(laws_of(found), oracle_of(found))
+    across, rest = panes(reduced, x)
+    shown = selection.named_laws(reduced, laws, selection.laws_of(reduced))
+    colours = colours_of(selection.laws_of(reduced), selection.oracle_of(reduced))
     marks = [(colours[law], LINES[i % len(LINES)]) for i, law in enumerate(shown)]
-    places = list(places_of(found, rest))
-    values = found["quantile"].sel(law=shown).transpose("law", ..., "level")
+    places = list(places_of(reduced, rest))
+    values = reduced["quantile"].sel(law=shown).transpose("law", ..., "level")
     logarithmic = is_wide(values.values)
     seen = np.zeros(len(shown), dtype=bool)
     with rc_context(style_of(width)):
@@ -277,24 +257,26 @@ def bands(
         for number, (panel, place) in enumerate(zip(panels, places, strict=True)):
             cells = values.isel(place).values
             cells = cells.reshape(len(shown), -1, cells.shape[-1])  # one axis is longer than 1
-            draw(panel, found, across, cells, marks)
+            draw(panel, reduced, across, cells, marks)
             top = set_scale(panel, cells, logarithmic)
             seen |= (cells[..., 2] < top).any(axis=1)
-            panel.set_title(title_of(words_of(found, place), columns), fontsize=8.5)
+            words = ", ".join(map(selection.unbroken, words_of(reduced, place)))
+            letters = {1: 70, 2: 50, 3: 34}[columns]
+            panel.set_title(textwrap.fill(words, letters), fontsize=8.5)
             if number % columns == 0:
-                panel.set_ylabel(plain(measure_of(found, metric)))
+                panel.set_ylabel(plain(measure_of(reduced, metric)))
             if across and number >= len(places) - columns:
-                panel.set_xlabel(plain(label_of(found[across])))
+                panel.set_xlabel(plain(selection.label_of(reduced[across])))
         figure.align_ylabels()
         labels = [plain(law) + " (off the axes)" * (not seen[i]) for i, law in enumerate(shown)]
-        add_legend(figure, list(zip(labels, marks, strict=True)), is_ordered(found, across))
-    return add_title(figure, found, None)
+        add_legend(figure, list(zip(labels, marks, strict=True)), is_ordered(reduced, across))
+    return add_title(figure, reduced, None)
 
 
 def panes(data: xr.Dataset, x: str | None) -> tuple[str | None, list[str]]:
     """The axis across, and those that tell panels apart."""
-    across, _ = sides(data, x, None)
-    rest = [axis for axis in long_axes(data) if axis != across]
+    across, _ = selection.sides(data, x, None)
+    rest = [axis for axis in selection.long_axes(data) if axis != across]
     count = math.prod(data.sizes[axis] for axis in rest)
     if count > MOST:
         raise too_many(data, rest, count, MOST)

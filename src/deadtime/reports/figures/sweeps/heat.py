@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError
 from deadtime.reports.figures.colours import colours_of
+from deadtime.reports.figures.sweeps import selection
 from deadtime.reports.figures.sweeps.maps import Scale, colour_map, scale_of, winners
 from deadtime.reports.figures.sweeps.panels import (
     PanelGrid,
@@ -19,21 +20,6 @@ from deadtime.reports.figures.sweeps.panels import (
     symbol_of,
 )
 from deadtime.reports.figures.sweeps.reduction import reduce
-from deadtime.reports.figures.sweeps.selection import (
-    NOT_RUN,
-    RATES,
-    Where,
-    causal,
-    figure_of,
-    laws_of,
-    long_axes,
-    named_laws,
-    one_of,
-    oracle_or_refuse,
-    quotients_of,
-    select,
-    sides,
-)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,12 +34,12 @@ def plot_heat(
     metric: str = "ise",
     x: str | None = None,
     y: str | None = None,
-    where: Where | None = None,
+    where: selection.Where | None = None,
 ) -> Figure:
     """The median of a metric over the scenarios under one law, in every cell of a sweep.
 
     A run that diverged counts as ∞. Two axes span a panel, the others tell panels apart; axes
-    with one value stand in the title.
+    with one value are named in the title.
 
     Parameters
     ----------
@@ -82,10 +68,10 @@ def plot_heat(
     >>> [cell.get_text() for cell in panel.texts]
     ['2.00', '4.00']
     """
-    kept = select(data, metric, where)
-    law = one_of("law", law, laws_of(kept))
-    sides(kept, x, y)  # names are checked before the store is read
-    return heat(reduce(kept, metric), law, metric, x, y)
+    cells = selection.select(data, metric, where)
+    law = selection.one_of("law", law, selection.laws_of(cells))
+    selection.sides(cells, x, y)  # names are checked before the store is read
+    return heat(reduce(cells, metric), law, metric, x, y)
 
 
 def plot_regret(
@@ -94,7 +80,7 @@ def plot_regret(
     metric: str = "ise",
     x: str | None = None,
     y: str | None = None,
-    where: Where | None = None,
+    where: selection.Where | None = None,
 ) -> Figure:
     """A metric of one law over the oracle's on the same signal, in every cell of a sweep.
 
@@ -120,37 +106,40 @@ def plot_regret(
     >>> panel.texts[0].get_text()
     '4.00'
     """
-    kept = select(data, quotients_of(metric), where)
-    law = one_of("law", law, laws_of(kept))
-    sides(kept, x, y)
-    oracle = oracle_or_refuse(kept)
-    return regret(reduce(kept, metric, oracle=oracle), law, metric, x, y)
+    cells = selection.select(data, selection.quotients_of(metric), where)
+    law = selection.one_of("law", law, selection.laws_of(cells))
+    selection.sides(cells, x, y)
+    oracle = selection.oracle_or_refuse(cells)
+    return regret(reduce(cells, metric, oracle=oracle), law, metric, x, y)
 
 
-def heat(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
+def heat(reduced: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
     """`plot_heat` of what `reduce` gives."""
-    middle = found["quantile"].sel(law=law, level=0.5, drop=True)
-    label = f"median {measure_of(found, metric)}"
-    scale = scale_of(middle.values, label, "YlOrRd_r" if metric in RATES else "YlOrRd")
-    grid = grid_for(found, x, y)
-    figure = colour_map(found, grid, middle, scale, figure_of, waiting=found[NOT_RUN])
-    return add_title(figure, found, grid, f"Law “{law}”")
+    middle = reduced["quantile"].sel(law=law, level=0.5, drop=True)
+    label = f"median {measure_of(reduced, metric)}"
+    scale = scale_of(middle.values, label, "YlOrRd_r" if metric in selection.RATES else "YlOrRd")
+    grid = grid_for(reduced, x, y)
+    figure = colour_map(
+        reduced, grid, middle, scale, selection.figure_of, waiting=reduced[selection.NOT_RUN]
+    )
+    return add_title(figure, reduced, grid, f"Law “{law}”")
 
 
-def regret(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
+def regret(reduced: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
     """`plot_regret` of what `reduce` gives."""
     ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", _LOST: "100"}
-    label = f"{symbol_of(metric, found)} over the oracle's"
+    label = f"{symbol_of(metric, reduced)} over the oracle's"
     scale = Scale(LogNorm(1.0, _LOST), "YlOrRd", "max", label, ticks)
-    grid, values = grid_for(found, x, y), found["regret"].sel(law=law, drop=True)
-    figure = colour_map(found, grid, values, scale, waiting=found[NOT_RUN])
-    return add_title(figure, found, grid, f"Law “{law}”")
+    grid, values = grid_for(reduced, x, y), reduced["regret"].sel(law=law, drop=True)
+    figure = colour_map(reduced, grid, values, scale, waiting=reduced[selection.NOT_RUN])
+    return add_title(figure, reduced, grid, f"Law “{law}”")
 
 
-def grid_for(found: xr.Dataset, x: str | None, y: str | None) -> PanelGrid:
+def grid_for(reduced: xr.Dataset, x: str | None, y: str | None) -> PanelGrid:
     """The panels of a map."""
-    across, up = sides(found, x, y)
-    return grid_of(found, (across, up), [a for a in long_axes(found) if a not in (across, up)])
+    across, up = selection.sides(reduced, x, y)
+    rest = [axis for axis in selection.long_axes(reduced) if axis not in (across, up)]
+    return grid_of(reduced, (across, up), rest)
 
 
 def plot_wins(
@@ -159,7 +148,7 @@ def plot_wins(
     laws: Sequence[str] | None = None,
     x: str | None = None,
     y: str | None = None,
-    where: Where | None = None,
+    where: selection.Where | None = None,
 ) -> Figure:
     """Which law is best in every cell of a sweep, and the runner-up's metric over the winner's.
 
@@ -187,23 +176,25 @@ def plot_wins(
     >>> figure.axes[0].texts[0].get_text(), figure.legends[0].get_texts()[0].get_text()
     ('2.00', 'mean')
     """
-    kept = select(data, quotients_of(metric), where)
-    rivals = named_laws(kept, laws, causal(kept))
+    cells = selection.select(data, selection.quotients_of(metric), where)
+    rivals = selection.named_laws(cells, laws, selection.causal(cells))
     if not rivals:
         raise ArgumentError(
             "laws must be given where the oracle is the only law: name it, or run more laws."
         )
-    sides(kept, x, y)
-    return wins(reduce(kept, metric, rivals), rivals, metric, x, y)
+    selection.sides(cells, x, y)
+    return wins(reduce(cells, metric, rivals), rivals, metric, x, y)
 
 
 def wins(
-    found: xr.Dataset, rivals: Sequence[str], metric: str, x: str | None, y: str | None
+    reduced: xr.Dataset, rivals: Sequence[str], metric: str, x: str | None, y: str | None
 ) -> Figure:
     """`plot_wins` of what `reduce` gives for these rivals."""
-    colours = colours_of(laws_of(found))
-    grid = grid_for(found, x, y)
-    figure = winners(found, grid, found, {law: colours[law] for law in rivals}, found[NOT_RUN])
-    second = ", and the runner-up's over it" * grid.has_figures(found)
-    lead = f"Least {symbol_of(metric, found)}{second}"
-    return add_title(figure, found, grid, lead)
+    colours = colours_of(selection.laws_of(reduced))
+    grid = grid_for(reduced, x, y)
+    figure = winners(
+        reduced, grid, reduced, {law: colours[law] for law in rivals}, reduced[selection.NOT_RUN]
+    )
+    second = ", and the runner-up's over it" * grid.has_figures(reduced)
+    lead = f"Least {symbol_of(metric, reduced)}{second}"
+    return add_title(figure, reduced, grid, lead)

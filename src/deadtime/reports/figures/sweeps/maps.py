@@ -49,10 +49,6 @@ class Scale:
     label: str
     ticks: Mapping[float, str]
 
-    @property
-    def mappable(self) -> ScalarMappable:
-        return ScalarMappable(self.norm, colormaps[self.colours])
-
 
 def colour_map(
     data: xr.Dataset,
@@ -67,7 +63,7 @@ def colour_map(
 
     NaN is a law that could not be built; `waiting` says which cells have not been run.
     """
-    colour = scale.mappable
+    colour = ScalarMappable(scale.norm, colormaps[scale.colours])
     with rc_context(MAP_STYLE):
         figure, panels = panels_of(data, grid)
         for panel, place in panels:
@@ -93,7 +89,7 @@ def colour_map(
 def winners(
     data: xr.Dataset,
     grid: PanelGrid,
-    found: xr.Dataset,
+    ranking: xr.Dataset,
     colours: Mapping[str, str],
     waiting: xr.DataArray | None = None,
 ) -> Figure:
@@ -108,13 +104,15 @@ def winners(
         figure, panels = panels_of(data, grid)
         for panel, place in panels:
             best, ratio, verdict = (
-                grid.table(found[name], place) for name in ("winner", "ratio", "verdict")
+                grid.table(ranking[name], place) for name in ("winner", "ratio", "verdict")
             )
             holes = None if waiting is None else grid.table(waiting, place)
-            texts = [[_distance(value) for value in row] for row in ratio.tolist()]
+            with np.errstate(divide="ignore"):
+                gaps = (1.0 / ratio).tolist()
+            texts = [["" if np.isnan(gap) else short(gap) for gap in row] for row in gaps]
             same = (verdict == 0.0) | (ratio * _READS_1 > 1.0)
             _draw(panel, palette[best], texts, same, (best < 0, holes))
-        present = np.unique(found["winner"].values)
+        present = np.unique(ranking["winner"].values)
         keys = [
             Patch(facecolor=colour, label=plain(law))
             for i, (law, colour) in enumerate(colours.items())
@@ -122,7 +120,7 @@ def winners(
         ]
         keys.append(Patch(facecolor="white", edgecolor=HATCH, hatch="////", lw=0.0, label="tied"))
         if waiting is not None:
-            keys += keys_of(found["winner"] < 0, waiting)
+            keys += keys_of(ranking["winner"] < 0, waiting)
         columns = legend_columns(figure, (str(key.get_label()) for key in keys), 5)
         figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=1.6)
     return figure
@@ -137,10 +135,6 @@ def keys_of(empty: xr.DataArray, waiting: xr.DataArray) -> list[Patch]:
         line = {"edgecolor": HATCH, "lw": 0.5}
         keys.append(Patch(facecolor=NOT_RUN, label=f"{WAITING}  not run yet", **line))
     return keys
-
-
-def _distance(ratio: float) -> str:
-    return "" if np.isnan(ratio) else short(1.0 / ratio if ratio else np.inf)
 
 
 def _draw(
@@ -188,15 +182,18 @@ def scale_of(values: np.ndarray, label: str, colours: str) -> Scale:
     return Scale(norm, colours, extend.get((below, above), "neither"), label, ticks)
 
 
-def log_ticks(low: float, high: float) -> dict[float, str]:
-    """At most 7 round numbers from low to high: 1, 2, 5 and so on where they fit."""
+def log_ticks(
+    low: float, high: float, most: int = 7, fine: Sequence[float] = ()
+) -> dict[float, str]:
+    """A few round numbers from low to high: 1, 2, 5 and so on, or finer ones, where they fit."""
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    for steps in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
+    ticks: list[float] = []
+    for steps in (fine, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
         ticks = [step * 10.0**power for power in powers for step in steps]
         ticks = [tick for tick in ticks if low <= tick <= high]
-        if len(ticks) <= 7:
+        if steps and len(ticks) <= most:
             break
-    return {tick: f"{tick:g}" for tick in ticks[:: -(-len(ticks) // 7) or 1]}
+    return {tick: f"{tick:g}" for tick in ticks[:: -(-len(ticks) // most) or 1]}
 
 
 def linear_ticks(low: float, high: float) -> dict[float, str]:

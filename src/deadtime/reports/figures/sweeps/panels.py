@@ -7,7 +7,7 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-Colour = tuple[float, float, float]
 HATCH = "#a0a0a0"
 NOT_BUILT, NOT_RUN = (0.93, 0.93, 0.93), (0.985, 0.985, 0.985)
 FIGURES = 24  # cells along a side of a panel up to which each has its figure
@@ -184,9 +183,7 @@ def draw_cells(
     """All cells of a panel; figures and borders only where they are few enough to be read."""
     if max(tied.shape) <= FIGURES:
         for at in itertools.product(*map(range, tied.shape)):
-            red, green, blue = map(float, shades[at])
-            row, column = at
-            draw_cell(panel, at, (red, green, blue), texts[row][column], bool(tied[at]))
+            _draw_cell(panel, at, shades[at], texts[at[0]][at[1]], bool(tied[at]))
         return
     pale = np.where(tied[..., None], 0.6 + 0.4 * shades, shades)
     ends = (-0.5, tied.shape[1] - 0.5, -0.5, tied.shape[0] - 0.5)
@@ -199,27 +196,20 @@ def draw_cells(
         )
 
 
-def draw_cell(panel: Axes, at: tuple[int, ...], colour: Colour, text: str, tied: bool) -> None:
+def _draw_cell(panel: Axes, at: tuple[int, ...], colour: np.ndarray, text: str, tied: bool) -> None:
     """One cell: its colour, paler and hatched where tied, and its figure in black or white."""
     row, column = at
-    corner = (column - 0.5, row - 0.5)
-    red, green, blue = (0.6 + 0.4 * part if tied else part for part in colour)
-    shade = (red, green, blue)
-    panel.add_patch(Rectangle(corner, 1, 1, facecolor=shade, edgecolor="white", linewidth=0.8))
+    corner, shade = (column - 0.5, row - 0.5), 0.6 + 0.4 * colour if tied else colour
+    look: dict[str, Any] = {"facecolor": shade.tolist()}
+    panel.add_patch(Rectangle(corner, 1, 1, **look, edgecolor="white", linewidth=0.8))
     if tied:
         panel.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=HATCH, hatch="////", lw=0.0))
     dark = float(np.dot(shade, (0.299, 0.587, 0.114))) < 0.5
-    box = {"boxstyle": "square,pad=0.1", "facecolor": shade, "linewidth": 0.0}
     panel.text(
-        column,
-        row,
-        text,
-        ha="center",
-        va="center",
-        fontsize=6.2,
+        column, row, text, ha="center", va="center", fontsize=6.2,
         color="white" if dark else "black",
-        bbox=box if tied else None,
-    )
+        bbox={"boxstyle": "square,pad=0.1", "linewidth": 0.0, **look} if tied else None,
+    )  # fmt: skip
 
 
 SYMBOLS = {
@@ -231,7 +221,7 @@ SYMBOLS = {
 }
 
 
-def symbol_of(metric: str, found: xr.Dataset | None = None) -> str:
+def symbol_of(metric: str, reduced: xr.Dataset | None = None) -> str:
     """A metric as readers call it; the cost by the weight that the dataset was made with.
 
     Examples
@@ -239,24 +229,26 @@ def symbol_of(metric: str, found: xr.Dataset | None = None) -> str:
     >>> symbol_of("ise"), symbol_of("settling_time")
     ('∫|x|²', 'settling time')
     """
-    if metric == "cost" and found is not None:
-        return formula_of(found["quantile"])
+    if metric == "cost" and reduced is not None:
+        return formula_of(reduced["quantile"])
     return SYMBOLS.get(metric, metric.replace("_", " "))
 
 
-def measure_of(found: xr.Dataset, metric: str) -> str:
+def measure_of(reduced: xr.Dataset, metric: str) -> str:
     """A metric with its unit."""
-    attributes = found["quantile"].attrs
-    name = symbol_of(metric, found)
+    attributes = reduced["quantile"].attrs
+    name = symbol_of(metric, reduced)
     unit = str(attributes.get("units", "")).replace("^2", "²")
     return f"{name} ({unit})" if unit else name
 
 
-def add_title(figure: Figure, found: xr.Dataset, grid: PanelGrid | None, lead: str = "") -> Figure:
+def add_title(
+    figure: Figure, reduced: xr.Dataset, grid: PanelGrid | None, lead: str = ""
+) -> Figure:
     """A title: what is shown, and the axes that have one value."""
     shown = () if grid is None else (grid.x, grid.y)
-    held = [axis for axis in axes_of(found) if found.sizes[axis] == 1 and axis not in shown]
-    words = ", ".join(unbroken(say(found[axis], found[axis].values[0])) for axis in held)
+    held = [axis for axis in axes_of(reduced) if reduced.sizes[axis] == 1 and axis not in shown]
+    words = ", ".join(unbroken(say(reduced[axis], reduced[axis].values[0])) for axis in held)
     title = ": ".join(part for part in (lead, words) if part)
     if title:
         width, height = figure.get_size_inches()

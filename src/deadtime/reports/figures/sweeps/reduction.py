@@ -66,24 +66,20 @@ def reduce(
         output_dtypes=[float] * 3,
         dask_gufunc_kwargs={"output_sizes": {"level": len(LEVELS), "part": 3}},
     )
-    found = xr.Dataset(dict(zip(("quantile", "regret", "best"), parts, strict=True))).compute()
-    found = found.assign_coords(level=list(LEVELS), law=laws)
-    winner, ratio, verdict = (found["best"].isel(part=part, drop=True) for part in range(3))
-    found = found.drop_vars("best").assign(
+    reduced = xr.Dataset(dict(zip(("quantile", "regret", "best"), parts, strict=True))).compute()
+    reduced = reduced.assign_coords(level=list(LEVELS), law=laws)
+    winner, ratio, verdict = (reduced["best"].isel(part=part, drop=True) for part in range(3))
+    reduced = reduced.drop_vars("best").assign(
         winner=winner.fillna(-1.0).astype(int), ratio=ratio, verdict=verdict
     )
-    found[NOT_RUN] = _not_run(data, winner).transpose(*axes_of(data))
-    found.attrs = dict(data.attrs)
-    found["quantile"].attrs = dict(data[metric].attrs)
+    every = xr.ones_like(winner, dtype=bool)
+    done = (data["done"] == 1).compute() if "done" in data else every
+    reduced[NOT_RUN] = (~done).transpose(*axes_of(data))
+    reduced.attrs = dict(data.attrs)
+    reduced["quantile"].attrs = dict(data[metric].attrs)
     for name in axes_of(data):
-        found[name].attrs = dict(data[name].attrs)
-    return found
-
-
-def _not_run(data: xr.Dataset, like: xr.DataArray) -> xr.DataArray:
-    import xarray as xr
-
-    return ~(data["done"] == 1).compute() if "done" in data else xr.zeros_like(like, dtype=bool)
+        reduced[name].attrs = dict(data[name].attrs)
+    return reduced
 
 
 def _of_cells(
@@ -96,8 +92,10 @@ def _of_cells(
     if oracle >= 0:
         regret = mean_interval(quotient(runs, runs[..., [oracle], :]))[0]
     if rivals:
-        found = winners_of(runs[..., list(rivals), :])
-        best = np.stack([np.where(found.winner < 0, np.nan, found.winner), *found[1:]], axis=-1)
+        ranking = winners_of(runs[..., list(rivals), :])
+        best = np.stack(
+            [np.where(ranking.winner < 0, np.nan, ranking.winner), *ranking[1:]], axis=-1
+        )
     return quantiles(runs), regret, best
 
 
@@ -120,6 +118,6 @@ def quantiles(
         part, gap = place - below, high - low
         # From the nearer end, as numpy does, so that round-off is the same.
         between = np.where(part < 0.5, low + part * gap, high - (1.0 - part) * gap)
-    found = np.where(np.isinf(low), low, np.where(np.isinf(high), high, between))
-    found = np.where(above == below, low, found)
-    return np.where(np.isnan(ordered[..., -1:]), np.nan, found)
+    result = np.where(np.isinf(low), low, np.where(np.isinf(high), high, between))
+    result = np.where(above == below, low, result)
+    return np.where(np.isnan(ordered[..., -1:]), np.nan, result)
