@@ -113,7 +113,7 @@ def test_what_is_exported_says_what_its_numbers_are(heater, monkeypatch, capsys)
     assert json_out["operating_point"] == {"x": [21.0], "u": [40.0]}
     run(capsys, "export", "paper", "--c", "plain")
     plain = (heater / "plain" / "controller.h").read_text()
-    assert "Where yours rests elsewhere, x,\n   applied and u are deviations from there" in plain
+    assert "x, applied and u are deviations from the plant's equilibrium." in plain
     assert "REST" not in (heater / "plain" / "controller.c").read_text()
 
 
