@@ -149,7 +149,7 @@ def _print_medians(data: xr.Dataset) -> None:
     medians = sweep_table(data)
     print()
     print_table(medians.headings, medians.rows)
-    print(f"({' '.join(medians.said).removeprefix('deadtime: ')}.)")
+    print(f"({' '.join(medians.notes).removeprefix('deadtime: ')}.)")
 
 
 def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:

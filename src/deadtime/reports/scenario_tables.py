@@ -194,7 +194,8 @@ class Summary:
             *self.notes,
             "Those of shares are Wilson's.",
         ]
-        return booktabs([*headings, f"/ {self.reference}", _INTERVAL, "growing runs"], rows, remarks)
+        headings += [f"/ {self.reference}", _INTERVAL, "growing runs"]
+        return booktabs(headings, rows, remarks)
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
