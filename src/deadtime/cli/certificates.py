@@ -434,7 +434,7 @@ def least_dwell_times(
         del record["dwell_time"]
     kept = (with_names(one, problem.modes) for one in _kept(signals, modes, mode))
     said = [f"Sampling period {period:g} s.", *kept]
-    table = ("law", "proved from", "refuted up to"), cells
+    table = ("law", "proved dwell time, s", "refuted dwell time, s"), cells
     return _answer(problem, law, bracket, ("least_dwell_times", record), said, table, json_output)
 
 
@@ -457,11 +457,12 @@ def longest_mode_lags(
 
     def cells(one: ProvedBracket) -> tuple[str, str]:
         ends = one.certified, one.refuted
-        low, high = ("–" if seconds is None else f"{seconds:.4g} s" for seconds in ends)
+        low, high = ("–" if seconds is None else f"{seconds:.4g}" for seconds in ends)
         return low, high
 
     record = about(problem, period) | for_json(signals, problem.plant.modes)
-    said, table = [asked.in_words(problem.modes, period)], ("law", "proved up to", "refuted at")
+    said = [asked.in_words(problem.modes, period)]
+    table = "law", "proved lag, s", "refuted lag, s"
     given = ("longest_mode_lags", record), said, (table, cells)
     return _answer(problem, law, bracket, *given, json_output)
 
@@ -554,4 +555,4 @@ def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = Fal
     if value is None or value == float("inf"):
         return "–" if value is None else "any"
     times = (value,) if each is None or len(set(each)) == 1 else each
-    return ", ".join(in_words(one, up=up) for one in times) + " s"
+    return ", ".join(in_words(one, up=up) for one in times)
