@@ -75,10 +75,6 @@ class SharpConstants(FunctionalConstants):
         ratio = math.exp(2.0 * (x - self.log_epsilon_star)) if x > -math.inf else 0.0
         return self.rate * (1.0 - ratio)
 
-    def log_rho(self, x: float) -> float:
-        norms = log_one_plus(self.log_nu1) + log_one_plus(self.log_nu2)
-        return 0.5 * (math.log(2.0) + norms + self.log_kappa)
-
 
 @dataclass(frozen=True)
 class Norm:
