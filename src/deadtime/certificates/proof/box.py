@@ -226,15 +226,11 @@ class Box(Steps):
 
     def arranged(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
         """`generator` of each [A B] (number, n, n + m)."""
-        n, own = self.states, self.own_reads(c)
+        n, own = self.states, [lag for lag, j in self.reads if j == c]
         result = np.zeros((len(entries), n + len(own), n + len(own)))
         result[:, :n, :n] = entries[:, :, :n]
         result[:, :n, n + own.index(lag)] = entries[:, :, n + c]
         return result
-
-    def own_reads(self, c: int) -> list[int]:
-        """The lags at which input c is read."""
-        return [lag for lag, j in self.reads if j == c]
 
     def columns(self, c: int) -> list[int]:
         """Where the reads of input c are among the columns of E."""

@@ -97,7 +97,8 @@ class Delays(Frozen):
             return Box.of(plants, self.ends, step)
         if self.ends.ndim == 2:
             return Family.of(plants, self.ends, step)
-        return Family.of_range(plants, *self.ends.tolist(), step)
+        low, high = self.ends.tolist()
+        return Family.of_range(plants, low, high, step)
 
     def include(self, plant: SwitchedSystem) -> bool:
         """Whether a plant's delays are among them."""

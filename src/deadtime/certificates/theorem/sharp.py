@@ -324,13 +324,6 @@ class Groups:
             result.append(log_sum(terms))
         return result
 
-    def from_mismatch(self, rate: float) -> list[float]:
-        """log of the direct coefficient of |y| in each group."""
-        a = self.growth + rate
-        return [
-            log(gain) + log_integral(a, d) for d, gain in zip(self.delays, self.gain, strict=True)
-        ]
-
 
 @dataclass(frozen=True, eq=False)
 class OwnDelayConstants(Constants):
@@ -411,13 +404,10 @@ class OwnDelayConstants(Constants):
 
 def log_star(groups: Groups, norm: Norm, rate: float) -> float:
     """log ε*(ξ)."""
-    after = log(norm.entry / (-norm.growth - rate))
-    m = [
-        log_sum((after + of_state, of_mismatch))
-        for of_state, of_mismatch in zip(
-            groups.from_state(norm, rate), groups.from_mismatch(rate), strict=True
-        )
-    ]
+    after, a = log(norm.entry / (-norm.growth - rate)), groups.growth + rate
+    each = zip(groups.from_state(norm, rate), groups.gain, groups.delays, strict=True)
+    # The state is moved by the mismatch, which also enters directly.
+    m = [log_sum((after + x, log(gain) + log_integral(a, d))) for x, gain, d in each]
     return -(groups.log_share + _length(groups.through(m, rate)))
 
 
