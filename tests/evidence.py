@@ -10,6 +10,7 @@ ALPHA = {"common": 0.63, "eigenvectors": 0.65, "extended rows": 0.3}
 TIMES = ("step", "signals.dwell_time", "signals.maximum_dwell", "signals.clock_tolerance")
 ARRAYS = (
     *("P", "Pi", "S", "setting.plants.A", "setting.plants.B", "setting.F", "setting.G"),
+    "setting.delays.ends",
     *("centre.E", "centre.row", "centre.R", "centre.T", "centre.Psi", "centre.F"),
 )
 

@@ -16,6 +16,7 @@ import delayed_loops
 from certified_loops import assert_runs_decrease, assert_steps_decrease, proved
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import check
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.step_enclosure import Enclosures, cells_of
 from deadtime.numerics.precision import precision
@@ -146,7 +147,7 @@ def test_enclosures_hold_the_plant_cut_at_every_arrival(corners):
 def test_one_delay_told_one_by_one_is_that_delay():
     A, B = generic()
     for delay in (0.234, 0.3, 0.04):
-        one = Family.of(Polytope(A, B), (delay, delay), 0.1)
+        one = Family.of_range(Polytope(A, B), delay, delay, 0.1)
         each = Family.of(Polytope(A, B), np.full((2, 2), delay), 0.1)
         assert (one.reads, one.marks, one.lags) == (each.reads, each.marks, each.lags)
         for i, j in ((0, 0), (0, 1)):
@@ -169,14 +170,15 @@ def test_evidence_about_other_delays_is_no_proof():
     certificate = certified("delays-both")[2]
     evidence, setting = certificate.evidence, certificate.evidence.setting
     assert check(evidence).proven
-    for delays in (setting.delays[:, ::-1], setting.delays - 0.02):
-        outcome = check(replace(evidence, setting=replace(setting, delays=delays.copy())))
+    own = setting.delays.ends
+    for delays in (own[:, ::-1], own - 0.02):
+        outcome = check(replace(evidence, setting=replace(setting, delays=Delays(delays.copy()))))
         assert not outcome.proven
     for delays, reason in (
-        (setting.delays * np.array([1.0, np.nan]), "delays[0, 1] is not a positive"),
-        (-setting.delays, "delays[0, 0] is not a positive"),
+        (own * np.array([1.0, np.nan]), "delays[0, 1] is not a positive"),
+        (-own, "delays[0, 0] is not a positive"),
     ):
-        outcome = check(replace(evidence, setting=replace(setting, delays=delays.copy())))
+        outcome = check(replace(evidence, setting=replace(setting, delays=Delays(delays.copy()))))
         assert not outcome.proven
         assert outcome.reason.startswith(reason)
 

@@ -17,6 +17,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import check
 from deadtime.certificates.proof.box import FIRST, Box
 from deadtime.certificates.proof.covering import enclosures_of
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.numerics.precision import precision
 from deadtime.plant.plant_set import Polytope
@@ -144,7 +145,7 @@ def test_it_falls_along_runs_at_delays_drawn_from_the_ranges(name):
     plant, law, certificate = certified(name)
     setting, rng = certificate.evidence.setting, np.random.default_rng(7)
     plants = plant if isinstance(plant, list) else [plant]
-    low, high = setting.delays
+    low, high = setting.delays.bounds
     for trial in range(12):
         delays = drawn(rng, low, high)
         truth = plants[trial % len(plants)]
@@ -160,7 +161,7 @@ def test_no_signal_at_delays_in_the_ranges_decays_slower_than_certified():
     plant, law, certificate = certified("ranges-modes")
     setting, rng = certificate.evidence.setting, np.random.default_rng(1)
     for _ in range(2):
-        truth = dt.SwitchedSystem(plant.A, plant.B, drawn(rng, *setting.delays))
+        truth = dt.SwitchedSystem(plant.A, plant.B, drawn(rng, *setting.delays.bounds))
         worst = dt.falsify(truth, law, setting.signals.dwell_time, setting.step, budget=20_000)
         assert worst.growth_rate <= -certificate.decay_rate + 1e-9
 
@@ -175,7 +176,7 @@ def test_a_range_with_a_delay_at_which_the_loop_grows_is_not_proved():
     assert inside.proven
     beyond = [0.33 + 1.02 * margin.longer, 0.33]
     assert not dt.certify(plant, law, 0.2, STEP, delays=(low, beyond)).stable
-    setting = replace(inside.evidence.setting, delays=np.array([[low], [beyond]]))
+    setting = replace(inside.evidence.setting, delays=Delays(np.array([[low], [beyond]])))
     assert not check(replace(inside.evidence, setting=setting)).proven
 
 

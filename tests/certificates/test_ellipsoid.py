@@ -13,8 +13,8 @@ import certificate_corpus as corpus
 import deadtime as dt
 from certificate_reference import rewritten
 from deadtime.certificates.dwell.evidence_search import Sways
-from deadtime.certificates.proof.box import family_of
 from deadtime.certificates.proof.covering import enclosures_of
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.proof.step_enclosure import cells_of
 from deadtime.certificates.proof.sway import Sway, kronecker
 from deadtime.feedback.recurrence import recurrence_of
@@ -149,7 +149,7 @@ BOX = np.array([[[0.23], [0.21]], [[0.24], [0.215]]])
 def test_what_an_ellipsoid_does_to_a_period_lies_within_its_bound(delays):
     known, rng = corpus.around(MILD, 0.05), np.random.default_rng(3)
     axes = known.axes()
-    family = family_of(known.plant_set(), delays, H)
+    family = Delays(np.array(delays)).family(known.plant_set(), H)
     enclosures = enclosures_of(family)
     tight = 0.0
     for i, j in ((0, 0), (0, 1)):
@@ -161,7 +161,7 @@ def test_what_an_ellipsoid_does_to_a_period_lies_within_its_bound(delays):
                     z = rng.standard_normal(len(axes))
                     moved = np.tensordot(z / np.linalg.norm(z), axes, 1)
                     one = MILD.like(MILD.A + moved[..., :2], MILD.B + moved[..., 2:])
-                    other = family_of(Polytope.of([one]), delays, H)
+                    other = Delays(np.array(delays)).family(Polytope.of([one]), H)
                     u = rng.uniform(*part.u)
                     f = tuple(rng.uniform(*place) for place in part.f)
                     f = f if isinstance(delays, np.ndarray) else f[0]

@@ -9,6 +9,7 @@ import deadtime as dt
 import observer_reference as reference
 from deadtime.certificates.dwell.centre import loop_matrix
 from deadtime.certificates.dwell.leaps import plant_rows
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.cli.application import main
@@ -62,7 +63,7 @@ def aged():
 
 def setting_of(plant, law, dwell_time=0.35):
     table = recurrence_of(law, STEP)
-    delays = (plant.delay,) * 2 if plant.has_one_delay else plant.delays
+    delays = Delays.of(None, plant, STEP)
     return Setting(
         Polytope.of([plant]), delays, table.state_gain, table.input_gain, table.context,
         table.ages, STEP, dt.SignalClass(dwell_time), table.memory,

@@ -29,7 +29,7 @@ def test_enclosures_hold_the_plant_and_its_derivatives(delays, corners):
     rng = np.random.default_rng(3)
     A = rng.normal(size=(2, 3, 3)) + 0.1 * rng.normal(size=(corners, 2, 3, 3))
     B = rng.normal(size=(2, 3, 2)) + 0.1 * rng.normal(size=(corners, 2, 3, 2))
-    family = Family.of(Polytope(A, B), delays, 0.1)
+    family = Family.of_range(Polytope(A, B), *delays, 0.1)
 
     def value(cell, point, reading="decimal"):
         E = reference.at_point(A, B, delays, 0.1, cell.order, *point, reading)

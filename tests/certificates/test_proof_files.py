@@ -27,7 +27,7 @@ def test_files_hold_the_evidence_bit_by_bit_and_prove_it_again(name, tmp_path):
     for part in ARRAYS:
         one, two = (attrgetter(part)(e) for e in (loaded, certificate.evidence))
         assert (one.shape, one.tobytes()) == (two.shape, two.tobytes())
-    setting = (f"setting.{key}" for key in ("delays", "signals", "context", "ages", *TIMES))
+    setting = (f"setting.{key}" for key in ("signals", "context", "ages", *TIMES))
     for part in ("rho", "knots", *setting):
         assert attrgetter(part)(loaded) == attrgetter(part)(certificate.evidence)
     verified = dt.verify(path, plant, law)

@@ -16,6 +16,7 @@ from certificate_reference import Loop
 from deadtime.certificates.dwell.stretch_program import future_sums
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, StretchEvidence, balls, check, load_evidence
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import StretchInequalities
 from deadtime.numerics.precision import precision
@@ -71,7 +72,7 @@ LOOPS = {
 def setting_of(plant, law, dwell_time, longest, step):
     table = law.digital(step)
     numbers = (table.state_gain, table.input_gain, table.context, table.ages, step)
-    delays = (plant.delay, plant.delay)
+    delays = Delays.of(None, plant, step)
     signals = dt.SignalClass(dwell_time, longest)
     return Setting(Polytope.of([plant]), delays, *numbers, signals)
 

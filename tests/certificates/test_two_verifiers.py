@@ -19,6 +19,7 @@ from deadtime.certificates.proof import (
     save_evidence,
     work,
 )
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.proof.evidence import Centre, Setting
 from deadtime.certificates.proof.work import allowance, operations
 from deadtime.numerics.precision import precision
@@ -121,8 +122,8 @@ def setting(plant, rows=1, context="none", **options):
     F, G = np.full((rows, m, 1), 1e-3), np.zeros((rows, 1, m, m))
     ages = options.pop("ages", 1)
     signals = dt.SignalClass(0.3, **options)
-    about = {"plants": Polytope(plant["A"], plant["B"]), "delays": plant["delays"]}
-    return Setting(**about, F=F, G=G, context=context, ages=ages, step=0.1, signals=signals)
+    about = Polytope(plant["A"], plant["B"]), Delays(np.array(plant["delays"]))
+    return Setting(*about, F=F, G=G, context=context, ages=ages, step=0.1, signals=signals)
 
 
 def ranges(modes, m):

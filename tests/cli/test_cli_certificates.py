@@ -17,7 +17,7 @@ from deadtime.certificates import Verification
 from deadtime.certificates.proof.archive import digest
 from deadtime.cli.application import main
 from deadtime.imperfections import Dropout, ModeDelay, Noise
-from deadtime.reports.certificate_tables import Judged, certificate_sentences
+from deadtime.reports.certificate_tables import certificate_sentences, judge
 
 WITNESS = SimpleNamespace(
     growth_rate=0.282, message="grows.", modes=(1,), sojourns=(np.inf,), phase=0.0, signal=None,
@@ -163,10 +163,10 @@ def test_certify_does_not_list_as_left_out_what_it_covers(capsys, made_up, monke
 
 def test_a_refusal_calls_an_input_by_its_name():
     problem = replace(dt.problems.paper(), inputs=("brake",))
-    judged = Judged("mean", None, None, None, "delays of input 0 in mode 1 must ascend.")
-    name = problem.modes[1]
-    assert certificate_sentences([judged], problem) == [
-        f"mean: delays of brake in {name} must ascend."
+    delays = [[1.0], [1.0]], [[1.0], [0.9]]
+    judged = judge(problem, dt.SignalClass(0.2), 0.1, ["mean"], delays=delays)
+    assert certificate_sentences(judged, problem) == [
+        f"mean: delays of brake in {problem.modes[1]} must ascend, got (1, 0.9)."
     ]
 
 

@@ -17,7 +17,6 @@ from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence, save_evidence
-from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import decay_rate
 from deadtime.switching import SignalClass
@@ -81,14 +80,9 @@ class Certificate:
         """A certificate of stability from evidence that passed the check."""
         rate = decay_rate(evidence)
         pace = f"decays at least like exp(−{round_down(rate)} t)" if rate else "decays"
-        delays = ""
-        if isinstance(evidence.setting.family, Box):
-            delays = " and all constant delays in the given ranges"
-        elif evidence.setting.family.ranges:
-            low, high = evidence.setting.delays
-            delays = f" and every constant delay from {low:.6g} s to {high:.6g} s"
-        plants = evidence.setting.plants
-        sets = delays if plants.known else f"{delays} and every plant in the {plants.kind}"
+        setting, plants = evidence.setting, evidence.setting.plants
+        sets = setting.delays.claim if setting.family.ranges else ""
+        sets += "" if plants.known else f" and every plant in the {plants.kind}"
         message = f"Stable for every admissible signal{sets}, proved: the loop {pace}."
         sentences = statement(evidence, checked.cells)
         return cls(True, message, rate, True, sentences, None, evidence, checked.limit)
@@ -155,20 +149,6 @@ def round_down(rate: float, digits: int = 4) -> str:
     return f"{math.floor(rate / unit) * unit:.{digits}g}"
 
 
-def delays_in_words(setting: Setting) -> str:
-    """The plant's delay, or delays."""
-    if np.ndim(setting.delays) == 3:
-        low, high = np.array(setting.delays).tolist()
-        return (
-            f"s any constant values from {low} s to {high} s (a list per mode, "
-            "with a value per input), each in its own range, independently"
-        )
-    if isinstance(setting.delays, np.ndarray):
-        return f"s {setting.delays.tolist()} s (a list per mode, with a value per input)"
-    low, high = setting.delays
-    return f" {low!r} s" if low == high else f" any constant value in [{low!r}, {high!r}] s"
-
-
 def pace_of(evidence: Evidence | StretchEvidence) -> str:
     """How a loop is proved to decay, as the end of a sentence."""
     rate = decay_rate(evidence)
@@ -193,7 +173,7 @@ def plain_statement(evidence: Evidence | StretchEvidence) -> tuple[str, ...]:
     sizes = ", ".join((number_of(modes, "mode"), number_of(n, "state"), number_of(m, "input")))
     return (
         f"Valid: the loop{pace_of(evidence)}, {words}{anywhere}.",
-        f"Loop: {which} of {sizes}, input delay{delays_in_words(setting)}, with a law of "
+        f"Loop: {which} of {sizes}, input delay{setting.delays.stated}, with a law of "
         f"{number_of(len(setting.G), 'row')}; period {setting.step!r} s.",
         not_covered(setting.signals),
     )
@@ -207,7 +187,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     which, _ = setting.plants.in_words
     ends = any(map(math.isfinite, setting.limits.maximum_dwell))
     alike = ""
-    if np.ndim(setting.delays) == 2:
+    if setting.delays.ends.ndim == 2:
         alike = "; delays whose remainders differ by less arrive at one instant"
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
@@ -256,7 +236,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         f"{words[0].upper()}{words[1:]},{' switching at any instant,' * anywhere} and for every "
         f"initial state{memory} and past input, the digital loop of {which} with this "
         f"table{pace}. {not_covered(signals)}",
-        f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A delay within 1e-9 "
+        f"Period {setting.step!r} s; input delay{setting.delays.stated}. A delay within 1e-9 "
         f"periods of a whole number of periods is taken as that number{alike}. The running loop "
         "does the same.",
         f"The law is its table: the stored binary64 numbers, exactly: {rows}{late}."

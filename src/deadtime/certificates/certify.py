@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, number, positive, reporter
 from deadtime.base.errors import ArgumentError, DeadtimeError
@@ -23,10 +22,10 @@ from deadtime.certificates.dwell.evidence_search import EvidenceSearch, Freedom
 from deadtime.certificates.dwell.stretch_program import whole
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
+from deadtime.certificates.proof.delays import Delays, Range
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.reach import (
     Plants,
-    delays_of,
     extremes,
     neutral,
     out_of_reach,
@@ -61,7 +60,7 @@ def certify(
     dwell_time: PerMode | SignalClass,
     step: float = 0.01,
     *,
-    delays: tuple[ArrayLike, ArrayLike] | None = None,
+    delays: Range | None = None,
     decay_rate: float | None = None,
     search_signals: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -151,7 +150,7 @@ def certify(
     table = with_lost_rows(law, table) if asked.lost_samples else table
     setting = Setting(
         plants,
-        delays_of(delays, plant, step),
+        Delays.of(delays, plant, step),
         table.state_gain,
         table.input_gain,
         table.context,

@@ -6,16 +6,13 @@ dr/dt = 0. No law moves them, so only the other states can be stable.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, positive
+from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.proof.box import DelayInterval
+from deadtime.certificates.proof.delays import Delays, Range
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import least_periods
 from deadtime.certificates.proof.validate import MOST_REPORTED
@@ -23,16 +20,13 @@ from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import same_outputs
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import snap
 from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
-from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import aged_row, constant_growth, least_growth, with_memory
 from deadtime.switching import SignalClass
 
 ROUNDS = 3  # steps of the gradient ascent to the worst plant of a set
 MOVE = 1e-3  # of z, for a difference quotient
 
-Range = tuple[ArrayLike, ArrayLike]
 Plants = SwitchedSystem | PlantUncertainty | Sequence[SwitchedSystem]  # as `certify` takes them
 _NOTHING = 1e-12  # relative to the largest singular value
 LARGEST = 3000  # order that memory allows
@@ -70,54 +64,13 @@ def plants_of(
     return Polytope.of(plants), plants[0], delays
 
 
-def delays_of(
-    delays: Range | None, plant: SwitchedSystem, step: float
-) -> tuple[float, float] | np.ndarray:
-    """`Setting.delays` of a given range, or of the plant's own delays."""
-    if delays is None:
-        return (plant.delay, plant.delay) if plant.has_one_delay else plant.delays
-    if plant.has_one_delay and not any(np.iterable(end) for end in delays):
-        low, high = (positive("delays", value) for value in delays)
-        if low > high:
-            raise ArgumentError(f"delays must ascend, got ({low:g}, {high:g}).")
-        _require_one_period(low, high, step, "delays")
-        return low, high
-    shape = plant.delays.shape
-    ends = np.stack([check_delays(end, shape, "delays") for end in delays])
-    for i, j in np.ndindex(shape):
-        name, (low, high) = f"delays of input {j} in mode {i}", ends[:, i, j].tolist()
-        if low > high:
-            raise ArgumentError(f"{name} must ascend, got ({low:g}, {high:g}).")
-        _require_one_period(low, high, step, name)
-    return ends if np.any(ends[0] < ends[1]) else ends[0]
-
-
-def _require_one_period(low: float, high: float, step: float, name: str) -> None:
-    try:
-        DelayInterval.of(low, high, step)
-    except ValueError:
-        cut = (math.floor(snap(low / step)) + 1) * step
-        raise ArgumentError(
-            f"{name} must lie within one period, between two multiples of step = {step:g} s, got "
-            f"({low:g}, {high:g}): certify the parts below and above {cut:g} s one after the other "
-            "with delays= (--delays), or choose a step none of whose multiples is within the range."
-        ) from None
-
-
-def extremes(
-    plants: PlantSet, delays: tuple[float, float] | np.ndarray, table: Feedback
-) -> list[SwitchedSystem]:
+def extremes(plants: PlantSet, delays: Delays, table: Feedback) -> list[SwitchedSystem]:
     """Plants whose constant modes are checked: the vertices, and bad points of an ellipsoid.
 
     Each with the delays at the ends of their ranges.
     """
-    ends: Any = [delays]
-    if isinstance(delays, tuple):
-        ends = sorted(set(delays))
-    elif delays.ndim == 3:
-        ends = list(delays)
     vertices = zip(plants.A, plants.B, strict=True)
-    found = [SwitchedSystem(A, B, delay) for A, B in vertices for delay in ends]
+    found = [SwitchedSystem(A, B, delay) for A, B in vertices for delay in delays.corners]
     moved = [mode for mode in range(plants.sizes[0]) if plants.directions[:, mode].any()]
     return found + [_worst(one, plants, table, mode) for one in found for mode in moved]
 

@@ -20,7 +20,6 @@ from deadtime.certificates.certificate import plain_statement, statement
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.stretches import decay_rate
 from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
@@ -287,7 +286,7 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
 def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     """The loop and the signals of a certificate, by first numbers and digests."""
     plants = setting.plants
-    known = plants.A, plants.B, np.array(setting.delays), *plants.arrays.values()
+    known = plants.A, plants.B, setting.delays.ends, *plants.arrays.values()
     (modes, n, m), (_, short) = plants.sizes, plants.in_words
     several = f", {short}" if short else ""
     rows, taps = setting.G.shape[:2]
@@ -297,7 +296,7 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     return (
         f"Plant {_digest(*known)}: "
         f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
-        f"{_in_figures(setting.delays)}{several}; A[0] = {_first(plants.A[0, 0])}, "
+        f"{setting.delays.in_figures}{several}; A[0] = {_first(plants.A[0, 0])}, "
         f"B[0] = {_first(plants.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
         f"{setting.context}{late}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}"
@@ -319,31 +318,8 @@ def _other_plant(setting: Setting, plant: SwitchedSystem | PlantUncertainty | No
     if lacking:
         return lacking
     asked = [middle, *(SwitchedSystem(middle.A, middle.B, end) for end in ends or ())]
-    others = (_other_delay(setting.delays, one) for one in asked)
-    return next((f"a plant with {other}" for other in others if other), "")
-
-
-def _other_delay(delays: Delays, plant: SwitchedSystem) -> str:
-    if isinstance(delays, np.ndarray) and delays.ndim == 3:
-        within = np.all((delays[0] <= plant.delays) & (plant.delays <= delays[1]))
-        return "" if within else _in_figures(delays)
-    if isinstance(delays, np.ndarray):
-        same = np.array_equal(delays, plant.delays)
-        return "" if same else f"the delays {delays.tolist()} s"
-    low, high = delays
-    if plant.has_one_delay and low <= plant.delay <= high:
-        return ""
-    return f"a delay of {low!r} s" if low == high else f"a delay in [{low!r}, {high!r}] s"
-
-
-def _in_figures(delays: Delays) -> str:
-    if isinstance(delays, np.ndarray) and delays.ndim == 3:
-        low, high = delays.tolist()
-        return f"delays from {low} to {high} s"
-    if isinstance(delays, np.ndarray):
-        return f"delays {delays.tolist()} s"
-    low, high = delays
-    return f"delay {low!r} s" if low == high else f"delay {low!r} to {high!r} s"
+    covered = all(map(setting.delays.include, asked))
+    return "" if covered else f"a plant with {setting.delays.in_words}"
 
 
 def _digest(*arrays: np.ndarray) -> str:

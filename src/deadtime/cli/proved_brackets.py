@@ -63,7 +63,7 @@ def least_dwell_times(
         del record["dwell_time"]
     kept = (with_names(one, problem.modes) for one in _kept_limits(signals, modes, mode))
     notes = [f"Sampling period {period:g} s.", *kept]
-    table = ("law", "proved from", "refuted up to"), cells
+    table = ("law", "proved dwell time, s", "refuted dwell time, s"), cells
     return _answer(problem, law, bracket, ("least_dwell_times", record), notes, table, json_output)
 
 
@@ -86,11 +86,12 @@ def longest_mode_lags(
 
     def cells(one: ProvedBracket) -> tuple[str, str]:
         ends = one.certified, one.refuted
-        low, high = ("–" if seconds is None else f"{seconds:.4g} s" for seconds in ends)
+        low, high = ("–" if seconds is None else f"{seconds:.4g}" for seconds in ends)
         return low, high
 
     record = setting_record(problem, period, signals)
-    notes, table = [assumed.in_words(problem.modes, period)], ("law", "proved up to", "refuted at")
+    notes = [assumed.in_words(problem.modes, period)]
+    table = "law", "proved lag, s", "refuted lag, s"
     given = ("longest_mode_lags", record), notes, (table, cells)
     return _answer(problem, law, bracket, *given, json_output)
 
@@ -182,4 +183,4 @@ def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = Fal
     if value is None or value == float("inf"):
         return "–" if value is None else "any"
     times = (value,) if each is None or len(set(each)) == 1 else each
-    return ", ".join(in_words(one, up=up) for one in times) + " s"
+    return ", ".join(in_words(one, up=up) for one in times)

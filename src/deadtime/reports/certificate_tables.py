@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -20,8 +19,10 @@ from deadtime.base.json_records import record
 from deadtime.base.threads import in_order
 from deadtime.base.wording import as_rate, compact, number_of, sentence_of, with_names
 from deadtime.certificates import TheoremBound, theorem_bound
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.theorem.bound import stated_forms
 from deadtime.imperfections import Dropout, ModeDelay
+from deadtime.plant.plant_set import PlantUncertainty
 from deadtime.plant.switched_system import check_delays
 from deadtime.problems import Problem
 from deadtime.switching import SignalClass
@@ -29,15 +30,15 @@ from deadtime.switching import SignalClass
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
     from deadtime.margins.delay import DelayMargin
-    from deadtime.plant.plant_set import PlantUncertainty
 
 
 HEADINGS = ("law", "stability", "decay, 1/s", "proof", "growth, 1/s", "delay margin, s")
 LEGEND = (
-    "Stability: yes, for every such signal; no, |x| grows along one; no answer, neither was found. "
-    "Decay: every run falls at least this fast. Proof: in ball arithmetic (yes), in floating point "
-    "(numerical), by a signal that grows (witness). Growth: along the worst signal found. Delay "
-    "margin: the true delays that keep every constant mode stable; of several, their common change."
+    "Stability: yes, for every such signal; no, |x| grows along one of them; no answer, neither "
+    "was found. Decay: every run falls at least this fast. Proof: yes, of stability; witness, of a "
+    "signal along which |x| grows; both in ball arithmetic. Growth: along the worst signal found. "
+    "Delay margin: the true delays for which the law keeps every constant mode stable; of several "
+    "delays, their common change."
 )
 
 
@@ -121,6 +122,11 @@ def judge(
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
+    ranges = plant.delay_range() if isinstance(plant, PlantUncertainty) and not delays else delays
+    try:
+        Delays.of(ranges, problem.plant, step, problem.inputs)
+    except ArgumentError as error:  # of every law, and here the inputs have names
+        return [Judged(name, None, None, None, str(error)) for name in names]
     certified: dict[str, Future[Certificate]] = {name: Future() for name in names}
 
     def prove(name: str) -> None:
@@ -207,13 +213,12 @@ def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     for one in judged:
         rate = one.certificate and one.certificate.decay_rate
         decay = "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
-        proven = "yes" if one.certificate and one.certificate.proven else "numerical"
         growth = math.inf if one.worst is None else one.worst.growth_rate
         rows.append((
             one.law,
             {True: "yes", False: "no", None: "no answer"}[one.stable],
             decay,
-            {True: proven, False: "witness", None: "–"}[one.stable],
+            {True: "yes", False: "witness", None: "–"}[one.stable],
             as_rate(growth) if math.isfinite(growth) else "–",
             margin_text(one.margin),
         ))  # fmt: skip
@@ -267,11 +272,8 @@ def certificate_sentences(judged: Sequence[Judged], problem: Problem) -> list[st
     texts = []
     for one in judged:
         answer = "" if one.certificate is None else f"{one.certificate.message} "
-        # A refusal names a delay by the numbers of its input and mode, as `certify` knows them.
-        answer += one.reason
-        for j, name in enumerate(problem.inputs):
-            answer = re.sub(rf"\binput {j}\b(?!\.\d)", lambda _, name=name: name, answer)
-        texts.append(f"{one.law}: {with_names(answer.rstrip(), problem.modes)}")
+        answer = f"{answer}{one.reason}".rstrip()
+        texts.append(f"{one.law}: {with_names(answer, problem.modes)}")
     return texts
 
 

@@ -161,7 +161,7 @@ class EvidenceSearch:
         self.looked_at: set[tuple[Transition, Any, float]] = set()
         self.sways = Sways(setting.family)
         self.samples = self._samples()
-        delay = setting.longest_delay
+        delay = float(setting.delays.ends.max())
         self.angles = frequencies(FREQUENCIES, setting.step, delay)
         self.fine = fine_frequencies(setting.past, setting.step, delay)
 

@@ -23,8 +23,8 @@ import numpy as np
 from deadtime.base.errors import ArgumentError, CertificateFileError
 from deadtime.base.files import read_text, replacing
 from deadtime.base.version import __version__
+from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
-from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.stretches import StretchEvidence, decay_rate
 from deadtime.plant.uncertainties import KEYS as KEYS_OF_PLANTS, read_set
 from deadtime.switching import SignalClass
@@ -70,7 +70,7 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
         "plant": {
             "A": setting.plants.A.tolist(),
             "B": setting.plants.B.tolist(),
-            "delays": np.array(setting.delays).tolist(),
+            "delays": setting.delays.ends.tolist(),
             **{name: _pack(array) for name, array in setting.plants.arrays.items()},
         },
         "law": {
@@ -287,11 +287,10 @@ def _float(value: Any) -> float:
 
 
 def _delays(value: Any) -> Delays:
-    """(low, high) of one delay, the delays of every mode and input, or low and high of these."""
-    if isinstance(value, list) and value and isinstance(value[0], list):
-        return _array_of(value)
-    low, high = value
-    return _float(low), _float(high)
+    ends = _array_of(value)
+    if ends.ndim < 2 and ends.shape != (2,):
+        raise ValueError("plant.delays is neither low and high nor a list per mode")
+    return Delays(ends)
 
 
 def _array_of(value: Any) -> np.ndarray:

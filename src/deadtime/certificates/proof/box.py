@@ -34,39 +34,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family, Steps
-from deadtime.plant import Window
+from deadtime.certificates.proof.family import ROUND_OFF, DelayInterval, Steps
 from deadtime.plant.plant_set import PlantSet
 
 TOLERANCE = 1e-9  # of a period: marks closer than this are one
 # Directions of a cell: the instant of the switch, the polytope, and from here on the delays.
 U, POLYTOPE, FIRST = 0, 1, 2
-
-
-@dataclass(frozen=True)
-class DelayInterval:
-    """A range of a delay: N, φ_low and φ_high in seconds, and both ends of the delay as given."""
-
-    count: int
-    low: float
-    high: float
-    delays: tuple[float, float]
-
-    @classmethod
-    def of(cls, low: float, high: float, step: float) -> DelayInterval:
-        """The interval between two delays of one N; φ_low may be 0, the end of N − 1 before."""
-        first, last = Window.of(low, step), Window.of(high, step)
-        phase = first.phase
-        if first.count == last.count - 1 and first.phase == step:
-            phase = 0.0
-        elif first.count != last.count:
-            raise ValueError("a range of delays must lie in one period")
-        return cls(last.count, phase, last.phase, (low, high))
-
-    @property
-    def ranges(self) -> bool:
-        """Whether the delay has a range."""
-        return self.low < self.high
 
 
 class Order(NamedTuple):
@@ -253,15 +226,11 @@ class Box(Steps):
 
     def arranged(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
         """`generator` of each [A B] (number, n, n + m)."""
-        n, own = self.states, self.own_reads(c)
+        n, own = self.states, [lag for lag, j in self.reads if j == c]
         result = np.zeros((len(entries), n + len(own), n + len(own)))
         result[:, :n, :n] = entries[:, :, :n]
         result[:, :n, n + own.index(lag)] = entries[:, :, n + c]
         return result
-
-    def own_reads(self, c: int) -> list[int]:
-        """The lags at which input c is read."""
-        return [lag for lag, j in self.reads if j == c]
 
     def columns(self, c: int) -> list[int]:
         """Where the reads of input c are among the columns of E."""
@@ -310,10 +279,3 @@ def _phase(
     if direction is None:
         return low, {}
     return low + f[direction - FIRST] * (high - low), {direction: high - low}
-
-
-def family_of(plants: PlantSet, delays: Delays, step: float) -> Family | Box:
-    """The steps of plants with known delays, with a range of their one, or with a range of each."""
-    if isinstance(delays, np.ndarray) and delays.ndim == 3:
-        return Box.of(plants, delays, step)
-    return Family.of(plants, delays, step)

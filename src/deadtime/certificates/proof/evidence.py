@@ -37,8 +37,9 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
-from deadtime.certificates.proof.box import Box, family_of
-from deadtime.certificates.proof.family import Delays, Family
+from deadtime.certificates.proof.box import Box
+from deadtime.certificates.proof.delays import Delays
+from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import SwitchGraph, interpolation, least_periods
 from deadtime.plant.plant_set import PlantSet
 from deadtime.switching import SignalClass
@@ -55,9 +56,7 @@ class Setting(Frozen):
     Attributes
     ----------
     plants : PlantSet
-    delays : (low, high), (modes, m), or (2, modes, m)
-        The range of the plant's delay, seconds, a point for a known one; or the delay of every mode
-        and input; or the lower and the upper end of each.
+    delays : Delays
     F : (rows, o, n), G : (rows, taps, o, o)
         The law's table, with outputs o = q + m: its own state, then the inputs.
     context, ages, step
@@ -87,8 +86,8 @@ class Setting(Frozen):
     def family(self) -> Family | Box:
         """The steps of the plant."""
         # Without inputs any delay will do; a whole period has the fewest parts, one.
-        delays = self.delays if self.inputs else (self.step, self.step)
-        return family_of(self.plants.with_inputs(self.inputs), delays, self.step)
+        delays = self.delays if self.inputs else Delays(np.array([self.step, self.step]))
+        return delays.family(self.plants.with_inputs(self.inputs), self.step)
 
     @cached_property
     def transitions(self) -> SwitchGraph:
@@ -107,11 +106,6 @@ class Setting(Frozen):
             return None
         tolerance = self.signals.clock_tolerance
         return least_periods(self.limits.dwell_time[0], self.step, tolerance)
-
-    @property
-    def longest_delay(self) -> float:
-        """Seconds."""
-        return float(np.max(self.delays))
 
     @property
     def modes(self) -> int:

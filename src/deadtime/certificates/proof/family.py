@@ -98,9 +98,33 @@ class Steps(Frozen, ABC):
         return np.full(count, 1.0 / count) if weights is None else weights
 
 
+@dataclass(frozen=True)
+class DelayInterval:
+    """A range of a delay: N, φ_low and φ_high in seconds, and both ends of the delay as given."""
+
+    count: int
+    low: float
+    high: float
+    delays: tuple[float, float]
+
+    @classmethod
+    def of(cls, low: float, high: float, step: float) -> DelayInterval:
+        """The interval between two delays of one N; φ_low may be 0, the end of N − 1 before."""
+        first, last = Window.of(low, step), Window.of(high, step)
+        phase = first.phase
+        if first.count == last.count - 1 and first.phase == step:
+            phase = 0.0  # a delay of whole periods is φ = h of its N, and φ = 0 of the next N
+        elif first.count != last.count:
+            raise ValueError("a range of delays must lie in one period")
+        return cls(last.count, phase, last.phase, (low, high))
+
+    @property
+    def ranges(self) -> bool:
+        """Whether the delay has a range."""
+        return self.low < self.high
+
+
 Lags = tuple[int, ...]  # per input, the age in samples of the value that acts
-# A range of the one delay; one per mode and input; or the lower and the upper end of each.
-Delays = tuple[float, float] | Float[np.ndarray, "mode m"] | Float[np.ndarray, "2 mode m"]
 
 
 @dataclass(frozen=True)
@@ -138,32 +162,27 @@ class Family(Steps):
     lags: tuple[tuple[Lags, ...], ...]
 
     @classmethod
-    def of(cls, plants: PlantSet, delays: Delays, step: float) -> Family:
-        """The family of delays, or of a range of one, whose ends must have one N."""
-        start, stop, (modes, _, m) = (0.0, 0.0), (step, step), plants.sizes
-        if isinstance(delays, np.ndarray):
-            windows = windows_of(SwitchedSystem(plants.A[0], plants.B[0], delays), step)
-            phases = sorted({window.phase for row in windows for window in row} - {step})
-            begins = [0.0, *phases]
-            lags = tuple(
-                tuple(tuple(w.count - (begin >= w.phase) for w in row) for begin in begins)
-                for row in windows
-            )
-            count = max(window.count for row in windows for window in row)
-            # φ = h cuts nothing: such a delay reads one lag over the whole period.
-            marks = (start, *((p, p) for p in phases), stop)
-            return cls(plants, step, count, marks, lags)
-        low, high = (Window.of(delay, step) for delay in delays)
-        phase, N = low.phase, high.count
-        if low.count == N - 1 and low.phase == step:
-            phase = 0.0  # a delay of whole periods is φ = h of its N, and φ = 0 of the next N
-        elif low.count != N:
-            raise ValueError("a range of delays must lie in one period")
-        if phase == high.phase == step:
-            return cls(plants, step, N, (start, stop), (((N,) * m,),) * modes)
-        both = ((N,) * m, (N - 1,) * m)
-        marks = (start, (phase, high.phase), stop)
-        return cls(plants, step, N, marks, (both,) * modes)
+    def of(cls, plants: PlantSet, delays: Float[np.ndarray, "mode m"], step: float) -> Family:
+        """The family of the delays of every mode and input."""
+        windows = windows_of(SwitchedSystem(plants.A[0], plants.B[0], delays), step)
+        # φ = h cuts nothing: such a delay reads one lag over the whole period.
+        phases = sorted({window.phase for row in windows for window in row} - {step})
+        lags = tuple(
+            tuple(tuple(w.count - (begin >= w.phase) for w in row) for begin in (0.0, *phases))
+            for row in windows
+        )
+        count = max(window.count for row in windows for window in row)
+        return cls(plants, step, count, tuple((p, p) for p in (0.0, *phases, step)), lags)
+
+    @classmethod
+    def of_range(cls, plants: PlantSet, low: float, high: float, step: float) -> Family:
+        """The family of a range of the one delay, which must lie in one period."""
+        one, (modes, _, m) = DelayInterval.of(low, high, step), plants.sizes
+        start, phases, stop = (0.0, 0.0), (one.low, one.high), (step, step)
+        whole = phases == stop
+        lags = [(one.count,) * m] if whole else [(one.count,) * m, (one.count - 1,) * m]
+        marks = (start, stop) if whole else (start, phases, stop)
+        return cls(plants, step, one.count, marks, (tuple(lags),) * modes)
 
     def _received(self) -> set[tuple[int, int]]:
         return {(lag, j) for mode in self.lags for part in mode for j, lag in enumerate(part)}

@@ -126,30 +126,17 @@ class SplitInequalities:
         return all(self._positive_at(mode, graph.clocks[mode].last) for mode in ends)
 
     def _positive_at(self, mode: int, age: int) -> bool:
-        evidence, psi = self.evidence, self.evidence.centre.Psi
-        error: np.ndarray | float = 0.0
-        value = evidence.P
+        value, error = self.evidence.P, np.zeros_like(self.evidence.P)
         if self.s:
-            Psi = balls.exact(psi)
-            value, error = balls.split(
-                balls.exact(evidence.P) + Psi.transpose() * self.S(mode, age) * Psi
-            )
-            # Symmetric to the last bit, as the factorisation needs it; the change joins the error.
-            even = 0.5 * (value + value.T)
-            error = error + np.abs(even - value) + np.spacing(np.abs(even))
-            value = even
-        unit = powers_of_two(np.diag(value))
-        scaled = value * unit * unit[:, None]
-        errors = np.atleast_2d(error * np.ones_like(value)) * unit * unit[:, None]
-        return is_positive_definite(scaled, errors.sum(axis=1) * (1.0 + 1e-12))
+            Psi = balls.exact(self.evidence.centre.Psi)
+            value, error = _even(balls.exact(value) + Psi.transpose() * self.S(mode, age) * Psi)
+        return _definite(value, error, powers_of_two(np.diag(value)))
 
     def large(self) -> bool:
         """K − c I ≻ 0."""
         middle, error = self._K()
-        unit = powers_of_two(np.diag(middle))  # scaling by powers of two does not round
-        scaled = middle * unit * unit[:, None]
-        errors = (error * unit * unit[:, None]).sum(axis=1) * (1.0 + 1e-12)
-        return is_positive_definite(scaled, errors + self._residuals(unit))
+        unit = powers_of_two(np.diag(middle))
+        return _definite(middle, error, unit, self._residuals(unit))
 
     def _K(self) -> tuple[np.ndarray, np.ndarray]:
         """K as floats and errors, entry by entry.
@@ -182,10 +169,7 @@ class SplitInequalities:
         base[:d, :d] = P
         moved = np.zeros((full, full))
         moved[n : n + keep, n : n + keep] = P[top:, top:]
-        K = balls.exact(base) - balls.exact(moved) * (1 / self.rho2) - shared
-        middle, error = balls.split(K)
-        upper = 0.5 * (middle + middle.T)
-        return upper, error + np.abs(upper - middle) + np.spacing(np.abs(upper))
+        return _even(balls.exact(base) - balls.exact(moved) * (1 / self.rho2) - shared)
 
     def _residuals(self, unit: np.ndarray) -> float:
         """c, in the units of ζ̂ = ζ/unit."""
@@ -237,6 +221,22 @@ class SplitInequalities:
         moved[:, n : n + setting.order - top] = Psi[:, top:]
         residual = balls.exact(Psi[:, :top]) * Z + balls.exact(moved)
         return balls.frobenius(residual - self.F * balls.exact(self.channels.wide), unit)
+
+
+def _even(matrix: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Floats, symmetric to the last bit as the factorisation needs them, and their errors."""
+    middle, error = balls.split(matrix)
+    even = 0.5 * (middle + middle.T)
+    return even, error + np.abs(even - middle) + np.spacing(np.abs(even))
+
+
+def _definite(
+    middle: np.ndarray, error: np.ndarray, unit: np.ndarray, residual: float = 0.0
+) -> bool:
+    """Whether X − residual · I ≻ 0 for every symmetric X within the errors, in these units."""
+    scaled = middle * unit * unit[:, None]  # scaling by powers of two does not round
+    errors = (error * unit * unit[:, None]).sum(axis=1) * (1.0 + 1e-12)
+    return is_positive_definite(scaled, errors + residual)
 
 
 def _above(left: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> float:

@@ -22,6 +22,7 @@ exponential, so
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -132,38 +133,24 @@ class Enclosures:
         """Enclose one cell."""
         from flint import arb
 
-        family = self.family
-        n = family.states
-        ends = (cell.u, *cell.f)
-        u, f = (balls.interval(*pair) for pair in ends)
-        middle_u, middle_f = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
-        weights = cell.corners.mean(axis=0)
-        centre = product_of(self._factors(cell, middle_u, middle_f, weights, None))
-        slopes: list[tuple[int, Any]] = []
-        hull = None if len(cell.corners) == 1 else cell.corners
-        halves = (
-            (U, cell.u, any(part.share != "all" for part in cell.order)),
-            (FIRST, cell.f[0], family.ranges),
+        pairs = (cell.u, *cell.f)
+        u, f = (balls.interval(*pair) for pair in pairs)
+        middle = [arb(0.5) * (arb(a) + arb(b)) for a, b in pairs]
+        generators = [self._corners(part) for part in cell.order]
+        ends = [(U, cell.u)] * self.family.switches(cell.order)
+        ends += [(FIRST, cell.f[0])] * self.family.ranges
+
+        def slope(k: int, factors: list[Any], X: list[Any]) -> Any:
+            rates = [self._rate(part, k, u, f) for part in cell.order]
+            each = zip(X, factors, rates, strict=True)
+            return _sum(factors, [G * factor * rate for G, factor, rate in each])
+
+        middle, wide = (
+            [self._duration(part, *at) for part in cell.order] for at in (middle, (u, f))
         )
-        # Half widths rounded up: the slopes times [−1, 1] must reach both ends of the cell.
-        moving = [
-            (k, math.nextafter(0.5 * (b - a), math.inf))
-            for k, (a, b), there in halves
-            if there and b > a
-        ]
-        if moving or hull is not None:
-            factors = self._factors(cell, u, f, weights, hull)
-            for k, half in moving:
-                rates = [self._rate(part, k, u, f) for part in cell.order]
-                each = zip(map(self._corners, cell.order), factors, rates, strict=True)
-                inner = [hull_of(G, weights, hull) * X * rate for G, X, rate in each]
-                slopes.append((k, balls.top(_sum(factors, inner), n) * arb(half)))
-            for corner in cell.corners if hull is not None else ():
-                generators = [self._corners(part) for part in cell.order]
-                durations = [self._duration(part, u, f) for part in cell.order]
-                inner = towards(generators, durations, weights, hull, corner)
-                slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
-        return Enclosure(balls.top(centre, n), slopes, self.sway(cell))
+        n = self.family.states
+        centre, slopes = enclosed(cell, n, generators, middle, wide, ends, slope)
+        return Enclosure(centre, slopes, self.sway(cell))
 
     def sway(self, cell: ParameterCell) -> Any:
         """L_i on the cell, for every z; None without an ellipsoid."""
@@ -202,13 +189,39 @@ class Enclosures:
             self.generators[key] = [balls.decimal(X) for X in self.family.generator(*key)]
         return self.generators[key]
 
-    def _factors(
-        self, cell: ParameterCell, u: Any, f: Any, weights: np.ndarray, hull: np.ndarray | None
-    ) -> list[Any]:
-        return [
-            (hull_of(self._corners(part), weights, hull) * self._duration(part, u, f)).exp()
-            for part in cell.order
-        ]
+
+def enclosed(
+    cell: ParameterCell,
+    n: int,
+    generators: list[list[Any]],
+    middle: list[Any],
+    wide: list[Any],
+    ends: list[tuple[int, tuple[float, float]]],
+    slope: Callable[[int, list[Any], list[Any]], Any],
+) -> tuple[Any, list[tuple[int, Any]]]:
+    """E at the centre of a cell and its slopes, n rows each: the mean-value form of a product.
+
+    The durations of the pieces are `middle` at the centre and `wide` over the cell; `ends` has the
+    range of each direction, and `slope` the derivative by one, of exponentials and generators.
+    """
+    from flint import arb
+
+    weights = cell.corners.mean(axis=0)
+    hull = None if len(cell.corners) == 1 else cell.corners
+    point = zip(generators, middle, strict=True)
+    centre = product_of([(hull_of(G, weights, None) * tau).exp() for G, tau in point])
+    # Half widths rounded up: the slopes times [−1, 1] must reach both ends of the cell.
+    moving = [(k, math.nextafter(0.5 * (b - a), math.inf)) for k, (a, b) in ends if b > a]
+    slopes: list[tuple[int, Any]] = []
+    if moving or hull is not None:
+        X = [hull_of(corners, weights, hull) for corners in generators]
+        factors = [(G * tau).exp() for G, tau in zip(X, wide, strict=True)]
+        for k, half in moving:
+            slopes.append((k, balls.top(slope(k, factors, X), n) * arb(half)))
+        for corner in cell.corners if hull is not None else ():
+            inner = towards(generators, wide, weights, hull, corner)
+            slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
+    return balls.top(centre, n), slopes
 
 
 def combine(corners: list[Any], weights: np.ndarray) -> Any:
@@ -374,29 +387,14 @@ class BoxEnclosures:
         ends = (cell.u, *cell.f)
         middle_u, *middles = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
         u, *f = (balls.interval(*pair) for pair in ends)
-        weights, n = cell.corners.mean(axis=0), self.family.states
-        hull = None if len(cell.corners) == 1 else cell.corners
-        pieces = self.family.pieces(cell.order, c, self.clock, middle_u, middles)
-        centre = product_of([X.exp() for X in self._exponents(pieces, c, weights, None)])
-        slopes: list[tuple[int, Any]] = []
-        moving = self._moving(cell)
-        if moving or hull is not None:
-            pieces = self.family.pieces(cell.order, c, self.clock, u, f)
-            factors = [X.exp() for X in self._exponents(pieces, c, weights, hull)]
-            generators = [self._corners(piece, c) for piece in pieces]
-            X = [hull_of(corners, weights, hull) for corners in generators]
-            for k, half in moving:
-                slopes.append((k, balls.top(_slope(pieces, factors, X, k), n) * arb(half)))
-            for corner in cell.corners if hull is not None else ():
-                inner = towards(generators, self._durations(pieces), weights, hull, corner)
-                slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
-        return Enclosure(balls.top(centre, n), slopes)
-
-    def _moving(self, cell: ParameterCell) -> list[tuple[int, float]]:
-        """The directions in which the cell is not a point, and half of its width, rounded up."""
-        full = cell.order.mode == cell.order.after
-        ends = [(U, cell.u)] * (not full) + list(enumerate(cell.f, FIRST))
-        return [(k, math.nextafter(0.5 * (b - a), math.inf)) for k, (a, b) in ends if b > a]
+        at = ((middle_u, middles), (u, f))
+        centre, pieces = (self.family.pieces(cell.order, c, self.clock, *each) for each in at)
+        generators = [self._corners(piece, c) for piece in pieces]
+        middle, wide = self._durations(centre), self._durations(pieces)
+        moving = [(U, cell.u)] * self.family.switches(cell.order) + [*enumerate(cell.f, FIRST)]
+        slope = partial(_slope, pieces)
+        n = self.family.states
+        return Enclosure(*enclosed(cell, n, generators, middle, wide, moving, slope))
 
     def _corners(self, piece: InputPiece, c: int) -> list[Any]:
         key = piece.mode, c, piece.lag
@@ -408,16 +406,8 @@ class BoxEnclosures:
         ends = [*(piece.end for piece in pieces[:-1]), self.clock.step]
         return [ends[0], *(b - a for a, b in pairwise(ends))]
 
-    def _exponents(
-        self, pieces: list[InputPiece], c: int, weights: np.ndarray, hull: np.ndarray | None
-    ) -> list[Any]:
-        return [
-            hull_of(self._corners(piece, c), weights, hull) * tau
-            for piece, tau in zip(pieces, self._durations(pieces), strict=True)
-        ]
 
-
-def _slope(pieces: list[InputPiece], factors: list[Any], X: list[Any], direction: int) -> Any:
+def _slope(pieces: list[InputPiece], direction: int, factors: list[Any], X: list[Any]) -> Any:
     """∂E/∂p of u or a delay, X the generators of the pieces: one term per end that p moves."""
     size = X[0].nrows()
     total = balls.zeros(size, size)

@@ -44,7 +44,7 @@ def why_malformed(evidence: Evidence | StretchEvidence) -> str:
 
 def _numbers(setting: Setting) -> str:
     times: dict[str, Any] = {
-        **{f"delays{list(at)}": delay.item() for at, delay in np.ndenumerate(setting.delays)},
+        **{f"delays{list(at)}": delay.item() for at, delay in np.ndenumerate(setting.delays.ends)},
         "step": setting.step,
     }
     times |= {"dwell_time": np.min(setting.signals.dwell_time or 0.0).item()}
@@ -70,10 +70,8 @@ def _plants_and_table(setting: Setting) -> str:
         "B": (B, (corners, modes, n, m)),
         "F": (F, (rows, q + m, n)),
         "G": (G, (rows, taps, q + m, q + m)),
+        "delays": (setting.delays.ends, setting.delays.shape(modes, m)),
     }
-    if isinstance(setting.delays, np.ndarray):
-        ends = (2,) if setting.delays.ndim == 3 else ()
-        expected["delays"] = setting.delays, (*ends, modes, m)
     misfit = plants.misfit()
     if misfit:
         return misfit
@@ -113,13 +111,13 @@ def _times(setting: Setting) -> str:
         limits = setting.limits
     except ArgumentError as error:
         return str(error).removesuffix(".")
-    ends = np.array(setting.delays)
-    if (isinstance(setting.delays, tuple) or ends.ndim == 3) and np.any(ends[0] > ends[1]):
+    low, high = setting.delays.bounds
+    if np.any(low > high):
         return "delays do not ascend"
     # Both limits before the graph is built: its size is the number of ages.
     chattering = min(signals.chatter, MOST_AGES + 1) * max(limits.dwell_time)
     longest = [most for most in limits.maximum_dwell if math.isfinite(most)]
-    longest = max(setting.longest_delay, chattering, *longest)
+    longest = max(float(high.max()), chattering, *longest)
     if signals.chatter > MOST_AGES or longest / setting.step > MOST_AGES:
         return "the period is too short for these times"
     try:

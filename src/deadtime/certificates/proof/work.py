@@ -59,14 +59,10 @@ def operations(setting: Setting, knots: int, along: bool) -> int:
 
 def _cells(setting: Setting) -> tuple[int, int]:
     """Cells of a step, one per part of a period, and corners of each, both ends of a parameter."""
-    ends, moving = np.array(setting.delays), 0
+    delays = setting.delays
     if not setting.inputs:
         return 1, 2 * len(setting.plants.A)
-    if isinstance(setting.delays, tuple):
-        moving = int(ends[0] < ends[1])
-    elif ends.ndim == 3:
-        moving = sum(sorted((ends[0] < ends[1]).sum(axis=1).tolist())[-2:])
-    return 1 + len(np.unique(ends)), len(setting.plants.A) << (1 + moving)
+    return 1 + len(np.unique(delays.ends)), len(setting.plants.A) << (1 + delays.moving)
 
 
 def _steps(setting: Setting, knots: int, along: bool) -> int:

@@ -91,6 +91,11 @@ class FunctionalConstants(Constants):
     log_kappa: float
     log_b: float
 
+    def log_rho(self, x: float) -> float:
+        """ρ = √(2(1+ν₁)(1+ν₂)κ)."""
+        norms = log_one_plus(self.log_nu1) + log_one_plus(self.log_nu2)
+        return 0.5 * (math.log(2.0) + norms + self.log_kappa)
+
 
 @dataclass(frozen=True, eq=False)
 class PaperConstants(FunctionalConstants):
@@ -136,11 +141,10 @@ class PaperConstants(FunctionalConstants):
         return min(window, 0.5 * q * (1.0 - share) / largest)
 
     def log_rho(self, x: float) -> float:
-        """Printed: √(2ν₁ν₂/κ). It must be √(2(1+ν₁)(1+ν₂)κ)."""
-        if not self.corrected:
-            return 0.5 * (math.log(2.0) + self.log_nu1 + self.log_nu2 - self.log_kappa)
-        norms = log_one_plus(self.log_nu1) + log_one_plus(self.log_nu2)
-        return 0.5 * (math.log(2.0) + norms + self.log_kappa)
+        """Printed: √(2ν₁ν₂/κ), an erratum."""
+        if self.corrected:
+            return super().log_rho(x)
+        return 0.5 * (math.log(2.0) + self.log_nu1 + self.log_nu2 - self.log_kappa)
 
 
 def paper_constants(

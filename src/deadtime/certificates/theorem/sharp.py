@@ -75,10 +75,6 @@ class SharpConstants(FunctionalConstants):
         ratio = math.exp(2.0 * (x - self.log_epsilon_star)) if x > -math.inf else 0.0
         return self.rate * (1.0 - ratio)
 
-    def log_rho(self, x: float) -> float:
-        norms = log_one_plus(self.log_nu1) + log_one_plus(self.log_nu2)
-        return 0.5 * (math.log(2.0) + norms + self.log_kappa)
-
 
 @dataclass(frozen=True)
 class Norm:
@@ -328,13 +324,6 @@ class Groups:
             result.append(log_sum(terms))
         return result
 
-    def from_mismatch(self, rate: float) -> list[float]:
-        """log of the direct coefficient of |y| in each group."""
-        a = self.growth + rate
-        return [
-            log(gain) + log_integral(a, d) for d, gain in zip(self.delays, self.gain, strict=True)
-        ]
-
 
 @dataclass(frozen=True, eq=False)
 class OwnDelayConstants(Constants):
@@ -415,13 +404,10 @@ class OwnDelayConstants(Constants):
 
 def log_star(groups: Groups, norm: Norm, rate: float) -> float:
     """log ε*(ξ)."""
-    after = log(norm.entry / (-norm.growth - rate))
-    m = [
-        log_sum((after + of_state, of_mismatch))
-        for of_state, of_mismatch in zip(
-            groups.from_state(norm, rate), groups.from_mismatch(rate), strict=True
-        )
-    ]
+    after, a = log(norm.entry / (-norm.growth - rate)), groups.growth + rate
+    each = zip(groups.from_state(norm, rate), groups.gain, groups.delays, strict=True)
+    # The state is moved by the mismatch, which also enters directly.
+    m = [log_sum((after + x, log(gain) + log_integral(a, d))) for x, gain, d in each]
     return -(groups.log_share + _length(groups.through(m, rate)))
 
 

@@ -19,9 +19,8 @@ from itertools import chain, islice, product
 import numpy as np
 from jaxtyping import Int
 
-from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
-from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle, no_cycle
 from deadtime.certificates.worst_case.products import Kinds, Sojourns, compress
 from deadtime.certificates.worst_case.word_search import LETTERS, Word, branch_and_bound, climb
 from deadtime.certificates.worst_case.worst_cycle import COARSE, Rated
@@ -188,10 +187,7 @@ def _without_grid(signals: Admissible) -> Iterator[Cycle]:
         if number >= WORDS or (number and not short):
             return
     if not number:
-        raise ArgumentError(
-            "maximum_dwell leaves no cycle of a whole number of periods with up to "
-            f"{TURNS} sojourns that transitions allows: raise it, or shorten the step."
-        )
+        raise no_cycle(TURNS)
 
 
 def _rounds(signals: Admissible, turns: int) -> Iterator[tuple[int, ...]]:

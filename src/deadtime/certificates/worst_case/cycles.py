@@ -17,12 +17,39 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.errors import ArgumentError
 from deadtime.plant.discretisation import snap
 from deadtime.switching import SignalClass, SwitchingSignal
 
 INSIDE = 1.0 - 1e-6  # of the clock's tolerance: round-off then keeps sojourns admissible
 LATE = 2.0**-10  # of a period: the delay of a late switch after its sample, at most
 SEEN = 1e-7  # of a period: a switch closer to its sample might count as on it
+
+
+def no_cycle(most: int) -> ArgumentError:
+    """The refusal where no cycle of up to so many sojourns is a whole number of periods."""
+    return ArgumentError(
+        "maximum_dwell leaves no cycle of a whole number of periods with up to "
+        f"{most} sojourns that transitions allows: raise it, or shorten the step."
+    )
+
+
+def pattern_sizes(
+    modes: tuple[int, ...], sojourns: tuple[float, ...], rtol: float = 0.0, atol: float = 0.0
+) -> Iterator[int]:
+    """Sizes of the shorter patterns that a cycle repeats, also of no whole number of periods.
+
+    Examples
+    --------
+    >>> list(pattern_sizes((0, 1, 0, 1), (0.25, 0.3, 0.25, 0.3)))
+    [2]
+    """
+    for size in range(1, len(modes)):
+        times = len(modes) // size
+        if modes[:size] * times == modes and np.allclose(
+            sojourns[:size] * times, sojourns, rtol=rtol, atol=atol
+        ):
+            yield size
 
 
 @dataclass(frozen=True)
@@ -75,16 +102,9 @@ class Cycle:
         >>> Cycle((0, 1, 0, 1), (2.0, 3.0, 2.0, 3.0)).reduce()
         Cycle(modes=(0, 1), gaps=(2.0, 3.0), offset=0.0, lost=())
         """
-        count = len(self.modes)
-        for size in range(1, count):
-            times = count // size
-            whole = abs(sum(self.gaps[:size]) - round(sum(self.gaps[:size]))) < 1e-9
-            if (
-                whole
-                and times * size == count
-                and self.modes[:size] * times == self.modes
-                and np.allclose(self.gaps[:size] * times, self.gaps, rtol=0.0, atol=1e-9)
-            ):
+        for size in pattern_sizes(self.modes, self.gaps, atol=1e-9):
+            length = sum(self.gaps[:size])
+            if abs(length - round(length)) < 1e-9:
                 return Cycle(self.modes[:size], self.gaps[:size], self.offset)
         return self
 

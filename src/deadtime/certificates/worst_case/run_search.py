@@ -20,9 +20,8 @@ from functools import cached_property
 
 import numpy as np
 
-from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycle_growth import Growth
-from deadtime.certificates.worst_case.cycles import Admissible, Cycle
+from deadtime.certificates.worst_case.cycles import Admissible, Cycle, no_cycle
 from deadtime.certificates.worst_case.growth_proof import GrowthProof
 from deadtime.certificates.worst_case.witness import WorstCase, of_cycle, repeat
 from deadtime.certificates.worst_case.worst_cycle import COARSE, Rated, polish, worst_of
@@ -140,10 +139,7 @@ def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:
     if not words and signals.lasting:
         return
     if not words:
-        raise ArgumentError(
-            "maximum_dwell leaves no cycle of a whole number of periods with up to "
-            f"{most} sojourns that transitions allows: raise it, or shorten the step."
-        )
+        raise no_cycle(most)
     for k in range(number):
         word = words[k % len(words)]
         span = np.minimum(longest, signals.most(word) - signals.least(word))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from deadtime.base.checks import count
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.worst_case.cycle_growth import Growth, SampledLoop
-from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.certificates.worst_case.cycles import Cycle, pattern_sizes
 from deadtime.certificates.worst_case.growth_proof import GrowthProof, prove
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, ModeDelay, SensorImperfection
@@ -197,33 +197,14 @@ def of_cycle(
             low if 0.0 < t < SLACK * step else low - t
             for low, t in zip(least, missing, strict=True)
         )
-    modes, sojourns = _pattern(cycle.modes, sojourns)
+    size = next(pattern_sizes(cycle.modes, sojourns, rtol=1e-9), len(sojourns))
+    modes, sojourns = cycle.modes[:size], sojourns[:size]
     how = _how(modes, sojourns, cycle.offset * step, dwell_time) + _losses(cycle)
     message = _message(rate, proof, how)
     return WorstCase(
         signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
         plant, law, signals, step, cycle,
     )  # fmt: skip
-
-
-def _pattern(
-    modes: tuple[int, ...], sojourns: tuple[float, ...]
-) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """The shortest pattern that a cycle repeats, also if it is not a whole number of periods.
-
-    Examples
-    --------
-    >>> _pattern((0, 1, 0, 1), (0.25, 0.3, 0.25, 0.3))
-    ((0, 1), (0.25, 0.3))
-    """
-    count = len(modes)
-    for size in range(1, count):
-        times = count // size
-        if times * size != count or modes[:size] * times != modes:
-            continue
-        if np.allclose(sojourns[:size] * times, sojourns, rtol=1e-9, atol=0.0):
-            return modes[:size], sojourns[:size]
-    return modes, sojourns
 
 
 def repeat(
