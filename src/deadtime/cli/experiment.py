@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli import options
@@ -38,7 +38,6 @@ def experiment(
     noise: str | None = None,
     law: str | None = None,
     sojourn: float | None = None,
-    criterion: Literal["delay", "all"] = "delay",
     hold: int = 1,
     seed: int = 0,
     out: Path = Path("experiment.csv"),
@@ -70,8 +69,6 @@ def experiment(
         The law of the file to whose inputs those of the experiment are added; none by default.
     sojourn
         Take the modes in turn, each for so many seconds; by default the file's signal says.
-    criterion
-        Tell the delays alone as well as can be, or all unknowns.
     hold
         For how many periods each value is held at least.
     seed
@@ -99,7 +96,6 @@ def experiment(
         state_limit=None
         if state_limit is None
         else options.one_or_several("state-limit", state_limit),
-        criterion=criterion,
         hold=hold,
         seed=seed,
     )
