@@ -244,8 +244,8 @@ def design(
         The bound of :math:`|u_j|` in every constant mode, starting from `initial` without inputs in
         the past.
     initial : InitialStates or StationaryNoise, optional
-        The initial states, the ball :math:`|x(0)| \le 1` by default. Over a ball, box or ellipsoid
-        the bound holds in the exact worst case, for a normal x(0) with at least its probability
+        The initial states, the ball :math:`|x(0)| \le 1` by default. Over a ball or box the
+        bound holds in the exact worst case, for a normal x(0) with at least its probability
         (`deadtime.synthesis.input_peak`). Under stationary noise it holds with its probability at
         any one instant.
     progress : callable, optional
