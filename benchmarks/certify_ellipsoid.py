@@ -7,7 +7,7 @@ gains. The radius of the 95 % ellipsoid of A and B is multiplied by s, the delay
 ones, and the largest s is looked for by bisection with which
 
 - `certify(known, …)` proves the loop,
-- `certify(known.corners(), …)` does, the hull of the least cross-polytope about the ellipsoid;
+- `certify(corners(known), …)` does, the hull of the least cross-polytope about the ellipsoid;
   an attempt that takes more than `--limit` CPU seconds counts as none,
 - no plant that was found on the surface grows with a mode held: from eight random ones uphill, by
   eigenvalues of the lifted loop from SciPy's exponentials.
@@ -36,6 +36,14 @@ def scaled(known, s):
     by = np.ones(len(known.covariance))
     by[:entries] = s
     return dt.UncertainPlant(known.plant, known.covariance * by * by[:, None])
+
+
+def corners(known):
+    """The vertices of the least cross-polytope about the ellipsoid, two for every axis."""
+    plant, axes = known.plant, known.axes()
+    both = np.sqrt(len(axes)) * np.concatenate((axes, -axes))
+    of_A, of_B = np.split(both, [plant.states], axis=3)
+    return [plant.like(plant.A + a, plant.B + b) for a, b in zip(of_A, of_B, strict=True)]
 
 
 def lifted(A, B, delays, F, G):
@@ -147,7 +155,7 @@ def row(seed, limit):
     law, known = dt.AveragedPredictor(fit.plant, gains), fit.uncertain
     how = (fit.plant.delays, fit.plant.delays), law, dwell
     new, quick = largest(lambda s: proves(scaled(known, s), *how))
-    old, slow = largest(lambda s: within(limit, scaled(known, s).corners(), *how), 4)
+    old, slow = largest(lambda s: within(limit, corners(scaled(known, s)), *how), 4)
     bad, _ = largest(lambda s: not grows(scaled(known, s), law, rng))
     return (
         f"| {seed} | {plant.n}, {plant.m}, {plant.modes} | {len(known.axes())} | {new:.2g} | "

@@ -16,7 +16,7 @@ from deadtime.identification.input_design import Prospect
 from deadtime.identification.parameters import Layout
 
 
-def prospect(plant, mode, used, step, *, criterion="delay", law=None, sensors: Any = 0.0):
+def prospect(plant, mode, used, step, *, law=None, sensors: Any = 0.0):
     """That of a log of rows `mode`, of which the periods `used` count; `sensors` are deviations."""
     given = dt.SwitchedSystem(plant.A, plant.B, plant.D)
     per_mode = len(np.unique(plant.D, axis=0)) > 1
@@ -30,4 +30,4 @@ def prospect(plant, mode, used, step, *, criterion="delay", law=None, sensors: A
     if deviation.any():
         tables = NoiseTables.of(layout, given.A, root_of(plant.W, deviation, step), step)
         measured = NoisyStates.of(chain, used, layout.size, tables)
-    return Prospect.of(chain, layout, measured, criterion)
+    return Prospect.of(chain, layout, measured)

@@ -34,8 +34,7 @@ signal = dt.SwitchingSignal.random(3, horizon + 1.0, dwell_time=2.0, seed=7)
 # 1. The state from the outputs.
 law = dt.AveragedPredictor(plant, dt.lqr(plant, np.eye(3), np.eye(2), step=step))
 observer = dt.kalman(plant, C, process=0.1 * np.eye(3), measurement=0.01 * np.eye(2), step=step)
-print(f"error decays at {observer.rates.round(2)} 1/min in the modes,")
-print(f"and at {observer.switched_rate:.2f} 1/min or faster under any switching at samples")
+print(f"error decays at {observer.rates.round(2)} 1/min in the modes")
 start = [2.0, -1.0, 1.0]
 plain = dt.simulate(plant, law, signal, start, horizon, step)
 loop = dt.simulate(plant, dt.OutputFeedback(law, observer), signal, start, horizon, step)

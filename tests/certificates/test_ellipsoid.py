@@ -119,14 +119,6 @@ def test_a_mode_that_is_known_is_known_beside_one_that_is_not():
     assert found.decay_rate >= proved(LAW).decay_rate
 
 
-def test_more_is_proved_of_the_ellipsoid_than_of_the_polytope_about_it():
-    known = corpus.around(corpus.ALONE, 0.0092)
-    law = dt.AveragedPredictor(corpus.ALONE, dt.place(corpus.ALONE, [-1.0, -2.0]))
-    asked = {"decay_rate": 0.0, "search_signals": False}
-    assert dt.certify(known, law, 0.2, H, **asked).proven
-    assert not dt.certify(known.corners(), law, 0.2, H, **asked).proven
-
-
 @pytest.mark.parametrize(("n", "k", "d"), [(1, 2, 1), (2, 4, 3), (2, 4, 12), (3, 7, 45)])
 def test_w_and_x_bound_every_pair_and_of_a_kronecker_product_are_its_factors(n, k, d):
     rng = np.random.default_rng(d)

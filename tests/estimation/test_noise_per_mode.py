@@ -94,13 +94,6 @@ def test_one_noise_given_mode_by_mode_is_that_noise():
     assert own.form().noise.shape == (3, 3, 3, 3)
 
 
-def test_modes_are_as_far_apart_as_the_noise_of_each_says():
-    found = dt.ModeFilter(PLANT, MODEL, STEP, disturbance=EACH).separation([1.0, -1.0, 0.5])
-    for mode, W in enumerate(EACH):
-        own = dt.ModeFilter(PLANT, MODEL, STEP, disturbance=W).separation([1.0, -1.0, 0.5])
-        plants.close(found[mode], own[mode], 1e-9)
-
-
 def test_a_mode_is_told_by_its_noise_alone():
     """A and B alike: nothing but the size of what a period adds differs."""
     plant = dt.SwitchedSystem(np.full((2, 1, 1), -0.2), np.ones((2, 1, 1)), 0.05)

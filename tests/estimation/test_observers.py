@@ -226,27 +226,6 @@ def _correlated(covariance):
     return Correlated()
 
 
-def test_one_common_function_proves_what_the_modes_alone_do_not():
-    good = dt.luenberger(PLANT, C, [-3, -4, -5], STEP)
-    assert good.switched_rate >= good.rates.max()
-    # Put to the test: random products of the error matrices grow no faster.
-    rng, E = np.random.default_rng(0), np.array(error_matrices(good))
-    assert good.switched_rate < 0.0
-    for _ in range(20):
-        product = np.eye(3)
-        for mode in rng.integers(0, 3, 200):
-            product = E[mode] @ product
-        assert np.log(np.linalg.norm(product, 2)) / 20.0 <= good.switched_rate + 0.15
-    # Every mode decays at 3 1/s, and yet no common function is found: two modes in turn grow.
-    bad = dt.luenberger(PLANT, C[:1], [-3, -4, -5], STEP)
-    np.testing.assert_allclose(bad.rates, -3.0, rtol=1e-8)
-    assert bad.switched_rate > 0.0
-    E = error_matrices(bad)
-    pairs = [np.abs(np.linalg.eigvals(E[i] @ E[j])).max() for i in range(3) for j in range(i)]
-    assert max(pairs) > 1.0
-    assert 2.0 * STEP * bad.switched_rate >= np.log(max(pairs))
-
-
 HIDDEN = dt.SwitchedSystem([np.eye(2), [[1.0, 0.0], [0.0, 2.0]]], [[[1.0], [1.0]]] * 2, 0.3)
 DECAYS = dt.SwitchedSystem([[[-1.0, 0.0], [0.0, 0.5]]], [[[1.0], [1.0]]], 0.3)
 PENDULUM = dt.SwitchedSystem([[[0.0, 1.0], [-1.0, 0.0]]], [[[0.0], [1.0]]], 0.3)

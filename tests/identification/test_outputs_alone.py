@@ -237,7 +237,7 @@ def test_the_file_has_an_observer_and_its_loop_is_proved(tmp_path):
     run = dt.simulate(fit.plant, law, problem.signal, problem.x0, 5.0, step=H)
     assert np.abs(run.estimates - run.states)[:, -1].max() < 0.05
     assert problem.law("belief").outputs is not None
-    assert len(fit.uncertain.corners()) == 12
+    assert len(fit.uncertain.axes()) == 6
     assert "decay in every mode" in fit.verdict(dt.delay_margin(fit.plant, law, H), law)
     assert len(fit.plot().axes) == 5
 

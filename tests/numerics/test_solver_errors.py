@@ -8,7 +8,6 @@ import pytest
 import deadtime as dt
 from deadtime.certificates.dwell.solvers import maximise
 from deadtime.cli.application import main
-from deadtime.estimation.observer import common_rate
 from deadtime.gains import common_lyapunov, stabilize
 from deadtime.numerics import lmi
 
@@ -71,10 +70,8 @@ def test_one_attempt_that_answers_is_enough_for_a_verdict(monkeypatch):
         common_lyapunov(plant, np.zeros((2, 1, 2)))
 
 
-def test_searches_that_have_something_to_fall_back_on_need_the_library_all_the_same(monkeypatch):
+def test_a_search_that_has_something_to_fall_back_on_needs_the_library_all_the_same(monkeypatch):
     monkeypatch.setitem(sys.modules, "clarabel", None)
-    with pytest.raises(dt.SolverError, match="clarabel does not import"):
-        common_rate(np.array([[[0.5, 9.0], [0.0, 0.5]]]))
     with pytest.raises(dt.SolverError, match="clarabel does not import"):
         maximise(np.eye(1), np.ones(1), [1])
 

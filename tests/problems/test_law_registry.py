@@ -23,7 +23,7 @@ from deadtime.problems.law_registry import (
     collect,
     the_law,
 )
-from deadtime.problems.literature import template
+from deadtime.problems.templates import template
 from deadtime.scenarios.sweeps.axes import DEFAULT, KINDS
 
 PAPER = dt.problems.paper()

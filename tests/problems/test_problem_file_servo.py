@@ -12,7 +12,7 @@ from deadtime.base.wording import compact
 from deadtime.cli.application import main
 from deadtime.problems.comparison import ProblemRuns
 from deadtime.problems.file import load_problem
-from deadtime.problems.literature import template
+from deadtime.problems.templates import template
 from deadtime.reports.metrics import tracking_of_runs
 
 PLANT = """\

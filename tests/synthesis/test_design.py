@@ -262,18 +262,15 @@ def test_modes_too_far_apart_for_one_law_are_a_result_with_a_reason():
 
 def test_the_answer_depends_on_nothing_but_its_arguments():
     plant = plants.scalar(1.0, 1.0, 1.0)
-    first, again, other = (
-        dt.design(plant, delay_margin=0.2, step=0.05, budget=60, seed=seed) for seed in (0, 0, 1)
-    )
+    first, again = (dt.design(plant, delay_margin=0.2, step=0.05, budget=60) for _ in range(2))
     assert np.array_equal(first.gains, again.gains)
     assert first.message == again.message
-    assert not np.array_equal(first.gains, other.gains)
     assert first.evaluated <= 1.3 * 60
 
 
 def test_longer_steps_are_tried_where_they_are_allowed():
     plant = plants.scalar(1.0, 1.0, 1.0)
-    search = DesignSearch(plant, dt.AveragedPredictor, False, 100, 100.0, Floors(0.1))
+    search = DesignSearch(plant, dt.AveragedPredictor, 100, Floors(0.1))
     pairs = pairs_of(search, True, 0.05, 0.5)
     assert [step for _, step in pairs] == pytest.approx([0.05, 0.1, 0.25, 0.5])
     assert [(one.filtered, step) for one, step in pairs_of(search, None, 0.05, None)] == [
@@ -283,15 +280,6 @@ def test_longer_steps_are_tried_where_they_are_allowed():
     found = dt.design(plant, delay_margin=0.1, step=0.05, longest_step=0.5, budget=100)
     assert found.reached
     confirmed(plant, found)
-
-
-@pytest.mark.long
-def test_the_worst_mode_s_cost_is_at_least_the_mean():
-    options = {"delay_margin": 0.05, "step": 0.05, "budget": 20}
-    mean, worst = (dt.design(PLANT, cost=kind, **options) for kind in ("mean", "worst"))
-    assert worst.plain.cost > mean.plain.cost
-    costs = [loop_cost(PLANT, worst.law.digital(worst.step), mode) for mode in range(3)]
-    assert worst.cost == pytest.approx(max(costs), rel=1e-9)
 
 
 def test_the_law_family_is_the_caller_s():
@@ -313,14 +301,10 @@ def test_the_law_family_is_the_caller_s():
         ({"delay_margin": -0.1}, "delay_margin must be above 0"),
         ({"step": 0.0}, "step must be positive"),
         ({"step": 0.1, "longest_step": 0.05}, r"longest_step must be at least the step, 0\.1 s"),
-        ({"cost": "least"}, 'cost must be "mean" or "worst"'),
         ({"budget": 3}, "budget must be an integer of at least 20"),
-        ({"seed": -1}, "seed must be an integer of at least 0, got -1"),
-        ({"seed": 1.5}, "seed must be an integer of at least 0, got 1.5"),
         ({"filtered": np.array([True, False])}, "filtered must be True, False or None for both"),
         ({"law": lambda plant: None}, r"takes these two by position, got one that takes \(plant\)"),
         ({"law": 3}, r"law must be a function \(plant, gains\) -> law, got 3"),
-        ({"dearest": 1.0}, "dearest must be above 1"),
         ({"gains": np.zeros((2, 1, 1))}, r"gains must hold one \(m, n\) matrix per mode, 1"),
         (
             {"law": lambda plant, gains: dt.ExactPredictor(plant, gains)},

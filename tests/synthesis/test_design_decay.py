@@ -76,7 +76,7 @@ def test_without_a_floor_an_estimate_that_hardly_grows_costs_nothing():
     def law(plant, K):
         return dt.SingleModePredictor(plant, K, 0)
 
-    search = DesignSearch(plant, law, False, 20, 10.0, Floors(0.1))
+    search = DesignSearch(plant, law, 20, Floors(0.1))
     [start, *_] = Poles(plant, False).starts(dt.place(plant, [-1.0]))
     tried = search.evaluate(Poles(plant, False), 0.1, start)
     barely = dataclasses.replace(tried, growth=1e-12)

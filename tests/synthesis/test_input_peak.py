@@ -48,11 +48,6 @@ X = np.array([[0.5, -0.2], [-0.2, 0.3]])
             np.abs(ROWS) @ [0.3, 1.5],
             lambda row: np.sign(row) * [0.3, 1.5],
         ),
-        (
-            dt.InitialStates.ellipsoid(X),
-            np.sqrt(np.einsum("ki,ij,kj->k", ROWS, X, ROWS)),
-            lambda row: X @ row / np.sqrt(row @ X @ row),
-        ),
     ],
 )
 def test_the_worst_case_is_that_of_exponentials_and_a_run_from_there_attains_it(
@@ -141,7 +136,7 @@ SETS = dt.InitialStates
     [
         (lambda: SETS.ball(0.0), "radius must be positive"),
         (lambda: SETS.box([1.0, -1.0]), "half_widths must be 0 or more and not all 0"),
-        (lambda: SETS.ellipsoid([[1.0, 2.0], [2.0, 1.0]]), "X must be positive semidefinite"),
+        (lambda: SETS.normal([[1.0, 2.0], [2.0, 1.0]]), "covariance must be positive semidefinite"),
         (lambda: SETS.normal([0.0, 0.0]), "covariance must not be 0"),
         (lambda: SETS.normal([1.0], 1.0), "probability must be above 0 and below 1, got 1"),
         (

@@ -10,7 +10,7 @@ from typing import Any
 
 from deadtime.base.errors import ArgumentError, ProblemFileError
 from deadtime.problems.file import load_problem, schema
-from deadtime.problems.literature import is_named, template
+from deadtime.problems.templates import is_named, template
 from deadtime.problems.toml import MOST_BYTES, SectionError, TomlText, read_toml
 from deadtime.scenarios.sweeps.axes import Draft
 

@@ -48,7 +48,7 @@ def plants_of(
         if isinstance(corner, PlantUncertainty):
             raise ArgumentError(
                 f"plant must be one {type(corner).__name__}, got a sequence that contains one: "
-                "certify each alone, or all their corners, [*one.corners(), *another.corners()]."
+                "certify each alone."
             )
         instance("plant", corner, SwitchedSystem)
         plants.append(corner)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli import options
@@ -38,7 +38,6 @@ def experiment(
     noise: str | None = None,
     law: str | None = None,
     sojourn: float | None = None,
-    criterion: Literal["delay", "all"] = "delay",
     hold: int = 1,
     seed: int = 0,
     out: Path = Path("experiment.csv"),
@@ -70,8 +69,6 @@ def experiment(
         The law of the file to which the inputs of the experiment are added; none by default.
     sojourn
         Visit the modes in turn, each for this many seconds; by default as in the file's signal.
-    criterion
-        Minimise the standard errors of the delays alone, or of all unknowns.
     hold
         Least number of periods for which a value is held.
     seed
@@ -99,7 +96,6 @@ def experiment(
         state_limit=None
         if state_limit is None
         else options.one_or_several("state-limit", state_limit),
-        criterion=criterion,
         hold=hold,
         seed=seed,
     )

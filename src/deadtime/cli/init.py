@@ -42,7 +42,7 @@ def init(
         Replace an existing file.
     """
     from deadtime.base.files import replacing
-    from deadtime.problems.literature import template
+    from deadtime.problems.templates import template
 
     if path.exists() and not force:
         raise ArgumentError(f"{path} exists: choose another name, or replace it with --force.")

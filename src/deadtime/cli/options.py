@@ -68,7 +68,7 @@ def problem_of(place: Path) -> Problem:
     """A named problem, or one from a file."""
     from deadtime.problems import NAMED
     from deadtime.problems.file import load_problem
-    from deadtime.problems.literature import is_named
+    from deadtime.problems.templates import is_named
 
     return NAMED[str(place)]() if is_named(place) else load_problem(place)
 

@@ -5,7 +5,6 @@ Derived in docs/theory/mode-filter.md. Signs, lags and pieces are those of `dead
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +22,7 @@ from deadtime.base.checks import (
 )
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.running_filter import RunningFilter
-from deadtime.feedback.belief import Belief, BeliefFilter, frozen, held_noise
+from deadtime.feedback.belief import Belief, BeliefFilter, frozen
 from deadtime.loop.running_belief import belief_of
 from deadtime.numerics.covariance import noise_covariances, switched_covariances
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -266,49 +265,6 @@ class ModeFilter(BeliefFilter):
             The inputs in flight at the first sample, oldest first, N = `longest_lag`; 0 by default.
         """
         return RunningFilter(self.form(), u0)
-
-    def separation(self, x: ArrayLike, inputs: ArrayLike | None = None) -> np.ndarray:
-        """The distance between the modes' predictions over a period, in standard deviations.
-
-        Below about 1 a single period says little about the mode; without noise it is large.
-
-        Parameters
-        ----------
-        x : array_like, shape (n,)
-        inputs : array_like, shape (m,), optional
-            The input that acts during the whole period; 0 by default.
-
-        Returns
-        -------
-        (modes, modes) array
-            Entry (i, j): between the predictions of i and j, scaled by the noise of mode i.
-
-        Examples
-        --------
-        >>> import deadtime as dt
-        >>> plant = dt.problems.paper().plant
-        >>> filt = dt.ModeFilter(plant, dt.Markov([[0, 1], [1, 0]]), 0.02, disturbance=1e-4)
-        >>> filt.separation([1.0, 1.0]).round(2)
-        array([[0.  , 6.84],
-               [6.82, 0.  ]])
-        """
-        n, m = self.plant.states, self.plant.inputs
-        x = require_shape("x", real_array("x", x, "(n,)", 1), (n,), "(n,)")
-        given = np.zeros(m) if inputs is None else inputs
-        u = require_shape("inputs", real_array("inputs", given, "(m,)", 1), (m,), "(m,)")
-        from deadtime.loop.belief_steps import eliminate, factor
-
-        form = self.form()
-        ahead = form.Phi @ x + form.Gamma.sum(axis=1) @ u
-        size = (np.abs(form.Phi) @ np.abs(x) + np.abs(form.Gamma).sum(axis=1) @ np.abs(u)).max(0)
-        result, root = np.zeros((len(ahead), len(ahead))), np.empty((n, n))
-        noise = held_noise(form)
-        for i, j in np.ndindex(result.shape):
-            factor.function(noise[i], size, np.zeros(n), root)
-            apart = ahead[j] - ahead[i]
-            eliminate.function(root, apart)
-            result[i, j] = math.sqrt(apart @ (np.diagonal(root) * apart))
-        return result
 
     def __repr__(self) -> str:
         return (

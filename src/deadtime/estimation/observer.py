@@ -22,8 +22,6 @@ so does not read the mode. The plant then differs from the model, and the error 
 
 so that it decays only with the state and the inputs, and there is no separation; use
 `growth_rate` and `certify` for the whole loop.
-
-`common_rate` finds one quadratic function that decays in every mode of x_{k+1} = E_i x_k.
 """
 
 from __future__ import annotations
@@ -49,62 +47,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, unseen_pole
 from deadtime.numerics.covariance import noise_covariance
-from deadtime.numerics.lmi import (
-    Limit,
-    Program,
-    attempts,
-    balanced_units,
-    symmetric_basis,
-    symmetric_value,
-)
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation, quotient, quotient_poles
 from deadtime.plant.weight import weight_matrix
-
-_NARROW = 1e-3  # of the bracket at which bisection stops
-
-
-def common_rate(E: Float[np.ndarray, "mode n n"]) -> float:
-    """The smallest r found with one P > 0 and E_iᵀ P E_i ≤ e^{2r} P for all i.
-
-    Bisection over r between the largest spectral radius and the largest norm (P = I in balanced
-    units). Each P found is checked by its own contraction rate, not by the rate that was asked for.
-    """
-    units = balanced_units(E)
-    E = E / units[:, None] * units
-    radius = float(np.abs(np.linalg.eigvals(E)).max())
-    best = float(np.linalg.norm(E, 2, axis=(1, 2)).max())  # of P = I
-    low = max(radius, 1e-12 * best)  # nilpotent matrices have radius 0, without a logarithm
-    if best == 0.0:
-        return -np.inf
-    while best > low * (1.0 + _NARROW):
-        middle = float(np.sqrt(low * best))  # rates are logarithms of these
-        P = _candidate(E, middle)
-        found = np.inf if P is None else _contraction(E, P)
-        # The solver meets its inequality up to a tolerance, so a P may miss the rate by a little.
-        best, low = (found, low) if found < middle * (1.0 + _NARROW / 2.0) else (best, middle)
-    return float(np.log(best))
-
-
-def _candidate(E: np.ndarray, rate: float) -> np.ndarray | None:
-    """P from one attempt at E_iᵀ P E_i ≤ rate² P; None if it fails."""
-    n = E.shape[-1]
-    basis = symmetric_basis(n)
-    limits = [Limit(basis, -np.eye(n))]  # P ≥ I sets its scale
-    limits += [Limit(basis - M.T @ basis @ M, np.zeros((n, n))) for M in E / rate]
-    verdict = next(attempts(Program(np.trace(basis, axis1=1, axis2=2), limits)))
-    return symmetric_value(verdict.x, n)
-
-
-def _contraction(E: np.ndarray, P: np.ndarray) -> float:
-    """max_i |E_i| in the norm of P."""
-    values = np.linalg.eigvalsh(P)
-    if values[0] <= 1e-12 * values[-1]:  # L⁻¹ would lose all its digits
-        return np.inf
-    L = np.linalg.cholesky(P)
-    inverse = np.linalg.inv(L)
-    return max(float(np.linalg.norm(L.T @ M @ inverse.T, 2)) for M in E)
-
 
 Model = str | int  # "modes", "mean", or the number of a mode
 
@@ -209,17 +154,6 @@ class Observer(Frozen):
         radius = np.abs(np.linalg.eigvals(self.error_matrices)).max(axis=1)
         with np.errstate(divide="ignore"):  # −∞ of an error that is 0 after some periods
             return read_only(np.log(radius) / self.step)
-
-    @cached_property
-    def switched_rate(self) -> float:
-        """A bound on the growth rate of the error under any switching at samples, 1/s.
-
-        Decay in every mode does not imply decay under switching. The bound comes from one P > 0
-        with E_iᵀ P E_i ≤ e^{2rh} P for the error matrix E_i of every mode. Negative: the error
-        decays under every switching signal, without a dwell time (in floating point, not interval
-        arithmetic). Positive: inconclusive.
-        """
-        return common_rate(self.error_matrices) / self.step
 
     def __repr__(self) -> str:
         return (

@@ -197,7 +197,7 @@ class OutputFeedback(Law):
         raise ArgumentError(
             "OutputFeedback has no table: it keeps an estimate. `growth_rate`, the margins, "
             "`certify` and `falsify` take it; for the rest ask about its .law, which is given the "
-            "state, and its .observer (.rates, .switched_rate)."
+            "state, and its .observer (.rates)."
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:

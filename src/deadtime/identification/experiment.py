@@ -366,7 +366,6 @@ def design_experiment(
     signal: SwitchingSignal | None = None,
     law: Law | None = None,
     state_limit: ArrayLike | None = None,
-    criterion: str = "delay",
     hold: int = 1,
     switches: str = "samples",
     effort: int = 10,
@@ -403,8 +402,6 @@ def design_experiment(
     state_limit : float or (n,) array_like, optional
         The bound of every :math:`|x_i|` at samples of a run from rest, by its mean and three
         standard deviations.
-    criterion : "delay" or "all"
-        Whether to identify the delays alone, or all unknowns (D-optimal).
     hold : int
         The least number of periods for which each value is held.
     switches : "samples" or "anywhere"
@@ -441,8 +438,6 @@ def design_experiment(
     True
     """
     instance("plant", plant, SwitchedSystem)
-    if criterion not in ("delay", "all"):
-        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
     require_switches(switches)
     step, horizon = positive("step", step), positive("horizon", horizon)
     if horizon / step > _MOST_SAMPLES + 0.5:
@@ -475,7 +470,7 @@ def design_experiment(
         measured = NoisyStates.of(chain, used, layout.size, tables)
     else:
         measured = ExactStates.of(chain, used, layout.size)
-    prospect = Prospect.of(chain, layout, measured, criterion)
+    prospect = Prospect.of(chain, layout, measured)
     prospect = replace(prospect, room=_room(prospect, limit, state_limit))
     seed, effort = count("seed", seed, 0), count("effort", effort, 0)
     r = best_sequence(prospect, limit, count("hold", hold), effort, seed)

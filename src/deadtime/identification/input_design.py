@@ -40,24 +40,20 @@ class Prospect(Frozen):
 
     measured : the information as a function of z̄, for exact or noisy states
     room : (T, n + m), limits of |mean of x| and |mean of u|; inf for no limit
-    criterion : "delay", −log det of the delays' covariance, or "all", log det F
     deviation : (T, n + m), standard deviations of states and inputs by noise
     """
 
     chain: Chain
     layout: Layout
     measured: ExactStates | NoisyStates
-    criterion: str
     room: Float[np.ndarray, "sample y"]
     deviation: Float[np.ndarray, "sample y"] = field(repr=False)
 
     @classmethod
-    def of(
-        cls, chain: Chain, layout: Layout, measured: ExactStates | NoisyStates, criterion: str
-    ) -> Prospect:
+    def of(cls, chain: Chain, layout: Layout, measured: ExactStates | NoisyStates) -> Prospect:
         """The information along a chain, without limits."""
         room = np.full((chain.kind.size, layout.n + layout.m), np.inf)
-        return cls(chain, layout, measured, criterion, room, chain.deviations())
+        return cls(chain, layout, measured, room, chain.deviations())
 
     @property
     def samples(self) -> int:
@@ -116,19 +112,16 @@ class Prospect(Frozen):
         return CriterionValue(value, by_r + chain.back(of_xi)[0], float(excess.max()))
 
     def _criterion(self, F: np.ndarray) -> tuple[float, np.ndarray]:
-        """The criterion of F, and its derivative by F; −∞ where an unknown is not identified."""
+        """−log det of the delays' covariance, and its derivative by F; −∞ if not identified."""
         unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
         scaled = F * unit[:, None] * unit
         first = self.layout.size - self.layout.delays
         if not _is_identified(scaled):
             return -np.inf, np.zeros(F.shape)
-        value, by_F = np.linalg.slogdet(scaled)[1], np.linalg.inv(scaled)
-        if self.criterion == "delay":
-            rest = scaled[:first, :first]
-            value -= np.linalg.slogdet(rest)[1] + 2.0 * np.log(unit[first:]).sum()
-            by_F[:first, :first] -= np.linalg.inv(rest)
-        else:
-            value -= 2.0 * np.log(unit).sum()
+        rest, by_F = scaled[:first, :first], np.linalg.inv(scaled)
+        value = np.linalg.slogdet(scaled)[1]
+        value -= np.linalg.slogdet(rest)[1] + 2.0 * np.log(unit[first:]).sum()
+        by_F[:first, :first] -= np.linalg.inv(rest)
         return float(value), by_F * unit[:, None] * unit
 
 

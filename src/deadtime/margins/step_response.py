@@ -21,6 +21,7 @@ from deadtime.feedback import Law
 from deadtime.imperfections import StepDisturbance
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import simulate
+from deadtime.simulation.tracking import RISE, SETTLED, step_info
 from deadtime.spectrum import growth_rate
 from deadtime.switching import SwitchingSignal
 
@@ -28,7 +29,6 @@ _SETTLED = 10.0  # time constants of the slowest motion: the default horizon
 _ENOUGH = 4.0  # time constants, after which the last value is the steady state to 2 %
 _MOST = 5_000  # samples
 _LEFT = 1e-3  # of the peak: a response that ends below has returned to 0
-_THRESHOLD, _FROM, _TO = 0.02, 0.1, 0.9  # of the steady state, as in python-control
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,32 +64,19 @@ class StepResponse(Frozen):
         """
         if self.growth * self.time[-1] > -_ENOUGH:
             return None
-        y, time, last = self.response, self.time, float(self.response[-1])
+        time, y, last = self.time, self.response, float(self.response[-1])
         size = np.abs(y)
-        peak = {"Peak": float(size.max()), "PeakTime": float(time[size.argmax()])}
-        if abs(last) <= _LEFT * peak["Peak"]:
-            return (
-                _settling(time, size > _THRESHOLD * peak["Peak"]) | peak | {"SteadyStateValue": 0.0}
-            )
-        relative = y / last
-        begin, end = (int(np.argmax(relative >= part)) for part in (_FROM, _TO))
-        return (
-            {"RiseTime": float(time[end] - time[begin])}
-            | _settling(time, np.abs(relative - 1.0) >= _THRESHOLD)
-            | {
-                "SettlingMin": float(y[end:].min()),
-                "SettlingMax": float(y[end:].max()),
-                "Overshoot": 100.0 * max(0.0, float(relative.max()) - 1.0),
-                "Undershoot": 100.0 * max(0.0, -float(relative.min())),
-            }
-            | peak
-            | {"SteadyStateValue": last}
-        )
-
-
-def _settling(time: np.ndarray, outside: np.ndarray) -> dict[str, float]:
-    far = np.flatnonzero(outside)
-    return {"SettlingTime": float(time[far[-1] + 1 if far.size else 0])}
+        peak = float(size.max())
+        if abs(last) <= _LEFT * peak:
+            far = np.flatnonzero(size > SETTLED * peak)
+            settled = {"SettlingTime": float(time[far[-1] + 1 if far.size else 0])}
+            rest = {"Peak": peak, "PeakTime": float(time[size.argmax()]), "SteadyStateValue": 0.0}
+            return settled | rest
+        found = step_info(time, y, np.full(time.size, last))
+        del found["SteadyStateError"], found["IAE"]
+        risen = y[np.argmax(y / last >= RISE[1]) :]
+        found |= {"SettlingMin": risen.min(), "SettlingMax": risen.max()}
+        return {name: float(value) for name, value in found.items()}
 
 
 def step_response(

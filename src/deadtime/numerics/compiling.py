@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import gc
 import hashlib
 import os
 import pickle
@@ -27,7 +26,6 @@ from deadtime.numerics.lanes.code import make_code
 from deadtime.numerics.lanes.operators import make_operators  # registers operators of vectors
 
 _LONG = 1.0  # seconds of compiling after which there is a notice
-_GARBAGE = 20_000  # objects between two garbage collections while compiling
 
 
 class _CacheFile(IndexDataCacheFile):
@@ -181,27 +179,4 @@ class _Notice(event.Listener):
             self._timer.cancel()
 
 
-class _RareCollections(event.Listener):
-    """Reduces garbage collection while Numba compiles, which takes a tenth of the time otherwise.
-
-    Numba allocates millions of small objects, most of which reference counting frees.
-    """
-
-    def __init__(self) -> None:
-        self._depth, self._usual = 0, gc.get_threshold()
-
-    def on_start(self, event: Any) -> None:
-        self._depth += 1
-        if self._depth == 1:
-            self._usual = gc.get_threshold()
-            if self._usual[0] > 0:  # 0 is never
-                gc.set_threshold(max(_GARBAGE, self._usual[0]), *self._usual[1:])
-
-    def on_end(self, event: Any) -> None:
-        self._depth -= 1
-        if self._depth == 0:
-            gc.set_threshold(*self._usual)
-
-
 event.register("numba:compile", _Notice())
-event.register("numba:compile", _RareCollections())

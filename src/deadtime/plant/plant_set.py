@@ -148,9 +148,5 @@ class PlantUncertainty(Frozen, ABC):
         """The range of each delay, (low, high) as for `certify`; None if the delays are known."""
 
     @abstractmethod
-    def corners(self) -> tuple[SwitchedSystem, ...]:
-        """The vertices of a polytope that contains A and B."""
-
-    @abstractmethod
     def draw(self, count: int, seed: int = 0) -> tuple[SwitchedSystem, ...]:
         """Random plants."""

@@ -89,8 +89,8 @@ class UncertainPlant(PlantUncertainty):
     >>> import deadtime as dt, numpy as np
     >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[2.0]]], delay=0.3)
     >>> known = dt.UncertainPlant(plant, np.diag([0.1, 0.1, 0.01]) ** 2)
-    >>> len(known.draw(50)), len(known.corners())
-    (50, 4)
+    >>> len(known.draw(50)), known.axes().shape
+    (50, (2, 1, 1, 2))
     """
 
     in_words: ClassVar[tuple[str, str]] = "in their ellipsoid of 95 %", "intervals of 95 %"
@@ -176,8 +176,12 @@ class UncertainPlant(PlantUncertainty):
         >>> dt.UncertainPlant(plant, np.diag([0.1, 0.2, 0.01]) ** 2).axes().shape
         (2, 1, 1, 2)
         """
+        from scipy.stats import chi2
+
         plant, n, m = self.plant, self.plant.states, self.plant.inputs
-        arms = self._arms(level)
+        level, entries = share("level", level), plant.A.size + plant.B.size
+        arms = _root(self.covariance[:entries, :entries]).T
+        arms *= float(np.sqrt(chi2.ppf(level, max(len(arms), 1))))
         of_A, of_B = np.split(arms * _OUTWARD, [plant.A.size], axis=1)
         parts = of_A.reshape(-1, plant.modes, n, n), of_B.reshape(-1, plant.modes, n, m)
         return np.concatenate(parts, axis=3)
@@ -226,40 +230,6 @@ class UncertainPlant(PlantUncertainty):
         if plant.has_one_delay and len(errors) == 1:
             return float(low[0, 0]), float(high[0, 0])
         return low, high
-
-    def corners(self, level: float = 0.95) -> tuple[SwitchedSystem, ...]:
-        r"""The vertices of a polytope that contains A and B: two per uncertain direction.
-
-        The vertices :math:`\hat\theta \pm \sqrt d\, r L e_k`, :math:`\Sigma = L L^T`, span the
-        smallest cross-polytope around the ellipsoid of `axes`. It grows with :math:`\sqrt d`: with
-        many entries it is far wider than their intervals, and `certify` proves far more for the
-        ellipsoid itself.
-
-        Parameters
-        ----------
-        level : float
-            Confidence level, between 0 and 1.
-
-        Returns
-        -------
-        tuple of SwitchedSystem
-            The vertices, with the most likely delays.
-        """
-        arms = self._arms(level)
-        if not len(arms):
-            return (self.plant,)
-        arms = np.sqrt(len(arms)) * arms
-        rest = np.zeros(len(self.covariance) - arms.shape[1])
-        return tuple(self._at(np.concatenate((s * one, rest))) for one in arms for s in (1.0, -1.0))
-
-    def _arms(self, level: float) -> Float[np.ndarray, "d entries"]:
-        """r L e_k for all k."""
-        from scipy.stats import chi2
-
-        level, entries = share("level", level), self.plant.A.size + self.plant.B.size
-        root = _root(self.covariance[:entries, :entries])
-        d = root.shape[1]
-        return float(np.sqrt(chi2.ppf(level, d))) * root.T if d else root.T
 
     def _at(self, shift: np.ndarray) -> SwitchedSystem:
         """The plant with the parameters θ̂ + shift."""

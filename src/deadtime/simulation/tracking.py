@@ -87,45 +87,7 @@ def step_info_of(
     return dict(zip(TRACKING, found, strict=True))
 
 
-def _by_numpy(states, first, row, time, r, settling, low, high, found):
-    """`fill_step_info` by NumPy, over all runs at once."""
-    T = time.size
-    x = states[:, first : first + T]
-    y = row[0] * x[:, :, 0]
-    for i in range(1, row.size):
-        y += row[i] * x[:, :, i]
-    y = np.ascontiguousarray(y.transpose(0, 2, 1)).reshape(-1, T)[: found.shape[1]]
-    start, target, after = y[:, 0], r[-1], time - time[0]
-    size = target - start
-    size = np.where(np.abs(size) > _STEP * np.maximum(abs(target), np.abs(start)), size, np.nan)
-    share = (y - start[:, None]) / size[:, None]
-    begin, end = (_first(share >= part, after) for part in (low, high))
-    outside = np.abs(share - 1.0) >= settling
-    last = T - np.argmax(outside[:, ::-1], axis=1)
-    settled = np.append(after, np.inf)[np.where(outside.any(axis=1), last, 0)]
-    magnitude, some = np.abs(y), np.isfinite(size)
-    peak = magnitude.argmax(axis=1)
-    found[0] = np.where(some, end - np.where(np.isfinite(begin), begin, 0.0), np.nan)
-    found[1] = np.where(some, settled, np.nan)
-    found[2] = np.where(some, 100.0 * np.maximum(share.max(axis=1) - 1.0, 0.0), np.nan)
-    found[3] = np.where(some, 100.0 * np.maximum(-share.min(axis=1), 0.0), np.nan)
-    found[4], found[5] = magnitude.max(axis=1), after[peak]
-    found[6], found[7] = y[:, -1], target - y[:, -1]
-    before, behind = r[:-1] - y[:, :-1], r[:-1] - y[:, 1:]
-    a, b = np.abs(before), np.abs(behind)
-    total = a + b
-    crossed = np.divide(a * a + b * b, total, out=np.zeros(total.shape), where=total > 0.0)
-    area = 0.5 * np.diff(time) * np.where(before * behind < 0.0, crossed, total)
-    # Not `sum`, which adds in pairs: the kernel adds one after the other.
-    found[8] = 0.0 if T == 1 else np.cumsum(area, axis=1)[:, -1]
-
-
-def _first(there: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """The first time at which a condition holds, ∞ if never."""
-    return np.where(there.any(axis=1), time[np.argmax(there, axis=1)], np.inf)
-
-
-@kernel(nogil=True, plain=_by_numpy)
+@kernel(nogil=True)
 def fill_step_info(states, first, row, time, r, settling, low, high, found):
     """Fill the figures (figure, run), in the order of `TRACKING`, of y = row · x.
 
@@ -166,7 +128,7 @@ def fill_step_info(states, first, row, time, r, settling, low, high, found):
                 end = k
             if abs(share - 1.0) >= settling:
                 outside = k
-            # NaN is kept, as NumPy's maximum keeps it.
+            # A NaN is kept.
             if share > highest or share != share:
                 highest = share
             if share < lowest or share != share:

@@ -45,8 +45,6 @@ def check_request(
     step: float,
     filtered: bool | None,
     longest_step: float | None,
-    cost: str,
-    dearest: float,
 ) -> float:
     """The requested margin, 0 without one, after a check of the arguments."""
     instance("plant", plant, SwitchedSystem)
@@ -64,10 +62,6 @@ def check_request(
         )
     if not (filtered is None or isinstance(filtered, (bool, np.bool_))):
         raise ArgumentError(f"filtered must be True, False or None for both, got {filtered!r}.")
-    if cost not in ("mean", "worst"):
-        raise ArgumentError(f'cost must be "mean" or "worst" over the modes, got {cost!r}.')
-    if number("dearest", dearest) <= 1.0:
-        raise ArgumentError(f"dearest must be above 1, times the cheapest cost, got {dearest:g}.")
     return asked
 
 
@@ -195,9 +189,6 @@ def _scales(plant: SwitchedSystem) -> str:
     return ""
 
 
-DEAREST = 100.0
-
-
 def design(
     plant: SwitchedSystem,
     *,
@@ -208,10 +199,7 @@ def design(
     filtered: bool | None = None,
     longest_step: float | None = None,
     decay_rate: float = 0.0,
-    cost: str = "mean",
     budget: int = 800,
-    dearest: float = DEAREST,
-    seed: int = 0,
     weight: Weight | None = None,
     input_limit: ArrayLike | None = None,
     initial: InitialStates | StationaryNoise | None = None,
@@ -246,24 +234,18 @@ def design(
     decay_rate : float
         The least decay rate of every constant mode at the nominal delays, 1/s. Without it a slow
         loop may have a wide margin at a low cost.
-    cost : "mean" or "worst"
-        The cost :math:`\int x^T Q x + u^T R u \, dt` of the mean or of the worst mode, each held.
     budget : int
         The number of designs to try. A larger budget tries all designs of a smaller one.
-    dearest : float
-        Designs that cost more than `dearest` times the cheapest found are not considered, except
-        the plain one.
-    seed : int
-        Seed of the samples that the search starts from; equal seeds give equal results.
     weight : Weight, optional
-        Of the cost, the identity by default. R must be definite and Q weigh the unstable states of
+        Of the cost :math:`\int x^T Q x + u^T R u \, dt`, the mean over the modes, each held; the
+        identity by default. R must be definite and Q weigh the unstable states of
         every mode, so that a loop that grows has a large cost.
     input_limit : array_like, shape () or (m,), optional
         The bound of :math:`|u_j|` in every constant mode, starting from `initial` without inputs in
         the past.
     initial : InitialStates or StationaryNoise, optional
-        The initial states, the ball :math:`|x(0)| \le 1` by default. Over a ball, box or ellipsoid
-        the bound holds in the exact worst case, for a normal x(0) with at least its probability
+        The initial states, the ball :math:`|x(0)| \le 1` by default. Over a ball or box the
+        bound holds in the exact worst case, for a normal x(0) with at least its probability
         (`deadtime.synthesis.input_peak`). Under stationary noise it holds with its probability at
         any one instant.
     progress : callable, optional
@@ -294,14 +276,14 @@ def design(
     (True, True, True)
     """
     progress = reporter("progress", progress)
-    asked = check_request(plant, delay_margin, step, filtered, longest_step, cost, dearest)
+    asked = check_request(plant, delay_margin, step, filtered, longest_step)
     limit, initial = limits_asked(plant, input_limit), check_initial(initial, plant)
     floors = Floors(asked, decay_asked(decay_rate), limit, initial)
     given = None if gains is None else check_gains(plant, gains, True)
     weight = weight_of(weight, plant)
     if weight is not None:
         require_identified(plant, weight)
-    budget, seed = count("budget", budget, 20), count("seed", seed, 0)
+    budget = count("budget", budget, 20)
     make = partial(AveragedPredictor, allow_unstable=True) if law is None else law
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
@@ -310,17 +292,15 @@ def design(
     first = require_table(plant, make, start)
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
-    plain_cost = assess(plant, first, step, cost == "worst", weight=weight)[1]
+    plain_cost = assess(plant, first, step, weight=weight)[1]
     plain_margin = constant_delay_margin(plant, first, step)
     plain = _point(plant, first, step, plain_margin, plain_cost, initial)
-    search = DesignSearch(
-        plant, make, cost == "worst", budget, dearest, floors, weight, progress=progress
-    )
+    search = DesignSearch(plant, make, budget, floors, weight, progress=progress)
     pairs = pairs_of(search, filtered, step, longest_step)
     if not filtered:
         search.plain = _plain_candidate(plain, *pairs[0], start, floors)
         search.tried.append(search.plain)
-    spend(search, pairs, start, np.random.default_rng(seed))
+    spend(search, pairs, start, np.random.default_rng(0))
     exact = Exact(plant, search)
     return _result(plant, exact, exact.choose(), plain, start, limits)
 
@@ -375,7 +355,7 @@ def _result(
         margin, gains = exact.margin(chosen), chosen.choice.gains
         law, step = chosen.law, chosen.step
         search = exact.search
-        cost = assess(plant, law, step, search.worst, weight=search.weight)[1]
+        cost = assess(plant, law, step, weight=search.weight)[1]
     floors = exact.search.floors
     growth = _ends(plant, law, step, floors.margin)
     found = _point(plant, law, step, margin, cost, floors.initial)

@@ -212,7 +212,6 @@ def assess(
     plant: SwitchedSystem,
     law: Law,
     step: float,
-    worst: bool,
     blocks: int = BLOCKS,
     exact: bool = False,
     weight: Weight | None = None,
@@ -237,4 +236,4 @@ def assess(
             margin = 0.0
         elif margin > 0.0:
             margin = min(margin, WIDEST, estimated_margin(plant, table, mode))
-    return margin, max(costs) if worst else sum(costs) / len(costs), growth
+    return margin, sum(costs) / len(costs), growth

@@ -97,8 +97,8 @@ class TradeOff:
         The smallest error of the delay that destabilises a constant mode, relative to the delay, or
         to the shortest of several; 0 if a mode is unstable.
     cost : float
-        ∫ xᵀQx + uᵀRu with one mode held, mean over |x₀| = 1, mean or worst over the modes; ∞ if a
-        mode is unstable.
+        ∫ xᵀQx + uᵀRu with one mode held, mean over |x₀| = 1 and the modes; ∞ if a mode is
+        unstable.
     decay_rate : float
         The decay rate of the slowest constant mode at the nominal delay, 1/s; negative if one
         grows.

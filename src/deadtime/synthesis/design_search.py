@@ -25,6 +25,7 @@ MakeLaw = Callable[[SwitchedSystem, np.ndarray], Law]
 Merit = Callable[["Tried | None"], float]
 _SLACK = 1.003  # of the request: the error of estimated margins
 _SLOPE = 12.0  # of the penalty: cost's logarithm per shortfall
+_DEAREST = 100.0  # of the cheapest cost: designs beyond are not considered
 _LOST = 1e3  # merit of unstable designs: above all stable ones
 _BLOCKS = 150  # of one delay: enough to compare costs
 
@@ -58,9 +59,7 @@ class DesignSearch:
 
     plant: SwitchedSystem
     make: MakeLaw
-    worst: bool
     budget: int
-    dearest: float
     floors: Floors
     weight: Weight | None = None
     plain: Tried | None = None  # the design for comparison, if it may be chosen, too
@@ -70,8 +69,8 @@ class DesignSearch:
 
     @property
     def stable(self) -> list[Tried]:
-        """Stable designs that cost at most `dearest` times the cheapest; and the plain one."""
-        most = self.dearest * self.least_cost
+        """Stable designs that cost at most `_DEAREST` times the cheapest; and the plain one."""
+        most = _DEAREST * self.least_cost
         stable = [one for one in self.tried if one.margin > 0.0]
         return [one for one in stable if one.cost <= most or one is self.plain]
 
@@ -93,7 +92,7 @@ class DesignSearch:
         except ArgumentError:  # the law's own rules for gains
             return None
         exact = self.floors.decay_rate > 0.0
-        one = assess(self.plant, law, step, self.worst, _BLOCKS, exact, self.weight)
+        one = assess(self.plant, law, step, _BLOCKS, exact, self.weight)
         load = self.load(law, step) if one[0] > 0.0 else 0.0
         tried = Tried(family, step, parameters, choice, law, *one, load)
         self.tried.append(tried)
@@ -144,8 +143,8 @@ class DesignSearch:
         return merit
 
     def nearest(self) -> Merit:
-        """To be minimised: the shortfall, with a penalty on costs above `dearest`."""
-        most = self.dearest * self.least_cost
+        """To be minimised: the shortfall, with a penalty on costs above `_DEAREST`."""
+        most = _DEAREST * self.least_cost
 
         def merit(tried: Tried | None) -> float:
             if tried is None or tried.margin <= 0.0:

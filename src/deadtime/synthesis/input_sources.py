@@ -4,7 +4,6 @@ Every input of a linear loop is linear in the initial state, u = rᵀx(0), so th
 set, and the distribution of u for a normal x(0), are closed forms:
 
     |x(0)| ≤ ρ                          ρ |r|
-    x(0)ᵀ X⁻¹ x(0) ≤ 1                  √(rᵀ X r)
     |x_i(0)| ≤ b_i                      Σ_i |r_i| b_i
     x(0) ~ N(0, X)                      u ~ N(0, rᵀ X r)
 
@@ -44,20 +43,20 @@ from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import weight_part
 
-Kind = Literal["ball", "ellipsoid", "box", "normal"]
+Kind = Literal["ball", "box", "normal"]
 
 
 @dataclass(frozen=True, eq=False)
 class InitialStates(Frozen):
-    """Initial states of a loop (immutable): a ball, box, ellipsoid or normal distribution.
+    """Initial states of a loop (immutable): a ball, box or normal distribution.
 
-    Made by `ball`, `box`, `ellipsoid` and `normal`.
+    Made by `ball`, `box` and `normal`.
 
     Attributes
     ----------
-    kind : "ball", "ellipsoid", "box" or "normal"
+    kind : "ball", "box" or "normal"
     size : (), (n,) or (n, n)
-        The radius; the half widths; the matrix X of an ellipsoid, or of a normal distribution.
+        The radius; the half widths; the covariance of a normal distribution.
     probability : float
         The probability with which an input stays below its level; 1 for a set.
 
@@ -100,17 +99,6 @@ class InitialStates(Frozen):
         return InitialStates("box", read_only(size))
 
     @staticmethod
-    def ellipsoid(X: ArrayLike) -> InitialStates:
-        r""":math:`x(0)^T X^{-1} x(0) \le 1`; a semidefinite X excludes its null space.
-
-        Raises
-        ------
-        ArgumentError
-            If X is no symmetric, positive semidefinite matrix other than 0.
-        """
-        return InitialStates("ellipsoid", _semidefinite("X", X))
-
-    @staticmethod
     def normal(covariance: ArrayLike, probability: float = 0.99) -> InitialStates:
         """x(0) ~ N(0, covariance): inputs stay below their level with a probability.
 
@@ -146,8 +134,6 @@ class InitialStates(Frozen):
         if self.kind == "box":
             widths = ", ".join(f"{width:g}" for width in self.size)
             return f"every |x(0)| ≤ ({widths})"
-        if self.kind == "ellipsoid":
-            return "every x(0) of the ellipsoid"
         return f"x(0) ~ N(0, X) with a probability of {self.probability:g} at least"
 
 

@@ -44,15 +44,15 @@ PHASES = (0.0, 0.25, 0.5, 0.75)
 
 def candidates(
     loop: SampledLoop, constants: list[Rated], signals: Admissible, budget: int
-) -> tuple[list[Cycle], list[Rated], float | None, int]:
+) -> tuple[list[Cycle], list[Rated], int]:
     """Candidate cycles; `constants` are the constant modes and their growth.
 
     Returns the cycles, the most promising first; short rings with their growth, the best first;
-    `WorstCase.upper_estimate`; and the number of cycles evaluated.
+    and the number of cycles evaluated.
     """
     lengths, (rings, turned) = _lengths(loop, constants, signals), _rings(loop, signals)
     if lengths.size == 0:
-        return list(_without_grid(signals)), rings, None, turned
+        return list(_without_grid(signals)), rings, turned
     step, modes = loop.step, loop.plant.modes
     known = [constants[mode][1].rate for mode in signals.lasting]
     floor = (max(known) - loop.shift) * step if known else -math.inf
@@ -61,7 +61,7 @@ def candidates(
     count, ends = max(3, LETTERS // modes), zip(sojourns.low, sojourns.high, strict=True)
     letters = [low + _some(lengths[low : high + 1], count) for low, high in ends]
     precision = TOLERANCE / loop.past
-    words, bound, looked_at = branch_and_bound(sojourns, letters, floor, precision, budget // 2)
+    words, looked_at = branch_and_bound(sojourns, letters, floor, precision, budget // 2)
     rates: dict[Cycle, float] = {}
     climbing = 0
     for start in chain(words, _random_words(sojourns, signals, STARTS * modes)):
@@ -76,9 +76,8 @@ def candidates(
         if climbing >= budget // 2:
             break
     best = sorted(rates, key=lambda cycle: -rates[cycle])
-    upper = None if bound is None else loop.shift + bound / step
     tried = [*_tight(best[:TIGHT], signals), *best]
-    return tried, rings, upper, looked_at + climbing + turned
+    return tried, rings, looked_at + climbing + turned
 
 
 def _rings(loop: SampledLoop, signals: Admissible) -> tuple[list[Rated], int]:

@@ -125,9 +125,9 @@ def falsify(
     lag = asked.mode_lag if several and feedback.context != "none" else 0
     constants, loop = _constants(with_memory(plant, feedback), feedback, lag)
     known = [constants[mode] for mode in cycles.lasting]
-    evaluated, upper = len(constants), None
+    evaluated = len(constants)
     if cycles.recurring:
-        words, rings, upper, tried = candidates(loop, constants, cycles, budget)
+        words, rings, tried = candidates(loop, constants, cycles, budget)
         floor = max((growth.rate for _, growth in known), default=-math.inf)
         better, looked = improve(loop, cycles, words, rings, floor)
         evaluated, known = evaluated + tried + looked, [*known, *better]
@@ -136,13 +136,13 @@ def falsify(
         better, looked = with_losses(loop, known, asked.lost_samples)
         known, evaluated = [*known, *better], evaluated + looked
     about = plant, law, asked
-    result = worst_case(loop, *about, *worst_of(known, loop), evaluated, upper)
+    result = worst_case(loop, *about, *worst_of(known, loop), evaluated)
     if result.proven or result.growth_rate <= 0.0:
         return result
     # Growth that is not proved gives way to a constant mode with a proof.
     constant = [rated for rated in known if rated[0].constant and rated[1].rate > 0.0]
     for rated in sorted(constant, key=lambda rated: -rated[1].rate):
-        other = worst_case(loop, *about, *rated, evaluated, upper)
+        other = worst_case(loop, *about, *rated, evaluated)
         if other.proven:
             return other
     return result

@@ -125,7 +125,7 @@ def worst_in_runs(loop: RunLoop, signals: Admissible, budget: int) -> WorstCase:
     past = max(SampledPlant.of(plant, loop.step).longest_lag for plant in plants)
     u0 = np.zeros((loop.plant.inputs, past))
     about = loop.plant, loop.law, loop.signals, loop.step
-    return of_cycle(*about, cycle, growth.rate, proof, (loop.start, u0), 0.0, evaluated, None)
+    return of_cycle(*about, cycle, growth.rate, proof, (loop.start, u0), 0.0, evaluated)
 
 
 def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:

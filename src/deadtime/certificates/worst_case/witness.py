@@ -74,10 +74,6 @@ class WorstCase(Frozen):
         The result in a sentence.
     evaluated : int
         Number of cycles evaluated, most of them on a compressed loop.
-    upper_estimate : float or None
-        1/s, if the branch and bound finished: on the compressed loop no signal with sojourns from
-        its coarse grid grows faster. Not a proof (`certify` proves). None if it did not finish, as
-        is common.
     """
 
     signal: SwitchingSignal
@@ -88,7 +84,6 @@ class WorstCase(Frozen):
     u0: Float[np.ndarray, "m W"]
     message: str
     evaluated: int
-    upper_estimate: float | None
     proof: GrowthProof
     plant: SwitchedSystem = field(repr=False)
     law: Law = field(repr=False)
@@ -157,7 +152,6 @@ def worst_case(
     cycle: Cycle,
     growth: Growth,
     evaluated: int,
-    upper_estimate: float | None,
 ) -> WorstCase:
     """The result for the worst cycle of a table; a law's state begins along the direction, too."""
     feedback, q = loop.feedback, loop.feedback.memory
@@ -167,7 +161,7 @@ def worst_case(
     law = law.beginning_at(outputs[:q, -1])
     proof = prove(loop, cycle, growth.rate)
     about = plant, law, replace(signals, mode_lag=loop.lag), loop.step
-    return of_cycle(*about, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
+    return of_cycle(*about, cycle, growth.rate, proof, start, aged, evaluated)
 
 
 def of_cycle(
@@ -181,7 +175,6 @@ def of_cycle(
     start: tuple[np.ndarray, np.ndarray],
     aged: float,
     evaluated: int,
-    upper_estimate: float | None,
 ) -> WorstCase:
     """The result for a cycle, its rate, its start (x0, u0), and the age of a constant mode, s."""
     (x0, u0), dwell_time = start, signals.limits(plant.modes).dwell_time
@@ -202,7 +195,7 @@ def of_cycle(
     how = _how(modes, sojourns, cycle.offset * step, dwell_time) + _losses(cycle)
     message = _message(rate, proof, how)
     return WorstCase(
-        signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
+        signal, rate, modes, sojourns, x0, u0, message, evaluated, proof,
         plant, law, signals, step, cycle,
     )  # fmt: skip
 

@@ -183,15 +183,15 @@ def branch_and_bound(
     floor: float,
     tolerance: float,
     budget: int,
-) -> tuple[list[Word], float | None, int]:
+) -> tuple[list[Word], int]:
     """Words of sojourns with `letters` for the indices of their lengths, a list of each kind.
 
     `floor` is a known lower bound of the rate per sample; `budget` the number of words that may be
-    evaluated. Returns the best cycles of each number of sojourns, the best first; an upper bound of
-    the rate per sample for these letters, None if words were dropped; and the number of words.
+    evaluated. Returns the best cycles of each number of sojourns, the best first; and the number of
+    words.
     """
     search = _CycleSearch(_adapt(sojourns, letters, floor), letters, tolerance, floor)
-    level, evaluated, complete = search.first(), 0, True
+    level, evaluated = search.first(), 0
     while level.kinds.shape[1] < LONGEST:
         level = search.extend(level)
         evaluated += level.time.size
@@ -200,12 +200,10 @@ def branch_and_bound(
         if not level.time.size or evaluated >= budget:
             break
         if level.time.size > WIDTH:
-            complete = False
             level = level.only(_most_promising(level))
-    complete = complete and not level.time.size
     words = [word for some in search.cycles.values() for word in distinct(some, sojourns)]
     words.sort(key=lambda word: -word.rate)
-    return words, search.best + tolerance if complete else None, evaluated
+    return words, evaluated
 
 
 def _most_promising(level: _Level) -> np.ndarray:

@@ -16,8 +16,8 @@ from deadtime.problems.file import schema
 from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.mode_names import with_mode_numbers
 from deadtime.problems.file.schema import ProblemFile
-from deadtime.problems.literature import is_named, template
 from deadtime.problems.problem import Problem
+from deadtime.problems.templates import is_named, template
 from deadtime.problems.toml import SectionError, read_toml, require_valid
 
 Prepare = Callable[[schema.ProblemFile], schema.ProblemFile]

@@ -19,7 +19,7 @@ from deadtime.problems import NAMED, Problem
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.gains_and_laws import as_numbers
-from deadtime.problems.literature import template
+from deadtime.problems.templates import template
 from deadtime.problems.toml import SectionError, read_toml, require_valid, section
 from deadtime.scenarios.sweeps.axes import (
     AXES,
