@@ -19,29 +19,6 @@ from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """Shares measured along a parameter, for a figure.
-
-    Attributes
-    ----------
-    parameter : str
-        Name of the parameter, with its unit.
-    values, ticks
-        Its values, and how to write them on an axis.
-    shares : mapping
-        From what is counted to one `Proportion` per value.
-    ratio : tuple of float
-        Median ∫|x|² under law (2) over that under law (80), per value.
-    """
-
-    parameter: str
-    values: tuple[float, ...]
-    ticks: tuple[str, ...]
-    shares: Mapping[str, tuple[Proportion, ...]]
-    ratio: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Claim:
     """A claim of the paper, in our words, and what became of it.
 
@@ -63,8 +40,6 @@ class Claim:
         What many random signals show.
     proportion : Proportion or None
         On how many of them the claim holds; None for a claim about no signal.
-    sweep : Sweep or None
-        What was measured along a parameter.
     """
 
     key: str
@@ -76,7 +51,6 @@ class Claim:
     holds_in_run: bool | None
     many: str
     proportion: Proportion | None = None
-    sweep: Sweep | None = None
 
     @property
     def verdict(self) -> str:

@@ -208,7 +208,7 @@ def _is_shown(problem: Problem, law: str) -> bool:
 def steps_of(problem: Problem, certificates: bool = True) -> int:
     """How often `write_report` reports progress."""
     shown = sum(_is_shown(problem, name) for name in problem.laws)
-    audited = STEPS + 3 if problem.constants else 0
+    audited = STEPS + 1 if problem.constants else 0
     drawn = len(problem.laws) + problem.plant.modes + shown
     return drawn + 7 + audited + (steps_of_section(problem) if certificates else 0)
 
@@ -262,28 +262,16 @@ def _write(
 
 
 def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any] | None:
-    """Claims and figures of the audit, for the problem that a paper makes claims about."""
+    """Claims and figure of the audit, for the problem that a paper makes claims about."""
     if not problem.constants:
         return None
-    from deadtime.reports.figures import audit as audit_plots
+    from deadtime.reports.figures.audit import plot_claims
 
     claims = audit(problem, SCENARIOS, progress=progress)
-    figures = {
-        "audit-claims": (audit_plots.plot_claims, "On how many random signals each claim holds."),
-        "audit-dwell-times": (
-            audit_plots.plot_dwell_times,
-            "Law (2) against law (80) as the dwell time changes.",
-        ),
-        "audit-distances": (
-            audit_plots.plot_distances,
-            "Signals stabilised by laws (2) and (80) as the modes move apart.",
-        ),
-    }
-    images = []
-    for name, (draw, caption) in figures.items():
-        progress(f"drawing: {name}")
-        images.append(save_figure(draw(claims), folder, name, caption))
-    return {"claims": claims, "figures": images, "scenarios": SCENARIOS}
+    progress("drawing: audit-claims")
+    caption = "On how many random signals each claim holds."
+    image = save_figure(plot_claims(claims), folder, "audit-claims", caption)
+    return {"claims": claims, "figure": image, "scenarios": SCENARIOS}
 
 
 def _constants(result: Comparison) -> dict[str, Any]:
