@@ -44,7 +44,7 @@ from deadtime.switching import SwitchingSignal
 
 def steps_of_section(problem: Problem) -> int:
     """How often `certificates_section` reports progress."""
-    return len(problem.laws) + 3
+    return len(problem.laws) + 1
 
 
 def certificates_section(result: Comparison, progress: Progress | None = None) -> dict[str, Any]:
@@ -58,13 +58,7 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     asked, step = signals_of(problem, result.signal), step_of(problem)
     judged = judge(problem, asked.signals, step, progress=progress)
     sentences = [*left_out(problem, asked.signals), *certificate_sentences(judged, problem)]
-    figures = []
-    reach = _tightness_figure(problem, asked.dwell.value, step, progress)
-    if reach is not None:
-        sentences.append(reach[0])
-        figures.append(reach[1])
     progress("drawing: worst signals")
-    figures = [*_witness_figures(problem, judged), *figures]
     proofs = [
         (one.certificate.statement, one.law)
         for one in judged
@@ -79,7 +73,7 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
         "sentences": sentences,
         "statement": statement,
         "statement_of": law,
-        "figures": figures,
+        "figures": _witness_figures(problem, judged),
     }
 
 
@@ -98,28 +92,6 @@ def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, 
             plot_witness(one.worst, f"Law: {one.law}", problem.modes),
         ))  # fmt: skip
     return figures
-
-
-def _tightness_figure(
-    problem: Problem, dwell: float, step: float, progress: Progress
-) -> tuple[str, tuple[str, str, Figure]] | None:
-    from deadtime.reports.tightness import plot_tightness, tightness
-
-    try:
-        found = tightness(
-            problem, dwell, step, progress=lambda what: progress(f"certificates: {what}")
-        )
-    except ArgumentError:  # modes that do not differ
-        progress("certificates: the theorem's reach")
-        progress("certificates: between proof and witness")
-        return None
-    caption = (
-        "How far apart modes and gains may be, as the modes are moved along their own difference, "
-        "for the averaged law: what each certificate allows, and where a signal grows, if one was "
-        "found. The theorem's ε* depends on the plant; it is that of modes as close as it allows."
-    )
-    figure = ("certificates-reach", caption, plot_tightness(found))
-    return (found.message, figure) if len(found.reaches) > 1 else None
 
 
 SCENARIOS = 1000
