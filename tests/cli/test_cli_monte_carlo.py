@@ -270,10 +270,6 @@ def test_problems_that_have_no_random_signals_are_refused(capsys, monkeypatch, c
         (["--mean-sojourn", "0.2"], "mean_sojourn must be above the dwell time, 0.2 s, got 0.2"),
         (["--scenarios", "0"], "scenarios must be an integer of at least 1, got 0"),
         (["--seed", "-1"], "seed must be an integer of at least 0, got -1"),
-        (
-            ["--backend", "fortran"],
-            "backend must be 'numba', the only engine there is, got",
-        ),
     ],
 )
 def test_requests_that_are_wrong_are_refused_before_the_run(folder, capsys, arguments, message):

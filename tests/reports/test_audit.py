@@ -19,7 +19,7 @@ from deadtime.reports.audit_evidence import (
     gather,
     random_signals,
 )
-from deadtime.reports.figures.audit import plot_claims, plot_distances, plot_dwell_times
+from deadtime.reports.figures.audit import plot_claims
 from deadtime.scenarios.paired_statistics import Proportion
 
 PROBLEM = dt.problems.paper()
@@ -199,22 +199,16 @@ def test_growth_with_a_mode_held_is_that_of_the_verdict(claims):
     assert f"{how}{as_rate(growth[1])} /s." in claims["averaged-stabilises"].many
 
 
-def test_sweeps_hold_the_example_itself(claims):
+def test_the_share_at_distance_1_is_that_of_the_example(claims):
     count = round(0.4 * SCENARIOS)
-    distance = claims["distance"].sweep
-    assert distance.values == (0.5, 1.0, 1.5, 2.0)
-    averaged, _ = distance.shares.values()
-    assert all(share.trials == count for share in averaged)
     start = np.linalg.norm(PROBLEM.x0)
     metrics = [
         PROBLEM.simulate(LEAD, signal).metrics()
         for signal in random_signals(PROBLEM, 0.2, count, seed=5)
     ]
-    assert averaged[1].count == sum(
-        m["final_norm"] < start and m["decay_rate"] > 0.0 for m in metrics
-    )
-    dwell = claims["shorter-dwell-gains"].sweep
-    assert dwell.values == pytest.approx((0.1, 0.2, 0.4, 0.8))
+    share = np.mean([m["final_norm"] < start and m["decay_rate"] > 0.0 for m in metrics])
+    said = f"α = 1 (ε = 0.79): averaged law (2) {100.0 * share:.1f} %"
+    assert said in claims["distance"].many
 
 
 def test_the_text_and_the_computation_disagree_where_the_design_says_so(claims):
@@ -239,9 +233,8 @@ def test_the_same_seed_gives_the_same_audit():
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("plot", [plot_claims, plot_dwell_times, plot_distances])
-def test_figures_are_drawn_within_their_frame(claims, plot, tmp_path):
-    figure = plot(list(claims.values()))
+def test_the_figure_is_drawn_within_its_frame(claims, tmp_path):
+    figure = plot_claims(list(claims.values()))
     figure.savefig(tmp_path / "figure.png")
     box, page = figure.get_tightbbox(), figure.get_size_inches()
     assert min(box.x0, box.y0) >= -0.02
@@ -259,7 +252,6 @@ def test_figures_are_drawn_within_their_frame(claims, plot, tmp_path):
         (lambda: audit(PROBLEM, scenarios=0), "scenarios must be an integer ≥ 1, got 0."),
         (lambda: audit(PROBLEM, seed=-1), "seed must be an integer ≥ 0, got -1."),
         (lambda: audit(PROBLEM, dwell_time=0.0), "dwell_time must be positive, in s, got 0."),
-        (lambda: plot_distances([]), "claims must contain the claim 'distance'"),
     ],
 )
 def test_what_cannot_be_audited_is_refused_by_name(call, message):

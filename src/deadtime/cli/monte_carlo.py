@@ -52,7 +52,6 @@ def monte_carlo(
     dwell_time: float | None = None,
     mean_sojourn: float | None = None,
     seed: int = 0,
-    backend: str = "numba",
     step: float | None = None,
     out: options.Picture = None,
     width: options.FigureWidth = None,
@@ -77,8 +76,6 @@ def monte_carlo(
         is not longer.
     seed
         Seed of the signals.
-    backend
-        numba, the compiled engine and the only one.
     step
         Sampling period in seconds; the problem's by default.
     data
@@ -119,7 +116,6 @@ def monte_carlo(
         period,
         scenarios,
         seed,
-        backend,
         progress=sys.stderr.isatty() and not json_output,
         imperfections=chosen.imperfections,
         weight=chosen.weight,

@@ -33,5 +33,4 @@ from .scenario_tables import (
 )
 from .study import run_study as run_study
 from .study.report import write_study as write_study
-from .tightness import plot_tightness as plot_tightness, tightness as tightness
 from .verdict import verdict as verdict

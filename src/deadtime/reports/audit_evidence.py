@@ -19,17 +19,6 @@ from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """Shares measured along a parameter, for a figure."""
-
-    parameter: str  # with its unit
-    values: tuple[float, ...]
-    ticks: tuple[str, ...]
-    shares: Mapping[str, tuple[Proportion, ...]]  # label → a share per value
-    ratio: tuple[float, ...]  # median ∫|x|² under law (2) over that under law (80), per value
-
-
-@dataclass(frozen=True, eq=False)
 class Claim:
     """A claim of the paper, in our words, and what became of it.
 
@@ -51,8 +40,6 @@ class Claim:
         What many random signals show.
     proportion : Proportion or None
         On how many of them the claim holds; None for a claim about no signal.
-    sweep : Sweep or None
-        What was measured along a parameter.
     """
 
     key: str
@@ -64,7 +51,6 @@ class Claim:
     holds_in_run: bool | None
     many: str
     proportion: Proportion | None = None
-    sweep: Sweep | None = None
 
     @property
     def verdict(self) -> str:

@@ -29,7 +29,7 @@ from deadtime.switching import SwitchingSignal
 
 def steps_of_section(problem: Problem) -> int:
     """How often `certificates_section` reports progress."""
-    return len(problem.laws) + 3
+    return len(problem.laws) + 1
 
 
 def certificates_section(result: Comparison, progress: Progress | None = None) -> dict[str, Any]:
@@ -45,11 +45,6 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
     sentences = tables.left_out(problem, assumptions.signals)
     sentences += tables.certificate_sentences(judged, problem)
     progress("drawing: worst signals")
-    figures = _witness_figures(problem, judged)
-    reach = _tightness_figure(problem, assumptions.dwell.value, step, progress)
-    if reach is not None:
-        sentences.append(reach[0])
-        figures.append(reach[1])
     proofs = [
         (one.certificate.statement, one.law)
         for one in judged
@@ -64,7 +59,7 @@ def certificates_section(result: Comparison, progress: Progress | None = None) -
         "sentences": sentences,
         "statement": statement,
         "statement_of": law,
-        "figures": figures,
+        "figures": _witness_figures(problem, judged),
     }
 
 
@@ -85,28 +80,6 @@ def _witness_figures(
             plot_witness(one.worst, f"Law: {one.law}", problem.modes),
         ))  # fmt: skip
     return figures
-
-
-def _tightness_figure(
-    problem: Problem, dwell: float, step: float, progress: Progress
-) -> tuple[str, tuple[str, str, Figure]] | None:
-    from deadtime.reports.tightness import plot_tightness, tightness
-
-    try:
-        reach = tightness(
-            problem, dwell, step, progress=lambda what: progress(f"certificates: {what}")
-        )
-    except ArgumentError:  # modes that do not differ
-        progress("certificates: the theorem's reach")
-        progress("certificates: between proof and witness")
-        return None
-    caption = (
-        "How far apart modes and gains may be, as the modes are moved along their own difference, "
-        "for the averaged law: what each certificate allows, and where a signal grows, if one was "
-        "found. The theorem's ε* depends on the plant; it is that of modes as close as it allows."
-    )
-    figure = ("certificates-reach", caption, plot_tightness(reach))
-    return (reach.message, figure) if len(reach.reaches) > 1 else None
 
 
 SCENARIOS = 1000
@@ -195,7 +168,7 @@ def _is_shown(problem: Problem, law: str) -> bool:
 def steps_of(problem: Problem, certificates: bool = True) -> int:
     """How often `write_report` reports progress."""
     shown = sum(_is_shown(problem, name) for name in problem.laws)
-    audited = STEPS + 3 if problem.constants else 0
+    audited = STEPS + 1 if problem.constants else 0
     drawn = len(problem.laws) + problem.plant.modes + shown
     return drawn + 7 + audited + (steps_of_section(problem) if certificates else 0)
 
@@ -249,23 +222,16 @@ def _write(
 
 
 def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any] | None:
-    """Claims and figures of the audit, for the problem that a paper makes claims about."""
+    """Claims and figure of the audit, for the problem that a paper makes claims about."""
     if not problem.constants:
         return None
-    from deadtime.reports.figures import audit as plots
+    from deadtime.reports.figures.audit import plot_claims
 
     claims = audit(problem, SCENARIOS, progress=progress)
-    captions = {
-        plots.plot_claims: "On how many random signals each claim holds.",
-        plots.plot_dwell_times: "Law (2) against law (80) as the dwell time changes.",
-        plots.plot_distances: "Signals stabilised by laws (2) and (80) as the modes move apart.",
-    }
-    images = []
-    for draw, caption in captions.items():
-        name = draw.__name__.replace("plot_", "audit-").replace("_", "-")
-        progress(f"drawing: {name}")
-        images.append(save_figure(draw(claims), folder, name, caption))
-    return {"claims": claims, "figures": images, "scenarios": SCENARIOS}
+    progress("drawing: audit-claims")
+    caption = "On how many random signals each claim holds."
+    image = save_figure(plot_claims(claims), folder, "audit-claims", caption)
+    return {"claims": claims, "figure": image, "scenarios": SCENARIOS}
 
 
 def _constants(result: Comparison) -> dict[str, Any]:

@@ -1,18 +1,16 @@
-"""Figures of the audit: how often each claim holds, and the two trends."""
+"""The figure of the audit: on how many signals each claim holds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
-from deadtime.reports.audit import Claim, Sweep
+from deadtime.reports.audit import Claim
 from deadtime.scenarios.paired_statistics import Proportion
 
 VERDICTS = {
@@ -58,65 +56,3 @@ def _interval(axes: Axes, row: float, proportion: Proportion, colour: str, marke
     low, high = proportion.interval
     axes.plot([100 * low, 100 * high], [row, row], color=colour, linewidth=2.0)
     axes.plot([100 * proportion.fraction], [row], marker, color=colour, markersize=5.0)
-
-
-def plot_dwell_times(claims: Sequence[Claim]) -> Figure:
-    """Law (2) against (80) as the dwell time changes: how often, and by how much."""
-    sweep = _sweep(claims, "shorter-dwell-gains")
-    with rc_context(STYLE):
-        figure = new_figure(WIDTH, 3.6)
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
-        (shares,) = sweep.shares.values()
-        upper.axhline(50.0, color="#888888", linewidth=0.8)
-        _line(upper, np.array(sweep.values), shares, COLOURS[0], "o", "")
-        upper.set_ylim(0.0, 100.0)
-        upper.set_ylabel("signals with smaller\n∫|x|² under (2), %")
-        upper.set_title("The averaged law (2) against the mean law (80)")
-        lower.axhline(1.0, color="#888888", linewidth=0.8)
-        lower.plot(sweep.values, sweep.ratio, "s-", color=COLOURS[1], markersize=4.0)
-        lower.set_ylabel("median ∫|x|²,\n(2) over (80)")
-        lower.set_ylim(min(0.95, *sweep.ratio) - 0.03, max(1.05, *sweep.ratio) + 0.03)
-        lower.set_xscale("log")
-        lower.set_xticks(sweep.values, sweep.ticks)
-        lower.minorticks_off()
-        lower.set_xlabel(sweep.parameter)
-        figure.align_ylabels()
-    return figure
-
-
-def plot_distances(claims: Sequence[Claim]) -> Figure:
-    """How often laws (2) and (80) stabilise as the modes move apart."""
-    sweep = _sweep(claims, "distance")
-    values = np.array(sweep.values)
-    with rc_context(STYLE):
-        figure = new_figure(WIDTH, 3.1)
-        axes = figure.subplots()
-        for i, (name, shares) in enumerate(sweep.shares.items()):
-            _line(axes, values + 0.012 * (2 * i - 1), shares, COLOURS[i], "os"[i % 2], name)
-        axes.set_ylim(-3.0, 103.0)
-        axes.set_ylabel("signals stabilised, %")
-        axes.set_xticks(values, sweep.ticks)
-        axes.set_xlabel(sweep.parameter)
-        figure.legend(loc="outside lower center", ncols=2)
-    return figure
-
-
-def _line(
-    axes: Axes, x: np.ndarray, shares: Sequence[Proportion], colour: str, marker: str, name: str
-) -> None:
-    """Percentages with their confidence intervals."""
-    middle = np.array([100.0 * share.fraction for share in shares])
-    low, high = 100.0 * np.array([share.interval for share in shares]).T
-    errors = np.maximum([middle - low, high - middle], 0.0)
-    axes.errorbar(
-        x, middle, errors, fmt=f"{marker}-", color=colour, markersize=4.0, capsize=3.0, label=name
-    )
-
-
-def _sweep(claims: Sequence[Claim], key: str) -> Sweep:
-    for claim in claims:
-        if claim.key == key and claim.sweep is not None:
-            return claim.sweep
-    raise ArgumentError(
-        f"claims must contain the claim {key!r}, as the list from deadtime.reports.audit does."
-    )
