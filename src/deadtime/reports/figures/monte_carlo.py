@@ -18,7 +18,7 @@ from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.sweeps.reduction import quantiles
 from deadtime.reports.scenario_tables import LawRuns
-from deadtime.scenarios.dataset import Comparison, formula_of
+from deadtime.scenarios.dataset import formula_of
 from deadtime.simulation.tracking import TRACKING_ERROR
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _NARROW, _WIDE = 8.0, 2e3  # ranges of an axis with plain ticks, and with ticks 
 
 
 def plot_monte_carlo(
-    data: xr.Dataset | Comparison, title: str | None = None, width: Width | None = None
+    data: xr.Dataset, title: str | None = None, width: Width | None = None
 ) -> Figure:
     r"""Distribution functions of the laws' costs, and of their costs over the reference law's.
 
@@ -42,7 +42,7 @@ def plot_monte_carlo(
 
     Parameters
     ----------
-    data : xarray.Dataset or Comparison
+    data : xarray.Dataset
         Of `monte_carlo`: `cost` and `diverged` over (law, scenario).
     title : str, optional
     width : "column", "page" or float, optional
@@ -77,7 +77,7 @@ def plot_monte_carlo(
         seen |= _panel(right, runs.relative(), styles)
         formula, word = TRACKING_ERROR, TRACKING_ERROR
         if measure == "cost":
-            formula = data.formula if isinstance(data, Comparison) else formula_of(data["cost"])
+            formula = formula_of(data["cost"])
             unit = "  (x² s + u² s)" if formula == PLAIN else ""
             formula, word = f"cost, {plain(formula)}{unit}", "cost"
         left.set_xlabel(formula)
