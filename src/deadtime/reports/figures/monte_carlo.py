@@ -10,12 +10,12 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from deadtime.base.figure_files import Width, inches, legend_columns, new_figure, style_of
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
+from deadtime.reports.figures.sweeps.panels import round_ticks
 from deadtime.reports.figures.sweeps.reduction import quantiles
 from deadtime.reports.scenario_tables import LawRuns
 from deadtime.scenarios.dataset import formula_of
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 _POINTS = 2000  # of a curve: more would only make a vector file large
 _FAR = 1e3  # a law whose cheapest scenarios cost so many times the best median is off the axis
 _TAIL = 1e2  # nor does the axis go further than this many times a law's median
-_NARROW, _WIDE = 8.0, 2e3  # ranges of an axis with plain ticks, and with ticks 1, 2, 5
 
 
 def plot_monte_carlo(
@@ -111,13 +110,7 @@ def _panel(
     for row, style in zip(values, styles, strict=True):
         _curve(panel, row, (low, high), style)
     panel.set_xlim(low, high)
-    if high / low < _WIDE:
-        narrow = high / low < _NARROW
-        panel.xaxis.set_major_locator(
-            MaxNLocator(5) if narrow else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12)
-        )
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_locator(NullLocator())
+    round_ticks(panel.xaxis, low, high)
     return np.any(values < high, axis=1)
 
 
