@@ -113,7 +113,7 @@ KINDS = {
     "load schema",
     "entry",
 }
-SHARED_CLASSES = {"Comparison", "Loop"}  # faces of two rooms, each with its own
+SHARED_CLASSES = {"Loop"}  # faces of two rooms, each with its own
 
 
 def test_files_and_classes_share_no_name_but_for_one_thing_of_several_kinds():

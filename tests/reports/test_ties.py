@@ -16,4 +16,4 @@ def test_what_reads_as_1_00_is_a_tie_however_sure_it_is(share, tied):
     data = xr.Dataset(variables, {"delay": [0.5], "law": ["averaged", "mean"]})
     panel = plot_wins(data).axes[0]
     assert panel.texts[0].get_text() == ("1.00" if tied else "1.01")
-    assert any(patch.get_hatch() is not None for patch in panel.patches) == tied
+    assert any(cells.get_hatch() is not None for cells in panel.collections) == tied

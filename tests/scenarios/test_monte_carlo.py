@@ -72,6 +72,7 @@ def test_dataset_is_labelled_with_names_units_and_its_setting():
         "backend": "numba",
         "imperfections": [],
         "one_by_one": [],
+        "one_by_one_because": [],
         "interrupted": 0,
         "grows_above": np.sqrt(2.0),
         "message": "",

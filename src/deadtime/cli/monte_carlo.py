@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
     from deadtime.problems.switching_assumptions import SourcedTime
     from deadtime.reports.scenario_tables import Summary
-    from deadtime.scenarios.dataset import Comparison
     from deadtime.switching import SwitchingModel
 
 _DATA = (".nc", ".csv")
@@ -87,7 +86,6 @@ def monte_carlo(
     from deadtime.reports.figures.monte_carlo import plot_monte_carlo
     from deadtime.reports.scenario_tables import summary
     from deadtime.scenarios.batch_run import compare
-    from deadtime.scenarios.dataset import dataset_of
     from deadtime.switching import SignalClass
 
     chosen = options.with_law(options.problem_of(problem), law)
@@ -121,7 +119,7 @@ def monte_carlo(
         weight=chosen.weight,
         share_compiling=True,
     )
-    if result.scenarios == 0:
+    if not result.sizes["scenario"]:
         raise KeyboardInterrupt  # no block of scenarios is complete
     outcome = summary(result)
     written = [path for path in (picture, data, table) if path is not None]
@@ -131,13 +129,13 @@ def monte_carlo(
         _print(chosen, model, sojourn, result, outcome, rounded=drawn is not model)
     save_figure(plot_monte_carlo(result, chosen.title, width), picture)
     if data is not None:
-        save_data(dataset_of(result), data)
+        save_data(result, data)
     if table is not None:
         save_text("table", table, outcome.to_latex())
     if not json_output:
         named = {"Figure": picture, "Data": data, "Table": table}
         print("\n" + "\n".join(f"{what}: {path}" for what, path in named.items() if path))
-    if not result.attributes["interrupted"]:
+    if not result.attrs["interrupted"]:
         return 0
     done = f"{outcome.scenarios:,} of {scenarios:,} scenarios"
     print(f"deadtime: interrupted after {done}; the results cover these", file=sys.stderr)
@@ -269,7 +267,7 @@ def _print(
     problem: Problem,
     model: SwitchingModel,
     sojourn: Sojourn | None,
-    data: Comparison,
+    data: xr.Dataset,
     outcome: Summary,
     rounded: bool,
 ) -> None:
@@ -294,8 +292,8 @@ def _print(
         about.append("Modes change at samples: sojourns are rounded up to whole periods.")
     print(
         f"{outcome.scenarios:,} random signal{'s' * (outcome.scenarios != 1)}, {what}, "
-        f"{problem.horizon:g} s each, sampled every {data.attributes['step']:g} s, seed "
-        f"{data.attributes['seed']}."
+        f"{problem.horizon:g} s each, sampled every {data.attrs['step']:g} s, seed "
+        f"{data.attrs['seed']}."
     )
     print(f"\n{metrics.measure_title(outcome.measure, problem.weight)}")
     ratio, intervals = outcome.notes
@@ -311,22 +309,23 @@ def _print(
         print(f"\n{metrics.heading_of(problem, i)}, to the end of the run, medians")
         print_table(metrics.HEADINGS, rows)
     print_never(shown)
-    checks = unit_checks_of(problem, data.attributes["step"])
+    checks = unit_checks_of(problem, data.attrs["step"])
     details = [*about, *nominal_plant_sentence(problem), *checks]
     if problem.imperfections:
         details.append(f"Imperfections: {', '.join(problem.imperfections_in_words)}.")
-    for reason in dict.fromkeys(data.one_by_one.values()):
-        slow = ", ".join(name for name, why in data.one_by_one.items() if why == reason)
+    reasons = dict(zip(data.attrs["one_by_one"], data.attrs["one_by_one_because"], strict=True))
+    for reason in dict.fromkeys(reasons.values()):
+        slow = ", ".join(name for name, why in reasons.items() if why == reason)
         details.append(f"Run one by one, which is slower: {slow}, because {reason}.")
     print()
-    print_details([*details, *filter(None, [data.attributes["message"]])])
+    print_details([*details, *filter(None, [data.attrs["message"]])])
 
 
 def _record(
     problem: Problem,
     model: SwitchingModel,
     sojourn: Sojourn | None,
-    data: Comparison,
+    data: xr.Dataset,
     outcome: Summary,
 ) -> dict[str, object]:
     from deadtime.plant.weight import record_of
@@ -339,8 +338,8 @@ def _record(
         "mean_sojourn": None if sojourn is None else sojourn.mean.value,
         "model": repr(model) if sojourn is None or not problem.limits.is_plain else None,
         "horizon": problem.horizon,
-        **{name: data.attributes[name] for name in ("step", "seed", "backend", "message")},
-        "interrupted": bool(data.attributes["interrupted"]),
+        **{name: data.attrs[name] for name in ("step", "seed", "backend", "message")},
+        "interrupted": bool(data.attrs["interrupted"]),
         "reference": outcome.reference,
         **record_of(problem.weight),
         "laws": outcome.records(),

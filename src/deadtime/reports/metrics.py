@@ -20,7 +20,7 @@ from deadtime.simulation.outcome import events_of
 from deadtime.simulation.tracking import TRACKING, TRACKING_ERROR
 
 if TYPE_CHECKING:
-    from deadtime.scenarios.dataset import Comparison as ManyRuns
+    import xarray as xr
 
 
 HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "steady error")
@@ -82,23 +82,22 @@ def _next_event(problem: Problem, run: Trajectory, since: float) -> float | None
     return next(later, None)
 
 
-def rows_of_many(data: ManyRuns, output: int) -> list[list[str]]:
+def rows_of_many(data: xr.Dataset, output: int) -> list[list[str]]:
     """The medians over scenarios, law by law."""
-    tracking = {name: data.keep(data.results.tracking[name])[..., output] for name in _NAMES}
     return [
-        _row(law, [_median(tracking[name][i]) for name in _NAMES])
-        for i, law in enumerate(data.names)
+        _row(law, [_median(data[name].sel(law=law, output=output).values) for name in _NAMES])
+        for law in data["law"].values.tolist()
     ]
 
 
-def record_of_many(problem: Problem, data: ManyRuns) -> dict[str, Any]:
+def record_of_many(problem: Problem, data: xr.Dataset) -> dict[str, Any]:
     """The medians for JSON, by output and law; nothing where nothing is tracked."""
     if not problem.tracked:
         return {}
     rows = {
         name: {
-            law: {key: _median(data.keep(data.results.tracking[key])[j, :, i]) for key in TRACKING}
-            for j, law in enumerate(data.names)
+            law: {key: _median(data[key].sel(law=law, output=i).values) for key in TRACKING}
+            for law in data["law"].values.tolist()
         }
         for i, name in enumerate(problem.tracked)
     }

@@ -7,7 +7,6 @@ at its end, and would make the law look better than it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,7 +20,7 @@ from deadtime.base.wording import compact
 from deadtime.reports.figures.sweeps import selection
 from deadtime.reports.figures.sweeps.panels import symbol_of
 from deadtime.reports.figures.sweeps.reduction import quantiles, score_of
-from deadtime.scenarios.dataset import Comparison, formula_of
+from deadtime.scenarios.dataset import formula_of
 from deadtime.scenarios.paired_statistics import (
     Proportion,
     mean_interval,
@@ -204,23 +203,14 @@ class Summary:
 
 
 class LawRuns:
-    """The runs of laws over the same scenarios, from a dataset or the engine's arrays.
+    """The runs of laws over the same scenarios, read from a dataset.
 
     `names` are those of the laws; `lost` tells where a law diverged.
     """
 
-    _keep: Callable[[Any], np.ndarray]
-
-    def __init__(self, data: xr.Dataset | Comparison) -> None:
-        diverged: Any
-        if isinstance(data, Comparison):
-            self.names, self._attributes, self._keep = list(data.names), data.attributes, data.keep
-            self._metrics, diverged = data.results.metrics, data.results.diverged
-        else:
-            self.names, self._attributes = [str(name) for name in data["law"].values], data.attrs
-            self._keep = lambda one: one.transpose("law", "scenario").values
-            self._metrics, diverged = data, data["diverged"]
-        self.lost: Bool[np.ndarray, "law scenario"] = self._keep(diverged).astype(bool)
+    def __init__(self, data: xr.Dataset) -> None:
+        self.names, self._data = selection.laws_of(data), data
+        self.lost: Bool[np.ndarray, "law scenario"] = self._values("diverged").astype(bool)
         if self.count == 0:
             raise ArgumentError(
                 "data must hold at least one scenario, got none: run some to the end."
@@ -239,7 +229,7 @@ class LawRuns:
     @property
     def measure(self) -> str:
         """The metric that ranks the laws: iae where all follow a reference, else the cost."""
-        tracked = "iae" in self._metrics and not np.isnan(self.losses("iae")).any()
+        tracked = "iae" in self._data and not np.isnan(self.losses("iae")).any()
         return "iae" if tracked else "cost"
 
     def losses(self, metric: str) -> Float[np.ndarray, "law scenario"]:
@@ -259,18 +249,18 @@ class LawRuns:
 
     def grown(self) -> Bool[np.ndarray, "law scenario"]:
         """Where a law diverged, or |x| grew."""
-        if "grows_above" not in self._attributes:
+        if "grows_above" not in self._data.attrs:
             return self.lost
-        start = float(self._attributes["grows_above"])
+        start = float(self._data.attrs["grows_above"])
         above = start if math.isfinite(start) else GROWN * self.losses("peak").min(axis=0)
         rises = (self._values("decay_rate") < 0.0) & (self._values("final_norm") > above)
         return self.lost | rises
 
     def _values(self, metric: str) -> Float[np.ndarray, "law scenario"]:
-        return self._keep(self._metrics[metric]).astype(float)
+        return self._data[metric].transpose("law", "scenario").values.astype(float)
 
 
-def summary(data: xr.Dataset | Comparison) -> Summary:
+def summary(data: xr.Dataset) -> Summary:
     r"""Quantiles, wins and relative costs of the laws of a `monte_carlo` dataset.
 
     With J_ℓi the cost of law ℓ on scenario i, ∞ where it diverged, law ℓ is best on the scenarios
@@ -283,7 +273,7 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
 
     Parameters
     ----------
-    data : xarray.Dataset or Comparison
+    data : xarray.Dataset
         With `cost`, `ise` and `diverged` over (law, scenario).
 
     Raises

@@ -28,7 +28,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.batch_loop import Loop
 from deadtime.scenarios.block import Block
-from deadtime.scenarios.dataset import METRICS, Comparison, Results, dataset_of, named_laws
+from deadtime.scenarios.dataset import METRICS, Results, dataset_of, named_laws
 from deadtime.scenarios.source import SignalSampler, source_of
 from deadtime.simulation.outcome import is_pushed
 from deadtime.simulation.simulate import require_steps
@@ -159,12 +159,12 @@ def monte_carlo(
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
     where their rows are factorised; so do laws on observers (`OutputFeedback`) and on a mode belief
     (`BeliefPredictor`). Other laws run one by one, by `simulate`, and ``attrs["one_by_one"]`` names
-    them: laws that are no table; laws that draw their first estimate or reference, in scenario i by
-    the seed ``scenario_seed(seed, i)``; servos over less than a period; and all laws where the
-    plant is disturbed and its delays differ between modes, where an imperfection is a function of
-    the user, or where the plant has more than some 30 states (11 for a law that knows the signal)
-    or is a thousand times faster than the period. Scenarios that diverge or vanish run again by
-    `simulate`, too.
+    them, ``attrs["one_by_one_because"]`` the reasons: laws that are no table; laws that draw their
+    first estimate or reference, in scenario i by the seed ``scenario_seed(seed, i)``; servos over
+    less than a period; and all laws where the plant is disturbed and its delays differ between
+    modes, where an imperfection is a function of the user, or where the plant has more than some 30
+    states (11 for a law that knows the signal) or is a thousand times faster than the period.
+    Scenarios that diverge or vanish run again by `simulate`, too.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def monte_carlo(
     True
     """
     loop = plant, laws, model, x0, horizon, step, scenarios, seed, backend, progress
-    return dataset_of(compare(*loop, imperfections, trajectories, threads, weight))
+    return compare(*loop, imperfections, trajectories, threads, weight)
 
 
 def compare(
@@ -252,11 +252,8 @@ def compare(
     threads: int | None = None,
     weight: Weight | None = None,
     share_compiling: bool = False,
-) -> Comparison:
-    """`monte_carlo` before its results are labelled: xarray takes as long as the run to load.
-
-    Where `share_compiling`, a second process compiles for some of the laws.
-    """
+) -> xr.Dataset:
+    """`monte_carlo`; where `share_compiling`, a second process compiles for some of the laws."""
     from deadtime.scenarios.engine import Engine
     from deadtime.scenarios.helper import Helper
     from deadtime.scenarios.prepare import BatchRequest, prepare
@@ -313,10 +310,11 @@ def compare(
         "imperfections": [repr(one) for one in imperfections],
         "grows_above": grows_above,
         "one_by_one": list(one_by_one),
+        "one_by_one_because": list(one_by_one.values()),
         "interrupted": int(interrupted),
         "message": " ".join(notes),
     }
-    return Comparison(list(named), results, step, attributes, weight, one_by_one)
+    return dataset_of(list(named), results, attributes, weight)
 
 
 def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:

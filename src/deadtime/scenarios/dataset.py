@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -135,54 +135,17 @@ class Results:
         return cls(metrics, *flags, tracking, x, u, np.empty((scenarios, samples), np.int32))
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Laws over the same scenarios: the content of a dataset, without xarray.
-
-    Attributes
-    ----------
-    names : sequence of str
-        The laws, in order.
-    results : Results
-    step : float
-        Seconds.
-    attributes : mapping
-        Those of the dataset.
-    weight : Weight or None
-        Weight of the cost; None for the identity.
-    one_by_one : mapping
-        From the names of laws that ran one by one to the reason.
-    """
-
-    names: Sequence[str]
-    results: Results
-    step: float
-    attributes: Mapping[str, Any]
-    weight: Weight | None = None
-    one_by_one: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def scenarios(self) -> int:
-        """The number of finished scenarios."""
-        return int(self.results.done.sum())
-
-    @property
-    def formula(self) -> str:
-        """The formula of the cost, for labels."""
-        return PLAIN if self.weight is None else self.weight.text
-
-    def keep(self, array: np.ndarray, axis: int = 1) -> np.ndarray:
-        """The finished scenarios of an array."""
-        done = self.results.done
-        return array if done.all() else np.take(array, np.flatnonzero(done), axis)
-
-
-def dataset_of(comparison: Comparison) -> xr.Dataset:
-    """The finished scenarios as a labelled dataset."""
+def dataset_of(
+    laws: Sequence[str], results: Results, attributes: Mapping[str, Any], weight: Weight | None
+) -> xr.Dataset:
+    """The finished scenarios as a labelled dataset; `weight` is that of the cost, if it has one."""
     import xarray as xr
 
-    results, weight, keep = comparison.results, comparison.weight, comparison.keep
     done, dims = np.flatnonzero(results.done), ("law", "scenario")
+
+    def keep(array: np.ndarray, axis: int = 1) -> np.ndarray:
+        return array if results.done.all() else np.take(array, done, axis)
+
     variables: dict[str, Any] = {
         name: (dims, keep(value), attributes_of(name, None if weight is None else weight.text))
         for name, value in results.metrics.items()
@@ -192,14 +155,14 @@ def dataset_of(comparison: Comparison) -> xr.Dataset:
         variables[name] = ((*dims, "output"), keep(value), described)
     variables["diverged"] = (dims, keep(results.diverged), {"long_name": DIVERGED})
     coordinates: dict[str, Any] = {
-        "law": ("law", list(comparison.names), {"long_name": "law"}),
+        "law": ("law", list(laws), {"long_name": "law"}),
         "scenario": ("scenario", done, {"long_name": "scenario"}),
     }
     if results.tracking:
         tracked = next(iter(results.tracking.values())).shape[2]
         coordinates["output"] = ("output", np.arange(tracked), {"long_name": "tracked output"})
     if results.x is not None and results.u is not None and results.mode is not None:
-        time = comparison.step * np.arange(results.mode.shape[1])
+        time = attributes["step"] * np.arange(results.mode.shape[1])
         coordinates["time"] = ("time", time, {"units": "s", "long_name": "time"})
         variables["x"] = ((*dims, "state", "time"), keep(results.x), {"long_name": "state"})
         variables["u"] = ((*dims, "input", "time"), keep(results.u), {"long_name": "input"})
@@ -208,5 +171,4 @@ def dataset_of(comparison: Comparison) -> xr.Dataset:
             keep(results.mode, 0),
             {"long_name": "mode at the sample"},
         )
-    attributes = {**comparison.attributes, "version": __version__}
-    return xr.Dataset(variables, coordinates, attributes)
+    return xr.Dataset(variables, coordinates, {**attributes, "version": __version__})

@@ -10,15 +10,15 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from deadtime.base.figure_files import Width, inches, legend_columns, new_figure, style_of
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
+from deadtime.reports.figures.sweeps.panels import round_ticks
 from deadtime.reports.figures.sweeps.reduction import quantiles
 from deadtime.reports.scenario_tables import LawRuns
-from deadtime.scenarios.dataset import Comparison, formula_of
+from deadtime.scenarios.dataset import formula_of
 from deadtime.simulation.tracking import TRACKING_ERROR
 
 if TYPE_CHECKING:
@@ -27,11 +27,10 @@ if TYPE_CHECKING:
 _POINTS = 2000  # of a curve: more would only make a vector file large
 _FAR = 1e3  # a law whose cheapest scenarios cost so many times the best median is off the axis
 _TAIL = 1e2  # nor does the axis go further than this many times a law's median
-_NARROW, _WIDE = 8.0, 2e3  # ranges of an axis with plain ticks, and with ticks 1, 2, 5
 
 
 def plot_monte_carlo(
-    data: xr.Dataset | Comparison, title: str | None = None, width: Width | None = None
+    data: xr.Dataset, title: str | None = None, width: Width | None = None
 ) -> Figure:
     r"""Distribution functions of the laws' costs, and of their costs over the reference law's.
 
@@ -42,7 +41,7 @@ def plot_monte_carlo(
 
     Parameters
     ----------
-    data : xarray.Dataset or Comparison
+    data : xarray.Dataset
         Of `monte_carlo`: `cost` and `diverged` over (law, scenario).
     title : str, optional
     width : "column", "page" or float, optional
@@ -77,7 +76,7 @@ def plot_monte_carlo(
         seen |= _panel(right, runs.relative(), styles)
         formula, word = TRACKING_ERROR, TRACKING_ERROR
         if measure == "cost":
-            formula = data.formula if isinstance(data, Comparison) else formula_of(data["cost"])
+            formula = formula_of(data["cost"])
             unit = "  (x² s + u² s)" if formula == PLAIN else ""
             formula, word = f"cost, {plain(formula)}{unit}", "cost"
         left.set_xlabel(formula)
@@ -111,13 +110,7 @@ def _panel(
     for row, style in zip(values, styles, strict=True):
         _curve(panel, row, (low, high), style)
     panel.set_xlim(low, high)
-    if high / low < _WIDE:
-        narrow = high / low < _NARROW
-        panel.xaxis.set_major_locator(
-            MaxNLocator(5) if narrow else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12)
-        )
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_locator(NullLocator())
+    round_ticks(panel.xaxis, low, high)
     return np.any(values < high, axis=1)
 
 

@@ -14,17 +14,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import NullLocator
 
 from deadtime.base.figure_files import Width, inches, legend_columns, new_figure, style_of
 from deadtime.base.figure_style import LINES, WIDTH, plain
 from deadtime.reports.figures.colours import colours_of
 from deadtime.reports.figures.sweeps import selection
-from deadtime.reports.figures.sweeps.maps import linear_ticks, log_ticks
 from deadtime.reports.figures.sweeps.panels import (
     add_title,
     measure_of,
     places_of,
+    round_ticks,
     too_many,
     words_of,
 )
@@ -40,7 +39,6 @@ _SPREAD = 8.0  # largest over least value from which the axis across is
 _NARROW = 1.5  # a logarithmic axis spans this factor at least
 _FAR = 1e3  # times the median of medians, where it ends
 _DEEP = 1e9  # a logarithmic axis spans this factor at most
-_LETTER = 0.042  # width of a letter of a tick, of that of a narrow panel
 
 
 Quantiles = Float[np.ndarray, "x level"]
@@ -80,7 +78,10 @@ def draw(
         places = values[order].astype(float)
         for law, mark in zip(cells, marks, strict=True):
             _band(panel, places, law[order], mark, 1.0 / len(marks))
-        _ticks(panel, places)
+        panel.margins(x=0.04)
+        if places[0] > 0.0 and places[-1] > _SPREAD * places[0]:
+            panel.set_xscale("log")
+            round_ticks(panel.xaxis, places[0], places[-1])
         return
     for number, (law, (colour, _)) in enumerate(zip(cells, marks, strict=True)):
         offset = (number - (len(marks) - 1) / 2.0) * min(0.12, 0.8 / len(marks))
@@ -115,25 +116,6 @@ def _clip(cells: Quantiles) -> Quantiles:
     return np.clip(cells, -1e250, 1e250)
 
 
-def _ticks(panel: Axes, values: np.ndarray) -> None:
-    """Ticks at the values, as far as there is room for them."""
-    logarithmic = values[0] > 0.0 and values[-1] > _SPREAD * values[0]
-    panel.set_xscale("log" if logarithmic else "linear")
-    places = np.log(values) if logarithmic else values
-    air = 0.04 * (places[-1] - places[0])
-    ends = places[0] - air, places[-1] + air
-    panel.set_xlim(*(np.exp(ends) if logarithmic else ends))
-    places = (places - places[0]) / (places[-1] - places[0])
-    gap = max(0.1, _LETTER * max(len(selection.text_of(value)) for value in values))
-    shown, last = [], -1.0
-    for value, place in zip(values, places, strict=True):
-        if place - last >= gap:
-            shown.append(value)
-            last = place
-    panel.set_xticks(shown, [selection.text_of(value) for value in shown])
-    panel.xaxis.set_minor_locator(NullLocator())
-
-
 def is_wide(values: np.ndarray) -> bool:
     """Whether the figures of all panels are positive and differ so much as to ask for powers."""
     finite = values[np.isfinite(values)]
@@ -162,10 +144,7 @@ def set_scale(panel: Axes, cells: np.ndarray, logarithmic: bool) -> float:
     air = (high / low) ** 0.05
     low, high = low / air, high * air
     panel.set_yscale("log")
-    if high < 1e3 * low:
-        ticks = log_ticks(low, high) if high > 8.0 * low else linear_ticks(low, high)
-        panel.set_yticks(list(ticks), list(ticks.values()))
-        panel.yaxis.set_minor_locator(NullLocator())
+    round_ticks(panel.yaxis, low, high)
     panel.set_ylim(low, high)
     return high
 

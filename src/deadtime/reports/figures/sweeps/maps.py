@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +27,7 @@ from deadtime.reports.figures.sweeps.panels import (
     PanelGrid,
     draw_cells,
     panels_of,
+    round_ticks,
 )
 from deadtime.reports.figures.sweeps.selection import short
 
@@ -41,13 +42,13 @@ EMPTY, WAITING = "–", "…"  # in a cell where no law could be built, and in o
 
 @dataclass(frozen=True)
 class Scale:
-    """How a figure becomes a colour, and what stands beside the colour bar."""
+    """How a figure becomes a colour, and what stands beside the colour bar; ticks if unusual."""
 
     norm: Normalize
     colours: str
     extend: str
     label: str
-    ticks: Mapping[float, str]
+    ticks: Mapping[float, str] = field(default_factory=dict)
 
 
 def colour_map(
@@ -75,8 +76,11 @@ def colour_map(
             _draw(panel, np.asarray(shades)[..., :3], texts, same, (np.isnan(cells), holes))
         axes = [panel for panel, _ in panels]
         bar = figure.colorbar(colour, ax=axes, extend=scale.extend, aspect=30, pad=0.015)
-        bar.set_ticks(list(scale.ticks), labels=list(scale.ticks.values()))
-        bar.ax.minorticks_off()
+        if scale.ticks:
+            bar.set_ticks(list(scale.ticks), labels=list(scale.ticks.values()))
+            bar.ax.minorticks_off()
+        elif isinstance(scale.norm, LogNorm):
+            round_ticks(bar.ax.yaxis, *bar.mappable.get_clim())
         room = int(17.0 * figure.get_figheight())
         bar.set_label(textwrap.fill(plain(scale.label), room), fontsize=8.0)
         bar.outline.set_visible(False)
@@ -171,34 +175,10 @@ def scale_of(values: np.ndarray, label: str, colours: str) -> Scale:
         middle = float(np.exp(np.median(np.log(finite))))
         ends = max(low, middle / _FAR), min(high, middle * _FAR)
         norm: Normalize = LogNorm(*ends)
-        ticks = log_ticks(*ends)
     else:
         # Figures that hardly differ should not look as if they did.
         ends = low, max(high, _NARROW * low if low > 0.0 else low + 1e-9)
         norm = Normalize(*ends)
-        ticks = linear_ticks(*ends)
     below, above = bool((values < ends[0]).any()), bool((values > ends[1]).any())
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}
-    return Scale(norm, colours, extend.get((below, above), "neither"), label, ticks)
-
-
-def log_ticks(
-    low: float, high: float, most: int = 7, fine: Sequence[float] = ()
-) -> dict[float, str]:
-    """A few round numbers from low to high: 1, 2, 5 and so on, or finer ones, where they fit."""
-    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    ticks: list[float] = []
-    for steps in (fine, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
-        ticks = [step * 10.0**power for power in powers for step in steps]
-        ticks = [tick for tick in ticks if low <= tick <= high]
-        if steps and len(ticks) <= most:
-            break
-    return {tick: f"{tick:g}" for tick in ticks[:: -(-len(ticks) // most) or 1]}
-
-
-def linear_ticks(low: float, high: float) -> dict[float, str]:
-    """About 5 round numbers from low to high."""
-    from matplotlib.ticker import MaxNLocator
-
-    ticks = MaxNLocator(5).tick_values(low, high)
-    return {float(tick): f"{tick:.6g}".replace("-", "−") for tick in ticks if low <= tick <= high}
+    return Scale(norm, colours, extend.get((below, above), "neither"), label)

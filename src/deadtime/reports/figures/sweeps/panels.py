@@ -7,14 +7,14 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_files import new_figure
@@ -180,36 +180,37 @@ def draw_cells(
     texts: Sequence[Sequence[str]],
     tied: Bool[np.ndarray, "y x"],
 ) -> None:
-    """All cells of a panel; figures and borders only where they are few enough to be read."""
-    if max(tied.shape) <= FIGURES:
-        for at in itertools.product(*map(range, tied.shape)):
-            _draw_cell(panel, at, shades[at], texts[at[0]][at[1]], bool(tied[at]))
-        return
-    pale = np.where(tied[..., None], 0.6 + 0.4 * shades, shades)
-    ends = (-0.5, tied.shape[1] - 0.5, -0.5, tied.shape[0] - 0.5)
-    panel.imshow(pale, origin="lower", aspect="auto", interpolation="nearest", extent=ends)
-    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    cells = [corners + at[::-1] for at in np.argwhere(tied)]
-    if cells:
-        panel.add_collection(
-            PolyCollection(cells, facecolors="none", edgecolors=HATCH, hatch="////", linewidths=0.0)
+    """All cells of a panel, ties pale and hatched; figures and borders where cells are few."""
+    few = max(tied.shape) <= FIGURES
+    shades = np.where(tied[..., None], 0.6 + 0.4 * shades, shades)
+    y, x = (np.arange(count + 1) - 0.5 for count in tied.shape)
+    lines = "white" if few else "none"
+    panel.pcolormesh(x, y, shades, edgecolors=lines, linewidth=0.8, rasterized=not few)
+    if tied.any():
+        ties = np.ma.masked_array(np.ones(tied.shape), ~tied)
+        panel.pcolor(x, y, ties, facecolors="none", edgecolors=HATCH, hatch="////", linewidth=0.0)
+    for (row, column), text in np.ndenumerate(np.array(texts)) if few else ():
+        shade = shades[row, column]
+        panel.text(
+            column, row, str(text), ha="center", va="center", fontsize=6.2,
+            color="white" if shade @ (0.299, 0.587, 0.114) < 0.5 else "black",
+            bbox={"boxstyle": "square,pad=0.1", "facecolor": shade, "linewidth": 0.0}
+            if tied[row, column] else None,
+        )  # fmt: skip
+
+
+_NARROW, _WIDE = 8.0, 2e3  # ranges of a logarithmic axis with plain ticks, and with ticks 1, 2, 5
+
+
+def round_ticks(axis: Axis, low: float, high: float) -> None:
+    """Plain numbers on a logarithmic axis of few decades; powers of ten on any other."""
+    if high < _WIDE * low:
+        narrow = high < _NARROW * low
+        axis.set_major_locator(
+            MaxNLocator(5) if narrow else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12)
         )
-
-
-def _draw_cell(panel: Axes, at: tuple[int, ...], colour: np.ndarray, text: str, tied: bool) -> None:
-    """One cell: its colour, paler and hatched where tied, and its figure in black or white."""
-    row, column = at
-    corner, shade = (column - 0.5, row - 0.5), 0.6 + 0.4 * colour if tied else colour
-    look: dict[str, Any] = {"facecolor": shade.tolist()}
-    panel.add_patch(Rectangle(corner, 1, 1, **look, edgecolor="white", linewidth=0.8))
-    if tied:
-        panel.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=HATCH, hatch="////", lw=0.0))
-    dark = float(np.dot(shade, (0.299, 0.587, 0.114))) < 0.5
-    panel.text(
-        column, row, text, ha="center", va="center", fontsize=6.2,
-        color="white" if dark else "black",
-        bbox={"boxstyle": "square,pad=0.1", "linewidth": 0.0, **look} if tied else None,
-    )  # fmt: skip
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_locator(NullLocator())
 
 
 SYMBOLS = {

@@ -109,15 +109,8 @@ def quantiles(
     >>> quantiles(np.array([1.0, 3.0, 5.0, 7.0, np.inf]))
     array([1.4, 3. , 5. , 7. , inf])
     """
-    ordered = np.sort(values, axis=-1)  # NaN last
-    place = np.array(levels) * (values.shape[-1] - 1)
-    below, above = np.floor(place).astype(int), np.ceil(place).astype(int)
-    low, high = ordered[..., below], ordered[..., above]
-    # Between a finite value and ∞, interpolation has ∞ − ∞ in it.
-    with np.errstate(invalid="ignore"):
-        part, gap = place - below, high - low
-        # From the nearer end, as numpy does, so that round-off is the same.
-        between = np.where(part < 0.5, low + part * gap, high - (1.0 - part) * gap)
-    result = np.where(np.isinf(low), low, np.where(np.isinf(high), high, between))
-    result = np.where(above == below, low, result)
-    return np.where(np.isnan(ordered[..., -1:]), np.nan, result)
+    low, high = (np.quantile(values, levels, axis=-1, method=name) for name in ("lower", "higher"))
+    with np.errstate(invalid="ignore"):  # ∞ − ∞ between two that diverged
+        between = np.quantile(values, levels, axis=-1)
+    found = np.where(low == high, low, np.where(np.isinf(low), low, between))
+    return np.moveaxis(np.where(np.isinf(high) & np.isfinite(low), high, found), 0, -1)
